@@ -1,0 +1,34 @@
+"""A target point, as seen from a vehicle with a heading."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+# Nearer than this the direction to the target means nothing, and the heading is left
+# as it is [m] (R39).
+NEAR = 0.05
+
+
+def check_target(target: ArrayLike, size: int) -> tuple[float, ...]:
+    """Checks that a target has the given number of finite coordinates [m].
+
+    Raises:
+        ValueError: It does not.
+    """
+    array = np.asarray(target, dtype=float)
+    if array.shape != (size,) or not np.all(np.isfinite(array)):
+        raise ValueError(f"the target is {target!r}; it must be {size} finite numbers")
+    return tuple(array.tolist())
+
+
+def forward_component(x: float, y: float, heading: float) -> float:
+    """The component of the vector (x, y) along the heading, in the vector's unit."""
+    return x * math.cos(heading) + y * math.sin(heading)
+
+
+def heading_error(x: float, y: float, heading: float) -> float:
+    """The angle from the direction of (x, y) to the heading, in [-π, π] [rad] (R39)."""
+    return math.remainder(heading - math.atan2(y, x), 2.0 * math.pi)

@@ -1,0 +1,160 @@
+"""The blimp: a small indoor airship with surge and heave thrust and a yaw moment."""
+
+# No `from __future__ import annotations`: pydrake.common.yaml needs evaluated types.
+
+from collections.abc import Sequence
+import copy
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from pydrake.common.containers import namedview
+from pydrake.math import cos, sin
+from pydrake.systems.framework import BasicVector_, LeafSystem_
+from pydrake.systems.scalar_conversion import TemplateSystem
+
+from vcbf_drake.plants.parameters import check_parameter
+
+# Position and inertial velocity [m, m/s], heading and its rate [rad, rad/s].
+BlimpState = namedview(
+    "BlimpState", ["x", "y", "z", "yaw", "vx", "vy", "vz", "yaw_rate"]
+)
+# Forces along the body's forward axis and up [N], moment about the vertical [N m].
+BlimpInput = namedview("BlimpInput", ["surge_force", "heave_force", "yaw_moment"])
+
+
+@dataclass
+class BlimpParameters:
+    """Physical parameters of a neutrally buoyant blimp.
+
+    The defaults are those of the Georgia Tech miniature autonomous blimp as published
+    in github.com/evannsm/blimp_work, utilities.py.
+
+    Attributes:
+        mass: Mass of the blimp, its gas included [kg].
+        added_mass: Mass of the air that moves along in surge, sway and heave [kg].
+        drag: Linear drag in surge, sway and heave [N s/m].
+        yaw_inertia: Moment of inertia about the vertical, the air's included [kg m^2].
+        yaw_drag: Linear drag about the vertical [N m s/rad].
+    """
+
+    mass: float = 0.1249
+    added_mass: list[float] = field(default_factory=lambda: [0.0466, 0.0466, 0.0545])
+    drag: list[float] = field(default_factory=lambda: [0.0125, 0.0125, 0.0480])
+    yaw_inertia: float = 0.005821
+    yaw_drag: float = 0.000862
+
+    def validate(self) -> None:
+        """Raises ValueError unless all are finite and positive (air effects: or 0)."""
+        name = "BlimpParameters"
+        check_parameter(f"{name}.mass", self.mass)
+        check_parameter(f"{name}.yaw_inertia", self.yaw_inertia)
+        check_parameter(
+            f"{name}.added_mass", self.added_mass, size=3, zero_allowed=True
+        )
+        check_parameter(f"{name}.drag", self.drag, size=3, zero_allowed=True)
+        check_parameter(f"{name}.yaw_drag", self.yaw_drag, zero_allowed=True)
+
+    @property
+    def effective_masses(self) -> tuple[float, float, float]:
+        """The masses (m_x, m_y, m_z) that surge, sway and heave forces move [kg]."""
+        m_x, m_y, m_z = (self.mass + added for added in self.added_mass)
+        return m_x, m_y, m_z
+
+    def to_vector(self) -> list[float]:
+        """The parameters as the context holds them, in the order of the fields."""
+        return [
+            self.mass,
+            *self.added_mass,
+            *self.drag,
+            self.yaw_inertia,
+            self.yaw_drag,
+        ]
+
+
+def _blimp_state_rate(
+    state: Sequence[Any],
+    force: Sequence[Any],
+    disturbance: Sequence[Any],
+    parameters: Sequence[Any],
+) -> list[Any]:
+    """The right-hand side of (E29), for unequal surge and sway too."""
+    _, _, _, yaw, vx, vy, vz, r = state
+    f_x, f_z, tau = force
+    d_x, d_y, d_z = disturbance
+    mass, added_x, added_y, added_z, D_x, D_y, D_z, I_z, D_r = parameters
+    m_x, m_y, m_z = mass + added_x, mass + added_y, mass + added_z
+    c, s = cos(yaw), sin(yaw)
+
+    # What unequal surge and sway add to (E29), in body axes: surge and sway
+    # accelerations and the Munk moment. Equal ones make the factors exact zeros, so
+    # that a symbolic f is then free of yaw and yaw rate.
+    surge, sway = c * vx + s * vy, c * vy - s * vx
+    a_surge = (m_y - m_x) / m_x * (r * sway)
+    a_sway = (m_y - m_x) / m_y * (r * surge) + (D_x / m_x - D_y / m_y) * sway
+    munk_moment = (m_x - m_y) * (surge * sway)
+
+    thrust = f_x / m_x + a_surge
+    return [
+        vx,
+        vy,
+        vz,
+        r,
+        c * thrust - s * a_sway - D_x / m_x * vx + d_x,
+        s * thrust + c * a_sway - D_x / m_x * vy + d_y,
+        (f_z - D_z * vz) / m_z + d_z,
+        (tau + munk_moment - D_r * r) / I_z,
+    ]
+
+
+@TemplateSystem.define("Blimp_")  # type: ignore[untyped-decorator]
+def Blimp_(T: type) -> type:
+    """Makes the class Blimp_[T] for the scalar type T."""
+
+    class Impl(LeafSystem_[T]):
+        """The blimp benchmark (E29): neutrally buoyant, upright, no roll or pitch.
+
+        Ports:
+            input (3): surge force [N], heave force [N], yaw moment [N m].
+            disturbance (3), optional: acceleration along x, y and z [m/s^2].
+            state (8): x, y, z [m], yaw [rad], their inertial rates [m/s, rad/s].
+
+        The context holds the physical parameters, in the order of BlimpParameters.
+        """
+
+        state_names = BlimpState.get_fields()
+        state_units = (*3 * ("m",), "rad", *3 * ("m/s",), "rad/s")
+        input_names = BlimpInput.get_fields()
+        input_units = ("N", "N", "N m")
+        position_indices = (0, 1, 2)
+
+        def _construct(
+            self, parameters: BlimpParameters | None = None, converter: Any = None
+        ) -> None:
+            LeafSystem_[T].__init__(self, converter=converter)
+            self._parameters = copy.deepcopy(parameters) or BlimpParameters()
+            self._parameters.validate()
+            self.DeclareNumericParameter(BasicVector_[T](self._parameters.to_vector()))
+            self._input = self.DeclareVectorInputPort("input", 3)
+            self._disturbance = self.DeclareVectorInputPort("disturbance", 3)
+            self.DeclareStateOutputPort("state", self.DeclareContinuousState(4, 4, 0))
+
+        def _construct_copy(self, other: Any, converter: Any = None) -> None:
+            Impl._construct(self, parameters=other._parameters, converter=converter)
+
+        def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
+            disturbed = self._disturbance.HasValue(context)
+            state_rate = _blimp_state_rate(
+                state=context.get_continuous_state_vector().CopyToVector().tolist(),
+                force=self._input.Eval(context).tolist(),
+                disturbance=(
+                    self._disturbance.Eval(context).tolist() if disturbed else 3 * [0.0]
+                ),
+                parameters=context.get_numeric_parameter(0).CopyToVector().tolist(),
+            )
+            derivatives.get_mutable_vector().SetFromVector(np.array(state_rate))
+
+    return Impl
+
+
+Blimp = Blimp_[None]

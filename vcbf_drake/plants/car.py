@@ -1,0 +1,86 @@
+"""The car: a point with a speed and a heading, driven by a force and a turn rate."""
+
+# No `from __future__ import annotations`: pydrake.common.yaml needs evaluated types.
+
+import copy
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydrake.common.containers import namedview
+from pydrake.math import cos, sin
+from pydrake.systems.framework import BasicVector_, LeafSystem_
+from pydrake.systems.scalar_conversion import TemplateSystem
+
+from vcbf_drake.plants.parameters import check_parameter
+
+# Position [m], signed forward speed [m/s], heading [rad].
+CarState = namedview("CarState", ["x", "y", "speed", "heading"])
+# Force along the heading [N], rate of the heading [rad/s].
+CarInput = namedview("CarInput", ["acceleration_force", "turn_rate"])
+
+
+@dataclass
+class CarParameters:
+    """Physical parameters of the car.
+
+    Attributes:
+        mass: Mass [kg].
+    """
+
+    mass: float = 2.0
+
+    def validate(self) -> None:
+        """Raises ValueError unless the mass is finite and positive."""
+        check_parameter("CarParameters.mass", self.mass)
+
+
+@TemplateSystem.define("Car_")  # type: ignore[untyped-decorator]
+def Car_(T: type) -> type:
+    """Makes the class Car_[T] for the scalar type T."""
+
+    class Impl(LeafSystem_[T]):
+        """The car of the paper's experiments (E33).
+
+        Ports:
+            input (2): force along the heading [N], turn rate [rad/s].
+            disturbance (1), optional: acceleration along the heading [m/s^2].
+            state (4): x, y [m], speed [m/s], heading [rad].
+
+        The context holds the mass [kg] as its one parameter.
+        """
+
+        state_names = CarState.get_fields()
+        state_units = ("m", "m", "m/s", "rad")
+        input_names = CarInput.get_fields()
+        input_units = ("N", "rad/s")
+        position_indices = (0, 1)
+
+        def _construct(
+            self, parameters: CarParameters | None = None, converter: Any = None
+        ) -> None:
+            LeafSystem_[T].__init__(self, converter=converter)
+            self._parameters = copy.deepcopy(parameters) or CarParameters()
+            self._parameters.validate()
+            self.DeclareNumericParameter(BasicVector_[T]([self._parameters.mass]))
+            self._input = self.DeclareVectorInputPort("input", 2)
+            self._disturbance = self.DeclareVectorInputPort("disturbance", 1)
+            self.DeclareStateOutputPort("state", self.DeclareContinuousState(4))
+
+        def _construct_copy(self, other: Any, converter: Any = None) -> None:
+            Impl._construct(self, parameters=other._parameters, converter=converter)
+
+        def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
+            _, _, v, psi = context.get_continuous_state_vector().CopyToVector().tolist()
+            a, omega = self._input.Eval(context).tolist()
+            disturbed = self._disturbance.HasValue(context)
+            (d,) = self._disturbance.Eval(context).tolist() if disturbed else [0.0]
+            (m,) = context.get_numeric_parameter(0).CopyToVector().tolist()
+            derivatives.get_mutable_vector().SetFromVector(
+                np.array([v * cos(psi), v * sin(psi), a / m + d, omega])
+            )
+
+    return Impl
+
+
+Car = Car_[None]

@@ -1,0 +1,63 @@
+"""Symbolic expressions compiled to one fast function of plain floats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.symbolic import Expression, Variable
+
+Expressions: TypeAlias = NDArray[np.object_]
+CompiledFunction: TypeAlias = Callable[..., list[float]]
+
+
+def compile_expressions(
+    arguments: Iterable[Variable],
+    expressions: Expressions | Iterable[Expression | Variable | float],
+    name: str = "compiled",
+) -> CompiledFunction:
+    """Compiles expressions to one function of plain floats.
+
+    The function takes one positional ``float`` per argument and returns the values
+    of the expressions, in order, as a flat list: ``values = function(*x.tolist())``.
+    Common subexpressions are computed once. The generated code is the same in every
+    process, whatever PYTHONHASHSEED is, so its results are too, bit for bit.
+
+    A singular point is the caller's to handle: the function raises what Python's own
+    float arithmetic raises there, ZeroDivisionError (1 / 0), ValueError (sqrt(-1)) or
+    OverflowError (exp(1000)). Arguments must be ``float``, not ``numpy.float64``, which
+    is slower and warns instead.
+
+    Args:
+        arguments: The variables, in the order the function takes them.
+        expressions: What to compute, of any shape; flattened in C order.
+        name: The function's name, for messages.
+
+    Raises:
+        ValueError: An expression holds a variable that is not an argument.
+        NotImplementedError: An expression has no counterpart in plain Python (an
+            uninterpreted function, for example).
+    """
+    from vcbf_drake.plants.float_code import float_function  # SymPy's import is slow.
+
+    variables = list(arguments)
+    flat = [
+        e if isinstance(e, Expression) else Expression(e)
+        for e in np.asarray(expressions, dtype=object).flat
+    ]
+    _require_known(variables, flat, name)
+    function: CompiledFunction = float_function(variables, flat)
+    function.__name__ = name
+    return function
+
+
+def _require_known(
+    variables: list[Variable], expressions: list[Expression], name: str
+) -> None:
+    known = {v.get_id() for v in variables}
+    used = [v for e in expressions for v in e.GetVariables()]
+    unknown = sorted({v.get_name() for v in used if v.get_id() not in known})
+    if unknown:
+        raise ValueError(f"{name}: not among its arguments: {', '.join(unknown)}")
