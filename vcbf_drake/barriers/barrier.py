@@ -1,0 +1,87 @@
+"""A high-order control barrier function: what must stay non-negative."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
+
+import numpy as np
+from pydrake.symbolic import Expression
+
+from vcbf_drake.barriers.finite_vector import finite_vector
+from vcbf_drake.errors import Array
+from vcbf_drake.plants.compiled import Expressions
+
+BarrierFunction: TypeAlias = Callable[
+    [Expressions, Expression, Expressions], Expression
+]
+
+
+class Barrier:
+    """The constraint h(x, t) >= 0 and how hard it is enforced (E3), (E4).
+
+    Its row (E5) in the input u is ``-L_g L_f^(r-1) h u <= K' eta + L_f^r h``, with
+    the relative degree r the number of gains. Write obstacle positions and the like as
+    parameters: barriers that differ in gains and parameters only compile once.
+
+    Attributes:
+        function: ``function(x, t, p)`` returns h as one symbolic expression, from the
+            state x (n,), the time t [s] and the parameters p (k,), all symbolic too;
+            write it with NumPy.
+        gains: K of (E4), (k_1, ..., k_r), shape (r,) [1/s, ..., 1/s^r].
+        decay_rates: The lambda_i of (E4), shape (r,) [1/s]; the largest comes first,
+            which makes the sets S^k of (E3) as large as they can be (R21).
+        parameters: The values of p, shape (k,).
+        name: What error messages and logs call it.
+    """
+
+    def __init__(
+        self,
+        function: BarrierFunction,
+        gains: Sequence[float] | Array,
+        parameters: Sequence[float] | Array = (),
+        name: str = "barrier",
+    ) -> None:
+        """Checks the gains and the parameters.
+
+        Raises:
+            ValueError: A number is not finite, there is no gain, or a decay rate is not
+                real and positive.
+        """
+        self.function = function
+        self.gains = finite_vector(gains, f"gains of barrier '{name}'")
+        self.decay_rates = decay_rates(self.gains, name)
+        self.parameters = finite_vector(parameters, f"parameters of barrier '{name}'")
+        self.name = name
+
+    @property
+    def relative_degree(self) -> int:
+        """The number r of derivatives of h after which the input appears."""
+        return len(self.gains)
+
+
+def decay_rates(gains: Array, name: str) -> Array:
+    """Returns lambda_1 >= ... >= lambda_r, where -lambda_i are the roots of (E4).
+
+    Args:
+        gains: K = (k_1, ..., k_r), shape (r,).
+        name: The barrier's name, for the error message.
+
+    Raises:
+        ValueError: There is no gain, or a decay rate is not real and positive.
+    """
+    degree = len(gains)
+    if degree == 0:
+        raise ValueError(f"barrier '{name}': give at least one gain")
+    rates = -np.roots([1.0, *gains])
+    # A double root comes back as a pair this far from the real axis.
+    rounding = 10.0 * np.finfo(float).eps ** (1.0 / degree) * np.abs(rates).max()
+    if np.abs(rates.imag).max() > rounding or rates.real.min() <= 0.0:
+        raise ValueError(
+            f"barrier '{name}': gains {gains.tolist()} give decay rates"
+            f" {np.array2string(rates, precision=4)}; they must be real and positive"
+            " (for two gains: k1 > 0, 0 < k2 <= k1^2 / 4)"
+        )
+    ordered = np.sort(rates.real)[::-1]
+    ordered.flags.writeable = False
+    return ordered

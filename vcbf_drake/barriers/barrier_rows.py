@@ -1,0 +1,59 @@
+"""The rows that barriers put on the input at one state and time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vcbf_drake.errors import Array
+
+
+@dataclass(frozen=True)
+class BarrierRows:
+    """N rows ``A u <= b + w d`` and their derivatives by xbar = [x; t], read-only.
+
+    Rows of a barrier are (E7), (E17); rows of a limit on the input have w = 0 and no
+    value. A row is not finite where its barrier is singular.
+
+    Attributes:
+        value: h, shape (N,); nan for a limit.
+        chain: phi^0, ..., phi^(r-1) of (E3) for each row, shapes (r_i,); empty for a
+            limit.
+        A: -L_g L_f^(r-1) h, shape (N, m).
+        b: K' eta + L_f^r h, shape (N,).
+        w: E' grad_x L_f^(r-1) h, shape (N, q).
+        A_gradient: Shape (N, m, n + 1).
+        b_gradient: Shape (N, n + 1).
+        w_gradient: Shape (N, q, n + 1).
+    """
+
+    value: Array
+    chain: tuple[Array, ...]
+    A: Array
+    b: Array
+    w: Array
+    A_gradient: Array
+    b_gradient: Array
+    w_gradient: Array
+
+    def authority(self, scale: Array) -> Array:
+        """Returns how far the input moves each row, |A diag(scale)|, shape (N,).
+
+        Args:
+            scale: What counts as one of each input, shape (m,).
+        """
+        authority: Array = np.linalg.norm(self.A * scale, axis=1)
+        return authority
+
+    def rows_without_authority(
+        self, scale: Array, tolerance: float = 1e-6
+    ) -> NDArray[np.bool_]:
+        """Returns which rows no input can move at this state (R33), shape (N,).
+
+        Args:
+            scale: What counts as one of each input, shape (m,).
+            tolerance: The least authority that counts, in units of b.
+        """
+        return self.authority(scale) <= tolerance

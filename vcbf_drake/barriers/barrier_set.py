@@ -1,0 +1,162 @@
+"""Several barriers and limits of one model, evaluated together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+
+import numpy as np
+
+from vcbf_drake.barriers.barrier import Barrier
+from vcbf_drake.barriers.barrier_rows import BarrierRows
+from vcbf_drake.barriers.input_limits import StateInputLimit
+from vcbf_drake.barriers.row_functions import (
+    RowFunctions,
+    barrier_functions,
+    limit_functions,
+)
+from vcbf_drake.errors import Array, ModelError
+from vcbf_drake.plants.compiled import CompiledFunction
+from vcbf_drake.plants.control_affine import ControlAffineModel
+
+
+class BarrierSet:
+    """The rows of N barriers and limits, in the order given.
+
+    Attributes:
+        names: Their names, N of them.
+    """
+
+    def __init__(
+        self, model: ControlAffineModel, barriers: Sequence[Barrier | StateInputLimit]
+    ) -> None:
+        """Derives and compiles what was not compiled before.
+
+        Args:
+            model: The plant.
+            barriers: What must stay true.
+
+        Raises:
+            ModelError: A barrier's function does not suit the model, or the input or
+                the disturbance enters it at another derivative than its gains say; the
+                message names the barrier.
+            TypeError: One of them is neither a barrier nor a limit.
+        """
+        for barrier in barriers:
+            if not isinstance(barrier, Barrier | StateInputLimit):
+                raise TypeError(
+                    "expected a Barrier or a StateInputLimit, got"
+                    f" {type(barrier).__name__}"
+                )
+        self.names = tuple(barrier.name for barrier in barriers)
+        self._num_states = model.num_states
+        self._num_inputs = model.num_inputs
+        self._num_entries = model.num_inputs + 1 + model.num_disturbances
+        self._functions = [_functions(model, barrier) for barrier in barriers]
+        self._gradient_end = self._num_entries * (model.num_states + 2)
+        degrees = [functions.relative_degree for functions in self._functions]
+        start = self._gradient_end
+        self._chains = [(i, slice(start, start + r)) for i, r in enumerate(degrees)]
+        self._width = start + max(degrees, default=0) + 1
+
+    @property
+    def size(self) -> int:
+        """The number N of rows."""
+        return len(self._functions)
+
+    def rows(self, x: Array, t: float) -> BarrierRows:
+        """Returns every row at one state x (n,) and time t [s].
+
+        A row is nan where its barrier is singular, as at the centre of an obstacle.
+
+        Raises:
+            ValueError: x has another shape.
+        """
+        point = self._point(x, t)
+        lists = [
+            _evaluate(each.row, (*point, *each.constants), self._width)
+            for each in self._functions
+        ]
+        numbers = np.array(lists, dtype=float).reshape(self.size, self._width)
+        numbers.flags.writeable = False
+        m, e, g = self._num_inputs, self._num_entries, self._gradient_end
+        gradient = numbers[:, e:g].reshape(self.size, e, self._num_states + 1)
+        return BarrierRows(
+            value=numbers[:, g],
+            chain=tuple([numbers[chain] for chain in self._chains]),
+            A=numbers[:, :m],
+            b=numbers[:, m],
+            w=numbers[:, m + 1 : e],
+            A_gradient=gradient[:, :m],
+            b_gradient=gradient[:, m],
+            w_gradient=gradient[:, m + 1 :],
+        )
+
+    def values(self, x: Array, t: float) -> Array:
+        """Returns every h(x, t), shape (N,); nan for a limit or at a singular point.
+
+        Raises:
+            ValueError: x has another shape.
+        """
+        return np.array(self._values(self._point(x, t)), dtype=float)
+
+    def values_along(self, x: Array, t: Array) -> Array:
+        """Returns every h along a trajectory, shape (T, N).
+
+        Args:
+            x: The states, shape (T, n).
+            t: The times, shape (T,) [s].
+
+        Raises:
+            ValueError: x or t has another shape.
+        """
+        x, t = np.asarray(x, dtype=float), np.asarray(t, dtype=float)
+        if t.ndim != 1 or x.shape != (len(t), self._num_states):
+            raise ValueError(
+                f"expected states of shape (T, {self._num_states}) and T times,"
+                f" got shapes {x.shape} and {t.shape}"
+            )
+        points = np.column_stack([x, t]).tolist()
+        values = [self._values(point) for point in points]
+        return np.array(values, dtype=float).reshape(len(t), self.size)
+
+    def _point(self, x: Array, t: float) -> list[float]:
+        """Returns [x; t] as plain floats."""
+        x = np.asarray(x, dtype=float)
+        if x.shape != (self._num_states,):
+            raise ValueError(
+                f"expected a state of shape ({self._num_states},), got {x.shape}"
+            )
+        return [*x.tolist(), float(t)]
+
+    def _values(self, point: list[float]) -> list[float]:
+        """Returns every h at one point [x; t]."""
+        return [
+            _evaluate(each.value, (*point, *each.parameters), 1)[0]
+            for each in self._functions
+        ]
+
+
+# pydrake's expressions set the floating-point flag "invalid" in exact arithmetic.
+@np.errstate(invalid="ignore")
+def _functions(
+    model: ControlAffineModel, barrier: Barrier | StateInputLimit
+) -> RowFunctions:
+    try:
+        if isinstance(barrier, Barrier):
+            return barrier_functions(model, barrier)
+        return limit_functions(model, barrier)
+    except ModelError as error:
+        kind = "barrier" if isinstance(barrier, Barrier) else "limit"
+        raise ModelError(f"{kind} '{barrier.name}': {error}") from error
+
+
+def _evaluate(
+    function: CompiledFunction, arguments: tuple[float, ...], size: int
+) -> list[float]:
+    """Returns the function's numbers, filled up with nan; all nan where singular."""
+    try:
+        numbers = function(*arguments)
+    except (ArithmeticError, ValueError):
+        numbers = []
+    return numbers + [math.nan] * (size - len(numbers))

@@ -1,0 +1,140 @@
+"""Obstacles to stay clear of, standing or moving."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from pydrake.symbolic import Expression
+
+from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
+from vcbf_drake.barriers.finite_vector import finite_vector
+from vcbf_drake.errors import Array
+from vcbf_drake.plants.compiled import Expressions
+
+_FORMS = ("distance", "squared")
+
+
+@dataclass
+class SphereObstacle:
+    """A sphere, or in the plane a disc, that moves at a constant velocity.
+
+    With the position p, the centre c(t) and the safety distance R = radius + margin,
+    its barrier is one of::
+
+        distance:  h = |p - c(t)| - R        [m]    (E31)
+        squared:   h = |p - c(t)|^2 - R^2    [m^2]  (E35)
+
+    Attributes:
+        center: The centre at t = 0, shape (k,) with k = 2 or 3 [m].
+        radius: The obstacle's own radius [m].
+        velocity: The centre's velocity, shape (k,) [m/s]; None or empty: it stands.
+        form: "distance" or "squared".
+        margin: The distance to keep from the obstacle's surface [m].
+    """
+
+    center: Sequence[float] | Array
+    radius: float
+    velocity: Sequence[float] | Array | None = None
+    form: str = "distance"
+    margin: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Checks the numbers.
+
+        Raises:
+            ValueError: Not 2 or 3 dimensions, a velocity of another size, a negative
+                size, nothing to stay clear of (R = 0), an unknown form, or a number
+                that is not finite.
+        """
+        size = len(finite_vector(self.center, "obstacle: center"))
+        if size not in (2, 3):
+            raise ValueError(f"obstacle: center must have 2 or 3 numbers, got {size}")
+        velocity = finite_vector(self._velocity, "obstacle: velocity")
+        if len(velocity) != size:
+            raise ValueError(
+                f"obstacle: velocity must have {size} numbers like center,"
+                f" got {len(velocity)}"
+            )
+        sizes = np.array([self.radius, self.margin], dtype=float)
+        if not (np.isfinite(sizes).all() and sizes.min() >= 0.0 < sizes.sum()):
+            raise ValueError(
+                "obstacle: radius and margin must be >= 0 and not both 0,"
+                f" got {self.radius} and {self.margin}"
+            )
+        if self.form not in _FORMS:
+            raise ValueError(
+                f"obstacle: form must be one of {', '.join(_FORMS)}, got '{self.form}'"
+            )
+
+    @property
+    def safety_distance(self) -> float:
+        """The distance R = radius + margin to keep from the centre [m]."""
+        return self.radius + self.margin
+
+    def center_at(self, t: float | Array) -> Array:
+        """Returns the centre at time t [s], shape (k,); for times (T,), (T, k) [m]."""
+        return np.asarray(self.center) + np.multiply.outer(t, self._velocity)
+
+    def clearance(self, position: Array, t: float | Array) -> float | Array:
+        """Returns the signed distance from the obstacle's own surface [m].
+
+        Args:
+            position: Shape (k,) or (T, k) [m].
+            t: The time [s], or the T times.
+        """
+        offset = np.asarray(position) - self.center_at(t)
+        distance: float | Array = np.linalg.norm(offset, axis=-1) - self.radius
+        return distance
+
+    def barrier(
+        self,
+        gains: Sequence[float] | Array,
+        position: Sequence[int] | None = None,
+        name: str = "obstacle",
+    ) -> Barrier:
+        """Returns the barrier that keeps R clear of the centre.
+
+        Args:
+            gains: K of (E4); their number is the relative degree.
+            position: Which states are the position; by default the first k.
+            name: What error messages and logs call it.
+
+        Raises:
+            ValueError: `position` has not one index per dimension, or bad gains.
+        """
+        indices = list(range(len(self.center)) if position is None else position)
+        if len(indices) != len(self.center):
+            raise ValueError(
+                f"barrier '{name}': position must name {len(self.center)} states,"
+                f" got {indices}"
+            )
+        velocity = self._velocity
+        moves = bool(velocity.any())
+        parameters = [
+            *self.center,
+            *(velocity if moves else ()),
+            self.safety_distance,
+        ]
+        return Barrier(_sphere(self.form, indices, moves), gains, parameters, name)
+
+    @property
+    def _velocity(self) -> Array:
+        given = () if self.velocity is None else self.velocity
+        return np.asarray(given if len(given) else np.zeros(len(self.center)), float)
+
+
+def _sphere(form: str, position: list[int], moves: bool) -> BarrierFunction:
+    """Returns h(x, t, p) with p = (center, velocity if it moves, R)."""
+    k = len(position)
+
+    def h(x: Expressions, t: Expression, p: Expressions) -> Expression:
+        center = p[:k] + p[k : 2 * k] * t if moves else p[:k]
+        offset = x[position] - center
+        if form == "squared":
+            return offset @ offset - p[-1] ** 2
+        # A power differentiates to much shorter expressions than sqrt() does.
+        return (offset @ offset) ** 0.5 - p[-1]
+
+    return h

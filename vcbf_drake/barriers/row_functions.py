@@ -1,0 +1,137 @@
+"""Barriers and limits compiled to fast functions, once for each formula."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from pydrake.symbolic import Expression, Jacobian, MakeVectorVariable, Variable
+
+from vcbf_drake.barriers.barrier import Barrier
+from vcbf_drake.barriers.formula import Formula, Symbols, as_expressions
+from vcbf_drake.barriers.input_limits import StateInputLimit
+from vcbf_drake.barriers.lie_derivatives import LieDerivatives
+from vcbf_drake.barriers.relative_degree import check_relative_degree
+from vcbf_drake.errors import ModelError
+from vcbf_drake.plants.compiled import (
+    CompiledFunction,
+    Expressions,
+    compile_expressions,
+)
+from vcbf_drake.plants.control_affine import ControlAffineModel
+
+
+@dataclass(frozen=True)
+class RowFunctions:
+    """One barrier's or limit's numbers as functions of plain floats.
+
+    Attributes:
+        row: ``row(*x, t, *constants)`` returns a flat list: the entries [A, b, w]
+            (m + 1 + q), their derivatives by [x; t] in C order, then for a barrier
+            phi^0, ..., phi^(r-1).
+        constants: What follows x and t: gains, decay rates and parameters.
+        value: ``value(*x, t, *parameters)`` returns [h]; [] for a limit.
+        parameters: What follows x and t there.
+        relative_degree: r; 0 for a limit.
+    """
+
+    row: CompiledFunction
+    constants: tuple[float, ...]
+    value: CompiledFunction
+    parameters: tuple[float, ...]
+    relative_degree: int
+
+
+def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctions:
+    """Returns a barrier's functions, its relative degree checked.
+
+    Raises:
+        ModelError: The barrier's function cannot be derived or compiled, or its
+            relative degree is not r.
+    """
+    parameters = tuple(barrier.parameters.tolist())
+    symbols = Symbols.of(model, len(parameters))
+    h = np.asarray(symbols.call(barrier.function), dtype=object)
+    if h.shape != ():
+        raise ModelError(
+            f"function(x, t, p) must return one scalar expression, got shape {h.shape}"
+        )
+    derivatives = _derive(symbols.formula([h.item()]), barrier.relative_degree)
+    check_relative_degree(derivatives, barrier.parameters)
+    row, value = _compile_barrier(derivatives)
+    constants = (*barrier.gains.tolist(), *barrier.decay_rates.tolist(), *parameters)
+    return RowFunctions(row, constants, value, parameters, barrier.relative_degree)
+
+
+def limit_functions(model: ControlAffineModel, limit: StateInputLimit) -> RowFunctions:
+    """Returns a limit's functions.
+
+    Raises:
+        ModelError: The limit's function cannot be derived or compiled.
+    """
+    parameters = tuple(limit.parameters.tolist())
+    symbols = Symbols.of(model, len(parameters))
+    result = symbols.call(limit.function)
+    shapes = [np.shape(part) for part in result] if isinstance(result, tuple) else None
+    if shapes != [(model.num_inputs,), ()]:
+        raise ModelError(
+            f"function(x, t, p) must return a row of shape ({model.num_inputs},) and a"
+            f" scalar bound, got {'no pair' if shapes is None else shapes}"
+        )
+    row, bound = result
+    compiled = _compile_limit(symbols.formula([*row, bound]))
+    return RowFunctions(compiled, parameters, _no_value, parameters, 0)
+
+
+@lru_cache(maxsize=64)
+def _derive(formula: Formula, order: int) -> LieDerivatives:
+    (h,) = formula.expressions
+    return LieDerivatives.of(h, formula.symbols, order)
+
+
+@lru_cache(maxsize=64)
+def _compile_barrier(
+    derivatives: LieDerivatives,
+) -> tuple[CompiledFunction, CompiledFunction]:
+    """Returns `row` and `value` of RowFunctions, for any gains and parameters."""
+    symbols = derivatives.symbols
+    gains = MakeVectorVariable(derivatives.order, "k")
+    decay_rates = MakeVectorVariable(derivatives.order, "lambda")
+    outputs = [
+        *_with_gradient(derivatives.row(gains), symbols),
+        *derivatives.chain(decay_rates),
+    ]
+    state_and_time = [*symbols.model.state, symbols.time]
+    constants = [*gains, *decay_rates, *symbols.parameters]
+    row = _compile([*state_and_time, *constants], outputs, "barrier_row")
+    value = _compile(symbols.variables, derivatives.expressions[:1], "barrier_value")
+    return row, value
+
+
+@lru_cache(maxsize=64)
+def _compile_limit(formula: Formula) -> CompiledFunction:
+    symbols = formula.symbols
+    no_disturbance = as_expressions(np.zeros(symbols.model.num_disturbances))
+    entries = np.append(formula.expressions, no_disturbance)
+    return _compile(symbols.variables, _with_gradient(entries, symbols), "limit_row")
+
+
+def _with_gradient(entries: Expressions, symbols: Symbols) -> list[Expression]:
+    """Returns the entries, then their derivatives by xbar = [x; t] in C order."""
+    xbar = np.append(symbols.model.state, symbols.time)
+    return [*entries, *Jacobian(entries, xbar).flat]
+
+
+def _compile(
+    arguments: list[Variable], outputs: Iterable[Expression], name: str
+) -> CompiledFunction:
+    try:
+        return compile_expressions(arguments, outputs, name)
+    except (NotImplementedError, ValueError) as error:
+        raise ModelError(f"function(x, t, p) cannot be compiled: {error}") from error
+
+
+def _no_value(*_: float) -> list[float]:
+    return []
