@@ -1,0 +1,90 @@
+"""LinearDisturbanceObserver: the first-order observer of Wang and Xu."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vcbf_drake.disturbances.bounds import (
+    DisturbanceBounds,
+    ErrorBound,
+    check_positive,
+)
+from vcbf_drake.disturbances.observer import DisturbanceObserver
+from vcbf_drake.errors import Array
+
+if TYPE_CHECKING:
+    from vcbf_drake.plants import ControlAffineModel
+
+
+class LinearDisturbanceObserver(DisturbanceObserver):
+    """The first-order disturbance observer (E41), exact for sampled states.
+
+    .. pydrake_system::
+
+        name: LinearDisturbanceObserver
+        input_ports:
+        - state
+        - input
+        output_ports:
+        - disturbance_estimate
+        - estimate_rate
+        - error_bound
+        - error_bound_rate
+
+    An interval of length dt with mean disturbance dbar moves the estimate by
+
+        dhat <- rho dhat + (1 - rho) dbar,    rho = exp(-l dt),
+
+    which is (E41) for a disturbance that is constant over the interval. At the ticks
+    the error is certified to be at most (E53)
+
+        delta1 exp(-l t) + delta2 dt (1 + rho) / (2 (1 - rho)) (1 - exp(-l t)),
+
+    which tends to the bound (B4) of continuous time, with floor delta2 / l, as dt tends
+    to 0. For ports see `DisturbanceObserver`.
+
+    Source: Wang and Xu (2023) for the observer; its sampled form and bound are ours.
+    """
+
+    def __init__(
+        self,
+        model: ControlAffineModel,
+        period: float,
+        bounds: DisturbanceBounds,
+        rate: float = 4.0,
+    ) -> None:
+        """Initialises the observer.
+
+        Args:
+            model: Gives f, g and E.
+            period: Time between measurements [s].
+            bounds: delta1, delta2 and delta3 of the disturbance (E8).
+            rate: l, how fast the estimate follows [1/s].
+
+        Raises:
+            ModelError: Two disturbances act on the state in the same way.
+            ValueError: Period or rate are not positive.
+        """
+        check_positive("period", period)
+        check_positive("rate", rate)
+        floor = bounds.delta2 * period / (2.0 * math.tanh(rate * period / 2.0))
+        super().__init__(
+            model,
+            period,
+            bounds,
+            memory_size=model.num_disturbances,
+            error_bound=ErrorBound(bounds.delta1 - floor, rate, floor),
+            estimate_gain=rate,
+        )
+
+    def _advance(self, memory: Array, mean: Array, elapsed: float) -> Array:
+        return mean + math.exp(-self.estimate_gain * elapsed) * (memory - mean)
+
+    def _estimate(self, memory: Array) -> Array:
+        return memory
+
+    def _estimate_rate(self, memory: Array) -> Array:
+        return np.zeros_like(memory)

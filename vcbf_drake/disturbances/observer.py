@@ -1,0 +1,235 @@
+"""What disturbance observers share: ports, memory, and what an interval tells."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import (
+    BasicVector,
+    CacheEntry,
+    Context,
+    DiscreteValues,
+    LeafSystem,
+    ValueProducer,
+)
+
+from vcbf_drake.disturbances.bounds import Condition, DisturbanceBounds, ErrorBound
+from vcbf_drake.errors import Array, ModelError
+
+if TYPE_CHECKING:
+    from vcbf_drake.plants import ControlAffineModel
+
+
+class DisturbanceObserver(LeafSystem):
+    """Estimates d in ``xdot = f(x) + g(x) u + E d`` from sampled states.
+
+    .. pydrake_system::
+
+        name: DisturbanceObserver
+        input_ports:
+        - state
+        - input
+        output_ports:
+        - disturbance_estimate
+        - estimate_rate
+        - error_bound
+        - error_bound_rate
+
+    | port | size | |
+    | --- | --- | --- |
+    | ``state`` | n | the measured state |
+    | ``input`` | m | the input held since the last tick |
+    | ``disturbance_estimate`` | q | dhat, on the disturbed channels [m/s^2] |
+    | ``estimate_rate`` | q | the known part of d(dhat)/dt [m/s^3] |
+    | ``error_bound`` | 1 | a bound of abs(d - dhat), Euclidean [m/s^2] |
+    | ``error_bound_rate`` | 1 | its time derivative [m/s^3] |
+
+    Only the disturbed channels are observed. At a tick the outputs use the state
+    measured there and the input held up to there, so there is no lag of a tick. Between
+    ticks they are as if the next tick were now. They are feedthrough of both inputs:
+    `input` has to come from a hold. The first tick only takes the state.
+
+    While the state or the input is not finite, the estimate keeps its value, and an
+    interval that begins or ends there tells nothing. The error bound assumes that there
+    are no such gaps; it counts time from the first measurement.
+
+    Attributes:
+        bounds: delta1, delta2 and delta3 (E8).
+        estimate_gain: How the unknown error drives the estimate [1/s] (E26):
+            d(dhat)/dt = estimate_rate + estimate_gain (d - dhat).
+    """
+
+    bounds: DisturbanceBounds
+    estimate_gain: float
+
+    def __init__(
+        self,
+        model: ControlAffineModel,
+        period: float,
+        bounds: DisturbanceBounds,
+        *,
+        memory_size: int,
+        error_bound: ErrorBound,
+        estimate_gain: float,
+    ) -> None:
+        """Initialises what all observers share.
+
+        Args:
+            model: Gives f, g and E.
+            period: Time between measurements [s].
+            bounds: delta1, delta2 and delta3 of the disturbance (E8).
+            memory_size: How many numbers the observer remembers, all 0 at the start.
+            error_bound: The bound of its error.
+            estimate_gain: See the attribute.
+
+        Raises:
+            ModelError: Two disturbances act on the state in the same way.
+        """
+        super().__init__()
+        self.bounds = bounds
+        self.estimate_gain = estimate_gain
+        self._model = model
+        self._period = period
+        self._error_bound = error_bound
+        self._disturbed = _left_inverse(model)
+        n, m, q = model.num_states, model.num_inputs, model.num_disturbances
+        self._state = self.DeclareVectorInputPort("state", n)
+        self._input = self.DeclareVectorInputPort("input", m)
+        self._memory_start = 2 + n
+        # Times of the first and the last measurement [s], the last measurement, memory.
+        # NaN stands for no measurement.
+        nothing = np.concatenate((np.full(2 + n, np.nan), np.zeros(memory_size)))
+        self.DeclareDiscreteState(nothing)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
+        self._posterior = self._declare_posterior()
+        estimated = {self._posterior.ticket()}
+        clocked = {self.time_ticket(), self.xd_ticket()}
+        for name, size, calc, needs in (
+            ("disturbance_estimate", q, self._calc_estimate, estimated),
+            ("estimate_rate", q, self._calc_estimate_rate, estimated),
+            ("error_bound", 1, self._calc_error_bound, clocked),
+            ("error_bound_rate", 1, self._calc_error_bound_rate, clocked),
+        ):
+            self.DeclareVectorOutputPort(name, size, calc, needs)
+
+    @property
+    def period(self) -> float:
+        """Time between measurements [s]."""
+        return self._period
+
+    def error_bound(self, t: float) -> float:
+        """Returns the error bound a time t [s] after the first measurement [m/s^2]."""
+        return self._error_bound.value(t)
+
+    def gain_conditions(self) -> tuple[Condition, ...]:
+        """Returns the inequalities that the error bound rests on."""
+        return ()
+
+    def _advance(self, memory: Array, mean: Array, elapsed: float) -> Array:
+        """Returns the memory after an interval whose mean disturbance was measured."""
+        raise NotImplementedError
+
+    def _estimate(self, memory: Array) -> Array:
+        raise NotImplementedError
+
+    def _estimate_rate(self, memory: Array) -> Array:
+        raise NotImplementedError
+
+    def _declare_posterior(self) -> CacheEntry:
+        return self.DeclareCacheEntry(
+            "posterior",
+            ValueProducer(lambda: Value[object](), self._calc_posterior),
+            {
+                self._state.ticket(),
+                self._input.ticket(),
+                self.xd_ticket(),
+                self.time_ticket(),
+            },
+        )
+
+    def _calc_posterior(self, context: Context, posterior: Any) -> None:
+        stored = _stored(context)
+        memory = stored[self._memory_start :]
+        elapsed = context.get_time() - stored[1]
+        if elapsed > 1e-6 * self._period:
+            x_0, x_1 = stored[2 : self._memory_start], self._state.Eval(context)
+            if _is_finite(x_1):
+                mean = self._mean_disturbance(
+                    x_0, x_1, self._input.Eval(context), elapsed
+                )
+                if _is_finite(mean):
+                    memory = self._advance(memory, mean, elapsed)
+        memory.setflags(write=False)
+        posterior.set_value(memory)
+
+    def _mean_disturbance(
+        self, x_0: Array, x_1: Array, u: Array, elapsed: float
+    ) -> Array:
+        """Returns the mean of d between two measured states with u held (E46).
+
+        The mean of f + g u is Simpson's, with the middle state on the cubic Hermite
+        curve between the two.
+        """
+        rate_0, rate_1 = self._nominal_rate(x_0, u), self._nominal_rate(x_1, u)
+        x_middle = (x_0 + x_1) / 2 + elapsed / 8 * (rate_0 - rate_1)
+        nominal = (rate_0 + 4 * self._nominal_rate(x_middle, u) + rate_1) / 6
+        mean: Array = self._disturbed @ ((x_1 - x_0) / elapsed - nominal)
+        return mean
+
+    def _nominal_rate(self, x: Array, u: Array) -> Array:
+        f, g = self._model.drift_and_input_matrix(x)
+        return f + g @ u
+
+    def _update(self, context: Context, discrete: DiscreteValues) -> None:
+        """Stores the posterior, and the measurement it ends with."""
+        first, now = _stored(context)[0], context.get_time()
+        state = self._state.Eval(context)
+        last = now if _is_finite(state) else math.nan
+        first = last if math.isnan(first) else first
+        discrete.set_value(
+            np.concatenate(((first, last), state, self._memory(context)))
+        )
+
+    def _memory(self, context: Context) -> Array:
+        return cast(Array, self._posterior.Eval(context))
+
+    def _calc_estimate(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._estimate(self._memory(context)))
+
+    def _calc_estimate_rate(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._estimate_rate(self._memory(context)))
+
+    def _calc_error_bound(self, context: Context, output: BasicVector) -> None:
+        output[0] = self._error_bound.value(self._age(context))
+
+    def _calc_error_bound_rate(self, context: Context, output: BasicVector) -> None:
+        output[0] = self._error_bound.derivative(self._age(context))
+
+    def _age(self, context: Context) -> float:
+        """Returns the time since the first measurement, 0 before it [s]."""
+        age = context.get_time() - _stored(context)[0]
+        return 0.0 if math.isnan(age) else float(age)
+
+
+def _stored(context: Context) -> Array:
+    return cast(Array, context.get_discrete_state_vector().CopyToVector())
+
+
+def _is_finite(vector: Array) -> bool:
+    """Whether all numbers are finite: NaN and infinity survive a sum."""
+    return math.isfinite(sum(vector.tolist()))
+
+
+def _left_inverse(model: ControlAffineModel) -> Array:
+    """Returns the pseudo-inverse of E, shape (q, n)."""
+    E = np.asarray(model.disturbance_matrix, dtype=float)
+    rank = np.linalg.matrix_rank(E)
+    if rank < E.shape[1]:
+        raise ModelError(
+            f"{model.name}: the disturbance matrix has rank {rank}; it must be"
+            f" {E.shape[1]}, one for each disturbance"
+        )
+    return np.linalg.pinv(E)

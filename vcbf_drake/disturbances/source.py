@@ -1,0 +1,261 @@
+"""DisturbanceSource: a disturbance that is a sum of C2 signals, with its bounds.
+
+The signals are plain dataclasses that ``pydrake.common.yaml`` reads and writes. It
+looks at the types of the fields themselves; so this module does not postpone its
+annotations. A field that has only the empty list as default has to be given.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+import math
+import reprlib
+from typing import Any, Protocol
+
+import numpy as np
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
+
+from vcbf_drake.disturbances.bounds import DisturbanceBounds
+from vcbf_drake.disturbances.signals import (
+    Curve,
+    Spline,
+    Sum,
+    Tones,
+    Transition,
+    supremum,
+)
+from vcbf_drake.errors import Array, ModelError
+
+
+class Signal(Protocol):
+    """A disturbance signal as a scenario describes it."""
+
+    def curve(self, horizon: float) -> Curve:
+        """Returns the signal as a function of time, C2 on [0, horizon].
+
+        Args:
+            horizon: End of the time interval [s].
+
+        Raises:
+            ModelError: A field is not allowed, or the signal would not be C2.
+        """
+
+
+@dataclass
+class Constant:
+    """A disturbance that never changes."""
+
+    # One value a disturbed channel [m/s^2].
+    value: list[float] = field(default_factory=list)
+
+    def curve(self, horizon: float) -> Tones:
+        """Returns the signal as a function of time; see `Signal`."""
+        value = _vector("value", self.value)
+        return Tones(value[None], np.zeros(1), np.full(1, np.pi / 2))
+
+
+@dataclass
+class Sinusoid:
+    """A tone, ``amplitude sin(frequency t + phase)``."""
+
+    # One amplitude a disturbed channel [m/s^2].
+    amplitude: list[float] = field(default_factory=list)
+    # Angular frequency [rad/s].
+    frequency: float = 1.0
+    # Phase at time zero [rad].
+    phase: float = 0.0
+
+    def curve(self, horizon: float) -> Tones:
+        """Returns the signal as a function of time; see `Signal`."""
+        amplitude = _vector("amplitude", self.amplitude)
+        _check("frequency", self.frequency, math.isfinite(self.frequency), "finite")
+        _check("phase", self.phase, math.isfinite(self.phase), "finite")
+        return Tones(
+            amplitude[None], np.array([self.frequency]), np.array([self.phase])
+        )
+
+
+@dataclass
+class SmoothStep:
+    """A gust that comes to stay: from 0 to its amplitude along a quintic."""
+
+    # One final value a disturbed channel [m/s^2].
+    amplitude: list[float] = field(default_factory=list)
+    # When it begins to rise [s].
+    start: float = 0.0
+    # How long it rises [s]. A sudden step is not C2.
+    duration: float = 1.0
+
+    def curve(self, horizon: float) -> Transition:
+        """Returns the signal as a function of time; see `Signal`."""
+        amplitude = _vector("amplitude", self.amplitude)
+        _check("start", self.start, math.isfinite(self.start), "finite")
+        _check_positive("duration", self.duration)
+        return Transition(amplitude, self.start, self.duration)
+
+
+@dataclass
+class BandLimitedNoise:
+    """Noise below a bandwidth: tones of random frequency and phase, from a seed."""
+
+    # One standard deviation (over time) a disturbed channel [m/s^2].
+    std: list[float] = field(default_factory=list)
+    # No tone is faster than this [rad/s].
+    bandwidth: float = 1.0
+    # The same seed gives the same noise.
+    seed: int = 0
+    # Tones per channel.
+    tones: int = 16
+
+    def curve(self, horizon: float) -> Tones:
+        """Returns the signal as a function of time; see `Signal`."""
+        std = _vector("std", self.std)
+        _check("std", self.std, bool(np.all(std >= 0.0)), "not below 0")
+        _check_positive("bandwidth", self.bandwidth)
+        _check("seed", self.seed, self.seed >= 0, "not below 0")
+        _check("tones", self.tones, self.tones >= 1, "at least 1")
+        generator = np.random.default_rng(self.seed)
+        count = len(std) * self.tones
+        # The mean square of a tone is half its squared amplitude.
+        amplitude = np.repeat(np.diag(std), self.tones, axis=0)
+        return Tones(
+            math.sqrt(2.0 / self.tones) * amplitude,
+            generator.uniform(0.0, self.bandwidth, count),
+            generator.uniform(0.0, 2.0 * np.pi, count),
+        )
+
+
+@dataclass
+class Recorded:
+    """Samples of a measured disturbance, joined by a C2 cubic spline.
+
+    They have to span the whole simulation: a recording that stops is not C2 there.
+    """
+
+    # Increasing sample times, three at least [s].
+    times: list[float] = field(default_factory=list)
+    # One row a time, one number a disturbed channel [m/s^2].
+    values: list[list[float]] = field(default_factory=list)
+
+    def curve(self, horizon: float) -> Spline:
+        """Returns the signal as a function of time; see `Signal`."""
+        times = _vector("times", self.times)
+        _check("times", self.times, len(times) >= 3, "three at least")
+        _check("times", self.times, bool(np.all(np.diff(times) > 0.0)), "increasing")
+        if times[0] > 0.0 or times[-1] < horizon:
+            raise ModelError(
+                f"times span [{times[0]:g}, {times[-1]:g}] s; they must span"
+                f" [0, {horizon:g}] s, for where a recording ends it is not C2"
+            )
+        try:
+            values = np.array(self.values, dtype=float)
+        except ValueError:
+            values = np.empty(0)
+        if (
+            values.ndim != 2
+            or len(values) != len(times)
+            or not np.isfinite(values).all()
+        ):
+            raise ModelError(
+                f"values must be {len(times)} rows, one a time, of equally many finite"
+                " numbers"
+            )
+        return Spline(times, values)
+
+
+class DisturbanceSource(LeafSystem):
+    """A disturbance known as a function of time: the sum of C2 signals.
+
+    .. pydrake_system::
+
+        name: DisturbanceSource
+        output_ports:
+        - disturbance
+
+    | port | size | |
+    | --- | --- | --- |
+    | ``disturbance`` | q | d(t), on the disturbed channels [m/s^2] |
+
+    Attributes:
+        bounds: Bounds of |d|, |d'| and |d''| over the horizon (E8), from above and
+            within 1 % unless a signal is a thousand times faster than the horizon.
+    """
+
+    bounds: DisturbanceBounds
+
+    def __init__(
+        self,
+        signals: Sequence[Signal],
+        horizon: float = 60.0,
+        num_disturbances: int | None = None,
+    ) -> None:
+        """Initialises the source.
+
+        Args:
+            signals: Any of `Constant`, `Sinusoid`, `SmoothStep`, `BandLimitedNoise`,
+                `Recorded`, all for the same number of channels.
+            horizon: How long the simulation lasts at most [s].
+            num_disturbances: q; needed only where `signals` is empty, for d = 0.
+
+        Raises:
+            ModelError: A signal is not C2, or signals differ in size.
+        """
+        super().__init__()
+        _check_positive("horizon", horizon)
+        self._curve = _sum(signals, horizon, num_disturbances)
+        self.bounds = DisturbanceBounds(
+            *(supremum(self._curve, order, horizon) for order in range(3))
+        )
+        self.DeclareVectorOutputPort(
+            "disturbance", self._curve.size, self._calc, {self.time_ticket()}
+        )
+
+    def value(self, t: float | Array) -> Array:
+        """Returns d at times t [s]: shape of `t` + (q,) [m/s^2]."""
+        return self._curve.derivative(t)
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self.value(context.get_time()))
+
+
+def _sum(
+    signals: Sequence[Signal], horizon: float, num_disturbances: int | None
+) -> Curve:
+    if not signals:
+        if num_disturbances is None:
+            raise ModelError("a disturbance needs one signal at least; none was given")
+        signals = [Constant([0.0] * num_disturbances)]
+    curves = [_curve(i, signal, horizon) for i, signal in enumerate(signals)]
+    size = num_disturbances or curves[0].size
+    for i, curve in enumerate(curves):
+        if curve.size != size:
+            raise ModelError(
+                f"disturbance signal {i} has {curve.size} channels; it must have {size}"
+            )
+    return Sum.of(curves)
+
+
+def _curve(index: int, signal: Signal, horizon: float) -> Curve:
+    try:
+        return signal.curve(horizon)
+    except ModelError as error:
+        name = type(signal).__name__
+        raise ModelError(f"disturbance signal {index} ({name}): {error}") from error
+
+
+def _vector(name: str, numbers: Sequence[float]) -> Array:
+    try:
+        vector = np.array(numbers, dtype=float)
+    except ValueError:
+        vector = np.empty(0)
+    finite = vector.ndim == 1 and vector.size > 0 and bool(np.isfinite(vector).all())
+    _check(name, numbers, finite, "a list of finite numbers")
+    return vector
+
+
+def _check_positive(name: str, value: float) -> None:
+    _check(name, value, math.isfinite(value) and value > 0.0, "finite and above 0")
+
+
+def _check(name: str, value: Any, allowed: bool, requirement: str) -> None:
+    if not allowed:
+        raise ModelError(f"{name} is {reprlib.repr(value)}; it must be {requirement}")
