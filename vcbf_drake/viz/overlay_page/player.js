@@ -1,0 +1,130 @@
+// The clock of the page: it plays, seeks, and tells the scene and the plots the time.
+
+const data = JSON.parse(document.getElementById("replay-data").textContent);
+const byId = (name) => document.getElementById(name);
+const pane = byId("meshcat-pane");
+const scene = new ReplayScene(data, pane, byId("labels"));
+const plots = data.plots.map((plot) => new Plot(byId("plots"), plot, data, seek));
+const icons = {
+  play: '<svg width="12" height="14"><path d="M0 0L12 7L0 14Z" fill="currentColor"/></svg>',
+  pause: '<svg width="12" height="14"><path d="M0 0h4v14h-4zM8 0h4v14h-4z" fill="currentColor"/></svg>',
+};
+
+let time = 0;
+let playing = false;
+let lastFrame = null; // When the last frame was drawn [ms].
+
+function fillLegend() {
+  for (const run of [...data.runs].reverse()) {
+    const item = byId("legend").appendChild(document.createElement("li"));
+    item.className = run === data.runs.at(-1) ? "primary" : "";
+    const swatch = item.appendChild(element("svg", { width: 30, height: 10 }));
+    element("line", {
+      x1: 1, x2: 29, y1: 5, y2: 5, stroke: run.color, "stroke-width": 3.2,
+      "stroke-dasharray": run.dashes,
+    }, swatch);
+    for (const [name, text] of [["name", run.label], ["state", ""]]) {
+      const cell = item.appendChild(document.createElement("span"));
+      cell.className = name;
+      cell.textContent = text;
+      run[name + "Cell"] = cell;
+    }
+  }
+}
+
+/** What the legend says of every run at the present time. */
+function tellStates() {
+  for (const run of data.runs) {
+    const past = run.events.filter((event) => event.time <= time + 1e-9);
+    const event = past.at(-1) ?? { kind: "", text: "under way" };
+    run.stateCell.textContent = event.text;
+    run.stateCell.className = `state ${event.kind}`;
+  }
+}
+
+function show() {
+  scene.show(time);
+  plots.forEach((plot) => plot.show(time));
+  tellStates();
+  byId("scrubber").value = time;
+  byId("clock").innerHTML =
+    `${time.toFixed(2)} s <small>of ${data.duration.toFixed(1)} s</small>`;
+}
+
+function seek(to) {
+  time = Math.min(Math.max(to, 0), data.duration);
+  show();
+}
+
+function setPlaying(on) {
+  if (on && time >= data.duration) time = 0;
+  playing = on;
+  byId("play").innerHTML = on ? icons.pause : icons.play;
+}
+
+function setFollow(on) {
+  scene.setFollow(on, time);
+  byId("follow").setAttribute("aria-pressed", String(scene.follows));
+}
+
+/** Seeks to the time in the address, such as #t=4.0 or #t=4.0&follow, and stays. */
+function seekToAddress() {
+  const match = /[#&]t=([0-9.]+)/.exec(location.hash);
+  if (!match) return false;
+  setPlaying(false);
+  seek(Number(match[1]));
+  if (location.hash.includes("follow")) setFollow(true);
+  return true;
+}
+
+function layOut() {
+  viewer.set_3d_pane_size();
+  if (scene.fitted) scene.fit();
+  plots.forEach((plot) => plot.draw());
+  show();
+}
+
+function onFrame(now) {
+  requestAnimationFrame(onFrame);
+  // A page that was out of sight goes on from where it was.
+  const elapsed = lastFrame === null ? 0 : Math.min((now - lastFrame) / 1000, 0.5);
+  lastFrame = now;
+  if (playing) {
+    time = Math.min(time + Number(byId("speed").value) * elapsed, data.duration);
+    if (time >= data.duration) setPlaying(false);
+    show();
+  } else if (settling > 0) {
+    settling -= 1;
+    show();
+  }
+  scene.placeLabels(time);
+}
+
+// Meshcat's objects and its recording arrive after this script has run.
+let settling = 120;
+
+const KEYS = {
+  " ": () => setPlaying(!playing),
+  ArrowLeft: () => seek(time - 0.5),
+  ArrowRight: () => seek(time + 0.5),
+  f: () => setFollow(!scene.follows),
+  r: () => setFollow(false),
+};
+
+fillLegend();
+byId("scrubber").max = data.duration;
+byId("scrubber").addEventListener("input", (event) => seek(Number(event.target.value)));
+byId("play").addEventListener("click", () => setPlaying(!playing));
+byId("follow").addEventListener("click", () => setFollow(!scene.follows));
+byId("reset").addEventListener("click", () => setFollow(false));
+window.addEventListener("keydown", (event) => {
+  if (!(event.key in KEYS) || event.ctrlKey || event.metaKey || event.altKey) return;
+  event.preventDefault();
+  KEYS[event.key]();
+});
+window.addEventListener("resize", layOut);
+window.addEventListener("hashchange", seekToAddress);
+layOut();
+const calm = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
+if (!seekToAddress()) setPlaying(!calm);
+requestAnimationFrame(onFrame);

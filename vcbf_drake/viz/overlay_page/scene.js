@@ -1,0 +1,189 @@
+// What the page adds to Meshcat's scene: growing trails, labels and the camera.
+// It uses Meshcat's page global `viewer`: scene, scene_tree, camera, controls, animator.
+
+const THREE = MeshCat.THREE;
+const FILLED = 0.94; // How much of the pane the scene fills.
+
+/** A point of Drake's world, z up, as Three.js has it, y up. */
+function toThree([x, y, z]) {
+  return new THREE.Vector3(x, z, -y);
+}
+
+/** The point at a (fractional) frame of a path. */
+function pointAt(path, frame) {
+  const k = Math.min(Math.floor(frame), path.length - 1);
+  const next = path[Math.min(k + 1, path.length - 1)];
+  return path[k].map((value, axis) => value + (frame - k) * (next[axis] - value));
+}
+
+class ReplayScene {
+  constructor(data, pane, labels) {
+    this.data = data;
+    this.pane = pane;
+    this.follows = false;
+    this.fitted = true;
+    // The colours on the screen are those of the legend.
+    viewer.renderer.toneMapping = THREE.NoToneMapping;
+    viewer.controls.addEventListener("start", () => { this.fitted = false; });
+    this.labels = data.labels.map((label) => this.makeLabel(label, labels));
+    this.runLabels = data.runs.map((run) => {
+      const node = this.makeLabel({ text: run.label, kind: "run" }, labels);
+      node.style.background = run.color;
+      return node;
+    });
+  }
+
+  makeLabel(label, parent) {
+    const node = parent.appendChild(document.createElement("span"));
+    node.textContent = label.text;
+    node.className = label.kind;
+    return node;
+  }
+
+  /** Shows the scene at a time [s]. */
+  show(time) {
+    const frame = time * this.data.frames_per_second;
+    this.finishMaterials();
+    viewer.animator.pause();
+    viewer.animator.seek(time);
+    viewer.animator.display_progress(time);
+    this.growTrails(frame);
+    if (this.follows) this.followTo(frame);
+    viewer.set_dirty();
+  }
+
+  /** Objects arrive one by one after the page has loaded; each is finished once. */
+  finishMaterials() {
+    viewer.scene.traverse((mesh) => {
+      const material = mesh.material;
+      if (!mesh.isMesh || material.userData.finished) return;
+      material.userData.finished = true;
+      material.flatShading = false;
+      material.shininess = 22;
+      mesh.castShadow = material.opacity > 0.3;
+      mesh.receiveShadow = !material.transparent;
+      if (material.transparent) {
+        material.side = THREE.FrontSide;
+        material.depthWrite = false;
+      }
+      material.needsUpdate = true;
+    });
+  }
+
+  /** Draws only the triangles of the trails that lie before the frame. */
+  growTrails(frame) {
+    this.data.runs.forEach((run, index) => {
+      const node = viewer.scene_tree.find(["drake", "trail", String(index)]);
+      node.object.traverse((mesh) => {
+        if (!mesh.isMesh) return;
+        const share = frame / (run.path.length - 1);
+        mesh.geometry.setDrawRange(0, Math.floor(share * mesh.geometry.index.count));
+      });
+    });
+  }
+
+  /** Moves the labels to where their things are on the screen. */
+  placeLabels(time) {
+    const frame = time * this.data.frames_per_second;
+    const taken = [];
+    const last = this.data.runs.length - 1;
+    this.placeLabel(this.runLabels[last], pointAt(this.data.runs[last].path, frame), -1, taken);
+    this.data.labels.forEach((label, k) =>
+      this.placeLabel(this.labels[k], label.position, label.side, taken));
+    for (let k = 0; k < last; k++) {
+      this.placeLabel(this.runLabels[k], pointAt(this.data.runs[k].path, frame), 1, taken);
+    }
+  }
+
+  /** Puts a label above (side -1), on (0) or below (1) a point, clear of those taken. */
+  placeLabel(node, point, side, taken) {
+    const place = this.onScreen(point);
+    const edge = this.onScreen([point[0], point[1], point[2] + side * this.reach(node)]);
+    const box = { width: node.offsetWidth, height: node.offsetHeight };
+    box.x = place.x - 0.5 * box.width;
+    box.y = place.y - 0.5 * box.height;
+    if (side) box.y += side * (Math.abs(edge.y - place.y) + 0.5 * box.height + 3);
+    const clash = () => taken.find((other) =>
+      Math.abs(other.x + 0.5 * other.width - place.x) < 0.5 * (other.width + box.width)
+      && Math.abs(other.y - box.y) < other.height);
+    for (let other = clash(); other && side; other = clash()) {
+      box.y = other.y + side * (other.height + 1);
+    }
+    taken.push(box);
+    node.style.transform = `translate(${Math.round(box.x)}px, ${Math.round(box.y)}px)`;
+    node.style.visibility = place.depth < 1 ? "visible" : "hidden";
+  }
+
+  /** How far what a label names reaches up and down [m]. */
+  reach(node) {
+    const { vehicle, marker } = this.data.sizes;
+    return node.className === "run" ? vehicle : marker;
+  }
+
+  /** Where a point is on the pane [pixels]. */
+  onScreen(point) {
+    const { x, y, z } = toThree(point).project(viewer.camera);
+    const { clientWidth: width, clientHeight: height } = this.pane;
+    return { x: (0.5 + 0.5 * x) * width, y: (0.5 - 0.5 * y) * height, depth: z };
+  }
+
+  /** Brings everything into view, from the side the page was made for. */
+  fit() {
+    const points = this.data.camera.points.map(toThree);
+    const toward = toThree(this.data.camera.direction).normalize();
+    const right = new THREE.Vector3(0, 1, 0).cross(toward).normalize();
+    const up = toward.clone().cross(right);
+    const slope = Math.tan((0.5 * viewer.camera.fov * Math.PI) / 180);
+    const aspect = this.pane.clientWidth / this.pane.clientHeight;
+    const target = points[0].clone();
+    let distance = 2 * this.data.camera.span;
+    let [width, height] = [0, 0];
+    // What fits depends on where the camera looks and the other way round.
+    for (let round = 0; round < 8; round++) {
+      const seen = points.map((point) => {
+        const from = point.clone().sub(target);
+        const depth = distance - from.dot(toward);
+        return [from.dot(right) / depth / (slope * aspect), from.dot(up) / depth / slope];
+      });
+      const [x, y] = [0, 1].map((axis) => seen.map((place) => place[axis]));
+      const [left, far] = [Math.min(...x), Math.max(...x)];
+      const [low, high] = [Math.min(...y), Math.max(...y)];
+      target.addScaledVector(right, 0.5 * (left + far) * distance * slope * aspect);
+      target.addScaledVector(up, 0.5 * (low + high) * distance * slope);
+      distance *= 0.5 * Math.max(far - left, high - low) / FILLED;
+      [width, height] = [0.5 * (far - left), 0.5 * (high - low)];
+    }
+    // What room there is goes to the top left, where the card is.
+    const half = distance * slope;
+    target.addScaledVector(right, -0.45 * Math.max(0, FILLED - width) * half * aspect);
+    target.addScaledVector(up, 0.6 * Math.max(0, FILLED - height) * half);
+    this.look(target, toward.multiplyScalar(distance));
+    this.fitted = true;
+    this.follows = false;
+  }
+
+  look(target, offset) {
+    viewer.controls.target.copy(target);
+    viewer.camera.position.copy(target).add(offset);
+    viewer.camera.lookAt(target);
+    viewer.camera.updateMatrixWorld();
+    viewer.set_dirty();
+  }
+
+  /** Starts or ends following the last run's vehicle. */
+  setFollow(on, time) {
+    if (!on) return this.fit();
+    this.follows = true;
+    this.fitted = false;
+    const frame = time * this.data.frames_per_second;
+    const target = toThree(pointAt(this.data.runs.at(-1).path, frame));
+    const toward = toThree(this.data.camera.direction).normalize();
+    this.look(target, toward.multiplyScalar(0.5 * this.data.camera.span));
+  }
+
+  followTo(frame) {
+    const target = toThree(pointAt(this.data.runs.at(-1).path, frame));
+    const offset = viewer.camera.position.clone().sub(viewer.controls.target);
+    this.look(target, offset);
+  }
+}

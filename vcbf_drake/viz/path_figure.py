@@ -1,0 +1,120 @@
+"""The paths in space, from above and from the side, obstacles true to scale."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from vcbf_drake.errors import Array
+from vcbf_drake.viz.geometry import Sphere, geometry_of, spheres_of
+from vcbf_drake.viz.runs import Run
+from vcbf_drake.viz.space_figure import draw_space
+from vcbf_drake.viz.style import (
+    MUTED,
+    OBSTACLE,
+    PAGE_WIDTH,
+    START,
+    TARGET,
+    Style,
+    add_circle,
+    new_figure,
+)
+
+NAMES = ("x [m]", "y [m]", "z [m]")
+
+
+def path_figure(runs: Sequence[Run]) -> Any:
+    """The paths in space, from above and from the side; a car's from above only.
+
+    Args:
+        runs: The runs, the one to bring out last.
+
+    Returns:
+        The ``matplotlib.figure.Figure``.
+    """
+    low, high = _extent(runs)
+    x, y, z = high - low
+    scale = 0.86 * PAGE_WIDTH / x
+    if geometry_of(runs[-1].result).dimensions == 2:
+        figure = new_figure(PAGE_WIDTH, scale * y + 0.8)
+        axes = figure.subplots()
+        draw_plane(axes, runs, (0, 1))
+        _legend_above(axes)
+    elif x > 1.8 * max(y, z):
+        heights = [0.36 * PAGE_WIDTH, scale * y + 0.6, scale * z + 0.6]
+        figure = new_figure(PAGE_WIDTH, sum(heights) + 0.4)
+        grid = figure.add_gridspec(3, 1, height_ratios=heights)
+        _draw_views(figure, runs, [grid[0], grid[1], grid[2]])
+    else:
+        figure = new_figure(PAGE_WIDTH, 0.62 * PAGE_WIDTH)
+        grid = figure.add_gridspec(2, 2, width_ratios=[1.35, 1.0])
+        _draw_views(figure, runs, [grid[:, 0], grid[0, 1], grid[1, 1]])
+    return figure
+
+
+def draw_plane(axes: Any, runs: Sequence[Run], plane: tuple[int, int]) -> None:
+    """Draws paths and obstacles projected on two coordinates, to scale.
+
+    Args:
+        axes: Where to draw.
+        runs: The runs.
+        plane: The coordinates across and up.
+    """
+    pair = list(plane)
+    geometry, scenario = geometry_of(runs[-1].result), runs[-1].result.scenario
+    end = max(float(run.time[-1]) for run in runs)
+    for sphere in spheres_of(runs[-1].result):
+        _draw_disc(axes, sphere, pair, end)
+    for run in runs:
+        path = geometry.position(run.result.log["state"])
+        axes.plot(*path[:, pair].T, **run.line(), zorder=3)
+        if run.failure_tick is not None:
+            style: Style = dict(ms=8, mfc=run.color, mec="white", zorder=5)
+            axes.plot(*path[run.failure_tick, pair], "X", **style)
+    start = geometry.point(scenario.initial_state)[pair]
+    target = geometry.point(scenario.target)[pair]
+    axes.plot(*start, "o", ms=5, color=START, zorder=4)
+    axes.plot(*target, "*", ms=11, mfc=TARGET, mec="white", zorder=4)
+    low, high = (corner[pair] for corner in _extent(runs))
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    axes.set(xlabel=NAMES[plane[0]], ylabel=NAMES[plane[1]])
+
+
+def _draw_views(figure: Any, runs: Sequence[Run], cells: list[Any]) -> None:
+    space, above, side = (figure.add_subplot(cell) for cell in cells)
+    draw_space(space, runs)
+    draw_plane(above, runs, (0, 1))
+    draw_plane(side, runs, (0, 2))
+    handles = above.get_legend_handles_labels()
+    figure.legend(*handles, loc="outside upper left", ncols=4)
+
+
+def _draw_disc(axes: Any, sphere: Sphere, pair: list[int], end: float) -> None:
+    center, later = sphere.center[pair], sphere.center_at(end)[pair]
+    if sphere.moves:
+        arrow = dict(arrowstyle="-|>", color=MUTED, lw=0.8)
+        axes.annotate("", later, center, arrowprops=arrow, zorder=2.5)
+        dashed: Style = dict(fill=False, ec=MUTED, lw=0.6, ls=(0, (3, 2)))
+        add_circle(axes, later, sphere.reach, **dashed)
+    if sphere.reach > sphere.radius:
+        add_circle(axes, center, sphere.reach, fc=OBSTACLE, alpha=0.3, lw=0)
+    style: Style = dict(fc=OBSTACLE, alpha=0.75, ec=MUTED, lw=0.6, zorder=2)
+    add_circle(axes, center, sphere.radius, **style)
+
+
+def _extent(runs: Sequence[Run]) -> tuple[Array, Array]:
+    geometry, scenario = geometry_of(runs[-1].result), runs[-1].result.scenario
+    points = [geometry.position(run.result.log["state"]) for run in runs]
+    points.append(geometry.point(scenario.target)[None])
+    for sphere in spheres_of(runs[-1].result):
+        reach = np.array([[-sphere.reach], [sphere.reach]])
+        points.append(sphere.center + reach)
+    low, high = np.vstack(points).min(axis=0), np.vstack(points).max(axis=0)
+    room = 0.03 * float((high - low).max())
+    return low - room, high + room
+
+
+def _legend_above(axes: Any) -> None:
+    axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=4, borderpad=0.1)

@@ -1,0 +1,168 @@
+"""The Meshcat replay: one self-contained page for one or several methods."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+import logging
+from pathlib import Path
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vcbf_drake.errors import Array
+from vcbf_drake.viz.mesh import merge, sphere, torus, tube
+from vcbf_drake.viz.overlay import overlay_html, page_title
+from vcbf_drake.viz.stage import Stage, set_stage
+from vcbf_drake.viz.style import ALARM
+from vcbf_drake.viz.vehicles import VEHICLES
+
+if TYPE_CHECKING:
+    from pydrake.geometry import Meshcat
+
+    from vcbf_drake.simulation.result import Result
+
+GHOST_OPACITY, GHOST_SCALE = 0.45, 0.96
+MAX_TRAIL_POINTS = 1000
+MESHCAT_TITLE = "<title>Drake MeshCat</title>"
+
+
+def write_replay(results: Sequence[Result], path: Path) -> Path:
+    """Writes an HTML page that replays results side by side, with nothing to install.
+
+    Args:
+        results: Results of one scenario under one or several methods; the last one is
+            drawn solid, the others as translucent ghosts.
+        path: The page to write; its directory is made.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: There is no result, or its plant cannot be drawn.
+    """
+    stage = set_stage(results)
+    title = f"<title>{page_title(stage)}</title>"
+    page = _meshcat_page(stage).replace(MESHCAT_TITLE, title)
+    head, tail = page.rsplit("</body>", 1)
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    content = f"{head}{overlay_html(stage)}</body>{tail}"
+    path.write_bytes(content.encode("utf-8"))
+    return path
+
+
+def _meshcat_page(stage: Stage) -> str:
+    """Meshcat's own page with the scene and its recording, the same every time."""
+    meshcat = _private_meshcat()
+    _draw(meshcat, stage)
+    rate = stage.frames_per_second
+    meshcat.StartRecording(rate, set_visualizations_while_recording=False)
+    _record(meshcat, stage)
+    meshcat.StopRecording()
+    meshcat.PublishRecording()
+    return _with_fixed_identifiers(meshcat.StaticHtml())
+
+
+def _private_meshcat() -> Meshcat:
+    """A Meshcat that no other machine can see, on any free port, without a word."""
+    # Importing Drake takes time that programs without a replay need not spend.
+    from pydrake.geometry import Meshcat, MeshcatParams
+
+    params = MeshcatParams()
+    params.host, params.port = "127.0.0.1", 0
+    logger = logging.getLogger("drake")
+    level = logger.level
+    logger.setLevel(logging.WARNING)  # Its address would help nobody.
+    try:
+        return Meshcat(params)
+    finally:
+        logger.setLevel(level)
+
+
+def _draw(meshcat: Meshcat, stage: Stage) -> None:
+    from vcbf_drake.viz import scene
+
+    scene.add_light(meshcat, stage)
+    scene.add_ground(meshcat, stage)
+    scene.add_obstacles(meshcat, stage)
+    scene.add_markers(meshcat, stage)
+    for index in range(len(stage.runs)):
+        _draw_run(meshcat, stage, index)
+
+
+def _draw_run(meshcat: Meshcat, stage: Stage, index: int) -> None:
+    """Draws a run's vehicle, its trail, and where it failed."""
+    from vcbf_drake.viz.scene import add_mesh
+
+    run, motion = stage.runs[index], stage.motions[index]
+    ghost = run is not stage.runs[-1]
+    # A ghost is a little smaller: where vehicles coincide, the solid one shows.
+    scale = (GHOST_SCALE if ghost else 1.0) / stage.fraction
+    for part in VEHICLES[stage.geometry.vehicle](run.color):
+        path, mesh = f"vehicle/{index}/{part.name}", part.mesh.scaled(scale)
+        alpha = GHOST_OPACITY if ghost else 1.0
+        add_mesh(meshcat, path, mesh, part.color, alpha)
+    thickness = 0.0022 * stage.span
+    trail = tube(_thinned(motion.position, stage), thickness * (0.7 if ghost else 1.0))
+    add_mesh(meshcat, f"trail/{index}", trail, run.color)
+    if run.failure:
+        place, radius = motion.position_at(run.failure.time), 1.5 * stage.reach
+        rings = merge([torus(radius, 0.9 * thickness).moved(turn=t) for t in _TURNS])
+        add_mesh(meshcat, f"failure/{index}/rings", rings.moved(place), ALARM)
+        halo = sphere(radius).moved(place)
+        add_mesh(meshcat, f"failure/{index}/halo", halo, ALARM, 0.16)
+
+
+def _thinned(points: Array, stage: Stage) -> Array:
+    """Every so many points, so that all trails together stay small."""
+    count = max(min(len(points), MAX_TRAIL_POINTS // len(stage.runs)), 2)
+    kept: Array = points[np.linspace(0, len(points) - 1, count).round().astype(int)]
+    return kept
+
+
+def _record(meshcat: Meshcat, stage: Stage) -> None:
+    """Records how the vehicles and the obstacles move and when the markers appear."""
+    from pydrake.math import RigidTransform, RollPitchYaw
+
+    for index, (run, motion) in enumerate(zip(stage.runs, stage.motions, strict=True)):
+        for time, place, heading in zip(
+            motion.time, motion.position, motion.heading, strict=True
+        ):
+            pose = RigidTransform(RollPitchYaw(0.0, 0.0, heading), place)
+            meshcat.SetTransform(f"vehicle/{index}", pose, time)
+        if run.failure:
+            path = f"failure/{index}"
+            meshcat.SetProperty(path, "visible", False, 0.0)
+            frame = np.ceil(run.failure.time * stage.frames_per_second - 1e-9)
+            appears = float(frame / stage.frames_per_second)
+            meshcat.SetProperty(path, "visible", True, appears)
+    for index, obstacle in enumerate(stage.spheres):
+        for time in stage.motions[-1].time if obstacle.moves else ():
+            pose = RigidTransform(obstacle.center_at(time))
+            meshcat.SetTransform(f"obstacles/{index}", pose, time)
+
+
+def _with_fixed_identifiers(page: str) -> str:
+    """The page with Meshcat's random identifiers replaced by counted ones."""
+    counted: dict[bytes, bytes] = {}
+
+    def count(match: re.Match[bytes]) -> bytes:
+        name = b"%08x-0000-4000-8000-000000000000" % len(counted)
+        return counted.setdefault(match[0], name)
+
+    def rewrite(match: re.Match[str]) -> str:
+        commands = _IDENTIFIER.sub(count, base64.b64decode(match[2]))
+        return match[1] + base64.b64encode(commands).decode()
+
+    return _COMMANDS.sub(rewrite, page)
+
+
+_IDENTIFIER = re.compile(rb"[0-9a-f]{8}(?:-[0-9a-f]{4}){3}-[0-9a-f]{12}")
+_COMMANDS = re.compile(r'(fetch\("data:application/octet-binary;base64,)([^"]+)')
+_TURNS = (
+    np.eye(3),
+    np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+    np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
+)

@@ -1,0 +1,160 @@
+"""Runs as pictures know them: a result, its label, its colour, and what happened."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vcbf_drake.errors import Array
+from vcbf_drake.viz.style import METHOD_STYLES
+
+if TYPE_CHECKING:
+    from vcbf_drake.simulation.result import Result
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that changes how a run is described from then on.
+
+    Attributes:
+        time: When it happened [s].
+        kind: ``infeasible``, ``collision``, ``reached`` or ``timeout``.
+        text: What happened, in words.
+    """
+
+    time: float
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Run:
+    """One result and how it is drawn.
+
+    Attributes:
+        result: The result.
+        label: A name that no other run in the picture has.
+        color: A hexadecimal colour.
+        dashes: On and off lengths [points]; empty for a solid line.
+    """
+
+    result: Result
+    label: str
+    color: str
+    dashes: tuple[float, ...]
+
+    @property
+    def time(self) -> Array:
+        """The control ticks, shape (T,) [s]."""
+        return np.asarray(self.result.log["time"], dtype=float)
+
+    @property
+    def least_barrier(self) -> Array:
+        """The least barrier at every tick, shape (T,); nan where there is none."""
+        values = np.asarray(self.result.log["barriers"], dtype=float)
+        least = np.min(values, axis=1, initial=np.inf, where=np.isfinite(values))
+        return np.where(np.isfinite(least), least, np.nan)
+
+    @property
+    def events(self) -> list[Event]:
+        """What happened, in the order it happened."""
+        return sorted(_events(self.result.summary), key=lambda event: event.time)
+
+    @property
+    def failure(self) -> Event | None:
+        """The first infeasible tick or collision, whichever came first."""
+        failures = (e for e in self.events if e.kind in ("infeasible", "collision"))
+        return next(failures, None)
+
+    @property
+    def failure_tick(self) -> int | None:
+        """The first tick that is not before the failure; the last if there is none."""
+        if self.failure is None:
+            return None
+        tick = int(np.searchsorted(self.time, self.failure.time - 1e-9))
+        return min(tick, len(self.time) - 1)
+
+    def line(self, **options: Any) -> dict[str, Any]:
+        """The keyword arguments that draw this run as a matplotlib line."""
+        style: dict[str, Any] = {"color": self.color, "label": self.label}
+        if self.dashes:
+            style["dashes"] = self.dashes
+        return style | options
+
+
+def label_runs(results: Sequence[Result]) -> list[Run]:
+    """Gives every result a label, a colour and dashes of its own.
+
+    Runs of one method share its hue, from light to the method's own colour, and are
+    told apart by the scenario entries that differ between them.
+
+    Args:
+        results: The results, the one to bring out last.
+
+    Raises:
+        ValueError: There is no result.
+    """
+    if not results:
+        raise ValueError("results: got none; at least one is needed")
+    methods = [result.scenario.method for result in results]
+    remarks = _differences([result.scenario for result in results])
+    runs = []
+    for index, (result, method) in enumerate(zip(results, methods, strict=True)):
+        style = METHOD_STYLES[method]
+        same, rank = methods.count(method), methods[:index].count(method)
+        label = style.label + (f", {remarks[index]}" if same > 1 else "")
+        color = _tint(style.color, 0.6 * (1.0 - (rank + 1) / same))
+        runs.append(Run(result, label, color, style.dashes))
+    return runs
+
+
+def _events(summary: Mapping[str, Any]) -> Iterator[Event]:
+    for kind, key, words in (
+        ("infeasible", "infeasible_at", "infeasible since"),
+        ("collision", "collided_at", "collision at"),
+        ("reached", "reached_at", "reached at"),
+    ):
+        if summary[key] is not None:
+            time = float(summary[key])
+            yield Event(time, kind, f"{words} {time:.1f} s")
+    if summary["outcome"] == "timeout":
+        distance = f"{summary['final_distance']:.1f} m from the target"
+        yield Event(float(summary["running_time"]), "timeout", f"ended {distance}")
+
+
+def _differences(scenarios: Sequence[Any]) -> list[str]:
+    """What tells each scenario from the others, such as ``k_p = 0.4``."""
+    entries = [dict(_entries(scenario)) for scenario in scenarios]
+    keys = dict.fromkeys(key for entry in entries for key in entry)
+    ignored = {"method", "name", "description"}
+    varying = [
+        key
+        for key in keys
+        if key not in ignored and len({str(entry.get(key)) for entry in entries}) > 1
+    ]
+    if not varying:
+        return [f"run {index + 1}" for index in range(len(entries))]
+    return [
+        ", ".join(f"{key.split('.')[-1]} = {entry.get(key)}" for key in varying[:2])
+        for entry in entries
+    ]
+
+
+def _entries(value: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """The leaves of nested dataclasses, as dotted names and values."""
+    for field in dataclasses.fields(value):
+        name, entry = prefix + field.name, getattr(value, field.name)
+        if dataclasses.is_dataclass(entry):
+            yield from _entries(entry, name + ".")
+        else:
+            yield name, entry
+
+
+def _tint(color: str, amount: float) -> str:
+    """A hexadecimal colour mixed with white."""
+    channels = (int(color[i : i + 2], 16) for i in (1, 3, 5))
+    return "#" + "".join(f"{round(c + amount * (255 - c)):02x}" for c in channels)

@@ -1,0 +1,136 @@
+"""The still parts of the replay: light, ground, obstacles, start and target."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pydrake.geometry import Meshcat, Rgba
+from pydrake.math import RigidTransform
+
+from vcbf_drake.errors import Array
+from vcbf_drake.viz.mesh import Mesh, cylinder, merge, sphere, torus, tube
+from vcbf_drake.viz.stage import Stage, multiples
+from vcbf_drake.viz.style import OBSTACLE, START, TARGET
+
+GROUND, GROUND_LINES, SKY, HORIZON = "#eceff3", "#c3ccd7", "#dfe8f2", "#f8fafc"
+SHELL, PLAN = "#5f7fa8", "#8894a3"
+UPRIGHT = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+
+
+def rgba(color: str, alpha: float = 1.0) -> Rgba:
+    """Drake's colour of a hexadecimal one."""
+    red, green, blue = (int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
+    return Rgba(red, green, blue, alpha)
+
+
+def add_mesh(
+    meshcat: Meshcat, path: str, mesh: Mesh, color: str, alpha: float = 1.0
+) -> None:
+    """Puts a mesh into the scene."""
+    meshcat.SetTriangleMesh(path, mesh.vertices.T, mesh.faces.T, rgba(color, alpha))
+
+
+def add_light(meshcat: Meshcat, stage: Stage) -> None:
+    """A bright room with one sun that throws soft shadows."""
+    properties: dict[str, dict[str, Any]] = {
+        "/Background": {"top_color": _rgb(SKY), "bottom_color": _rgb(HORIZON)},
+        "/Grid": {"visible": False},
+        "/Axes": {"visible": False},
+        "/Lights/PointLightNegativeX": {"visible": False},
+        "/Lights/PointLightPositiveX": {"visible": False},
+        "/Lights/AmbientLight/<object>": {"intensity": 1.9},
+        "/Lights/FillLight/<object>": _sun(stage),
+        "/Cameras/default/rotated/<object>": {"fov": 32.0, "far": 400.0},
+    }
+    for path, values in properties.items():
+        for name, value in values.items():
+            meshcat.SetProperty(path, name, value)
+
+
+def add_ground(meshcat: Meshcat, stage: Stage) -> None:
+    """A pale floor with lines at round coordinates."""
+    low, high = stage.low, stage.high
+    corners = [low, [high[0], low[1], low[2]], [*high[:2], low[2]]]
+    corners.append([low[0], high[1], low[2]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+    add_mesh(meshcat, "ground/floor", Mesh(np.array(corners), faces), GROUND)
+    lines = [
+        ([x, low[1], low[2]], [x, high[1], low[2]])
+        for x in multiples(low[0], high[0], stage.cell)
+    ] + [
+        ([low[0], y, low[2]], [high[0], y, low[2]])
+        for y in multiples(low[1], high[1], stage.cell)
+    ]
+    ends = np.array(lines)
+    ends[..., 2] += 0.004 * stage.cell  # Above the floor, not in it.
+    meshcat.SetLineSegments(
+        "ground/lines", ends[:, 0].T, ends[:, 1].T, 1.0, rgba(GROUND_LINES)
+    )
+
+
+def add_obstacles(meshcat: Meshcat, stage: Stage) -> None:
+    """The obstacles, and around each the distance that has to be kept."""
+    for index, obstacle in enumerate(stage.spheres):
+        path = f"obstacles/{index}"
+        meshcat.SetTransform(path, RigidTransform(obstacle.center))
+        body = _solid(stage, obstacle.radius)
+        add_mesh(meshcat, f"{path}/body", body, OBSTACLE)
+        if obstacle.reach > obstacle.radius:
+            shell = _solid(stage, obstacle.reach).scaled([1.0, 1.0, 1.02])
+            add_mesh(meshcat, f"{path}/keep_out", shell, SHELL, 0.2)
+
+
+def add_markers(meshcat: Meshcat, stage: Stage) -> None:
+    """The start, the target with the distance that counts as arrival, and the way."""
+    size, ground = stage.mark, stage.low[2]
+    tolerance = float(stage.runs[-1].result.scenario.arrival_tolerance)
+    radius = max(tolerance, 2.0 * size)
+    for name, place, color, reach in (
+        ("start", stage.start, START, 2.0 * size),
+        ("target", stage.target, TARGET, radius),
+    ):
+        ring = torus(reach, 0.25 * size).moved(turn=UPRIGHT)
+        foot = np.array([place[0], place[1], ground])
+        add_mesh(meshcat, f"{name}/centre", sphere(size, sides=20).moved(place), color)
+        add_mesh(meshcat, f"{name}/ring", ring.moved(foot), color)
+        if place[2] - ground > size:
+            pole = tube(np.linspace(foot, place, 2), 0.2 * size)
+            add_mesh(meshcat, f"{name}/pole", pole, color)
+    add_mesh(meshcat, "target/halo", sphere(radius).moved(stage.target), TARGET, 0.16)
+    way = _dashes(stage.start, stage.target, 0.15 * size)
+    add_mesh(meshcat, "plan", way, PLAN)
+
+
+def _solid(stage: Stage, radius: float) -> Mesh:
+    """An obstacle's shape: a ball in space, a pillar in the plane."""
+    flat = stage.geometry.dimensions == 2
+    return cylinder(radius, 0.04 * stage.span) if flat else sphere(radius)
+
+
+def _dashes(start: Array, end: Array, radius: float) -> Mesh:
+    marks = np.linspace(0.0, 1.0, 91)[:, None] * (end - start) + start
+    pairs = zip(marks[0:-1:2], marks[1::2], strict=True)
+    return merge([tube(np.array(pair), radius, sides=6) for pair in pairs])
+
+
+def _sun(stage: Stage) -> dict[str, Any]:
+    """The light's properties; it shines at the origin and its shadow reaches far."""
+    reach = 1.1 * float(np.linalg.norm(stage.outline, axis=1).max())
+    camera = dict(left=-reach, right=reach, bottom=-reach, top=reach)
+    camera |= dict(near=0.1, far=6.0 * reach)
+    return {
+        "intensity": 1.7,
+        "position": [-0.5 * reach, -0.7 * reach, 3.0 * reach],
+        **{f"shadow.camera.{name}": value for name, value in camera.items()},
+        "shadow.mapSize.x": 4096.0,
+        "shadow.mapSize.y": 4096.0,
+        "shadow.bias": -0.0005,
+        "shadow.normalBias": 0.02,
+        "shadow.radius": 3.0,
+        "castShadow": True,
+    }
+
+
+def _rgb(color: str) -> list[float]:
+    return [int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]

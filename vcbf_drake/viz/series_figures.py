@@ -1,0 +1,222 @@
+"""Figures over time: barriers, volume, slack, disturbance and inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from vcbf_drake.viz.geometry import geometry_of
+from vcbf_drake.viz.runs import Run
+from vcbf_drake.viz.style import ALARM, INK, MUTED, PAGE_WIDTH, Style, new_figure
+
+BARRIER_LABEL = {"distance": "barrier $h$ [m]", "squared": "barrier $h$ [m²]"}
+BAND = "#c9d5e3"
+
+
+def barrier_figure(runs: Sequence[Run]) -> Any:
+    """Every barrier of the last run, and the least one of every run.
+
+    Args:
+        runs: The runs, the one to bring out last.
+
+    Returns:
+        The ``matplotlib.figure.Figure``.
+    """
+    figure = new_figure(PAGE_WIDTH, 2.7)
+    axes = figure.subplots()
+    draw_barriers(axes, runs, every=True)
+    _legend_above(axes)
+    return figure
+
+
+def volume_figure(runs: Sequence[Run]) -> Any:
+    """The volume barrier of every run.
+
+    Args:
+        runs: The runs.
+
+    Returns:
+        The ``matplotlib.figure.Figure``.
+    """
+    figure = new_figure(PAGE_WIDTH, 2.5)
+    axes = figure.subplots()
+    draw_volume(axes, runs)
+    _legend_above(axes)
+    return figure
+
+
+def slack_figure(runs: Sequence[Run]) -> Any:
+    """The slack of the volume row of every run.
+
+    Args:
+        runs: The runs.
+
+    Returns:
+        The ``matplotlib.figure.Figure``.
+    """
+    figure = new_figure(PAGE_WIDTH, 2.2)
+    axes = figure.subplots()
+    for run in runs:
+        axes.plot(run.time, run.result.log["slack"], **run.line())
+    greatest = max(float(np.abs(run.result.log["slack"]).max()) for run in runs)
+    if greatest == 0.0:
+        axes.set_ylim(-0.1, 1.0)
+        axes.annotate("exactly 0", (0.7, 0.2), xycoords="axes fraction", color=MUTED)
+    _mark_failures(axes, runs, [run.result.log["slack"] for run in runs])
+    axes.set(xlabel="time [s]", ylabel=r"slack $\delta$ [-]")
+    _time_axis(axes)
+    _legend_above(axes)
+    return figure
+
+
+def disturbance_figure(runs: Sequence[Run]) -> Any:
+    """The last run's disturbance, its estimate and the certified error band.
+
+    Args:
+        runs: The runs.
+
+    Returns:
+        The ``matplotlib.figure.Figure``.
+    """
+    run = runs[-1]
+    log, names = run.result.log, geometry_of(run.result).disturbances
+    figure = new_figure(PAGE_WIDTH, 0.6 + 1.25 * len(names))
+    panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    room = 0.9 * np.ptp(log["disturbance"], axis=0).max()
+    room = room or 4.0 * float(np.median(log["error_bound"])) or 1.0
+    for channel, (axes, name) in enumerate(zip(panels, names, strict=True)):
+        true = log["disturbance"][:, channel]
+        estimate = log["disturbance_estimate"][:, channel]
+        low, high = estimate - log["error_bound"], estimate + log["error_bound"]
+        axes.fill_between(
+            run.time, low, high, color=BAND, lw=0, label="estimate ± error bound"
+        )
+        axes.plot(run.time, true, color=INK, lw=1.2, label="disturbance")
+        style: Style = dict(color=run.color, lw=1.2, ls="--", label="estimate")
+        axes.plot(run.time, estimate, **style)
+        axes.set_ylabel(name)
+        _time_axis(axes)
+        # The bound starts at delta1; what there is to see comes later.
+        middle = 0.5 * (true.max() + true.min())
+        axes.set_ylim(middle - room, middle + room)
+    panels[-1].set_xlabel("time [s]")
+    _legend_above(panels[0])
+    return figure
+
+
+def input_figure(runs: Sequence[Run]) -> Any:
+    """The applied inputs of every run, the last run's reference, and the limits.
+
+    Args:
+        runs: The runs.
+
+    Returns:
+        The ``matplotlib.figure.Figure``.
+    """
+    last = runs[-1].result
+    names, limits = geometry_of(last).inputs, last.scenario.input_set
+    figure = new_figure(PAGE_WIDTH, 0.6 + 1.35 * len(names))
+    panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    for channel, (axes, name) in enumerate(zip(panels, names, strict=True)):
+        low, high = limits.lower[channel], limits.upper[channel]
+        for value in (low, high):
+            axes.axhline(value, color=ALARM, lw=0.8, ls=(0, (4, 2)))
+        reference = last.log["reference"][:, channel]
+        axes.plot(runs[-1].time, reference, color=MUTED, lw=0.8, label="reference")
+        for run in runs:
+            style = run.line(lw=1.2, drawstyle="steps-post")
+            axes.plot(run.time, run.result.log["input"][:, channel], **style)
+        axes.set_ylabel(name)
+        room = 0.12 * (high - low)
+        axes.set_ylim(low - room, high + room)
+        _time_axis(axes)
+    panels[0].plot([], [], color=ALARM, lw=0.8, ls=(0, (4, 2)), label="limits")
+    panels[-1].set_xlabel("time [s]")
+    _legend_above(panels[0])
+    return figure
+
+
+def draw_barriers(axes: Any, runs: Sequence[Run], every: bool = False) -> None:
+    """Draws the least barrier of every run, and thinly every barrier of the last."""
+    form = runs[-1].result.scenario.barrier.form
+    if every:
+        barriers = runs[-1].result.log["barriers"]
+        axes.plot(runs[-1].time, barriers, color=runs[-1].color, lw=0.6, alpha=0.45)
+    for run in runs:
+        axes.plot(run.time, run.least_barrier, **run.line(lw=2.0))
+    _mark_failures(axes, runs, [run.least_barrier for run in runs])
+    if every:  # The far obstacles' barriers leave the picture.
+        highest = max(float(np.nanmax(run.least_barrier)) for run in runs)
+        axes.set_ylim(top=1.4 * highest)
+    _shade_below_zero(axes, "unsafe")
+    _time_axis(axes)
+    axes.set(xlabel="time [s]", ylabel=BARRIER_LABEL[form])
+
+
+def draw_volume(axes: Any, runs: Sequence[Run]) -> None:
+    """Draws the volume barrier of every run."""
+    for run in runs:
+        axes.plot(run.time, run.result.log["volume"], **run.line())
+    _mark_failures(axes, runs, [run.result.log["volume"] for run in runs])
+    _shade_below_zero(axes, r"less volume than $\xi$")
+    _time_axis(axes)
+    axes.set(xlabel="time [s]", ylabel="volume barrier $V_v$ [-]")
+
+
+def _mark_failures(axes: Any, runs: Sequence[Run], series: Sequence[Any]) -> None:
+    """A cross where a run failed, on the last value its curve has until then."""
+    from matplotlib.patheffects import withStroke
+
+    height = 0.0  # Of the words over their cross [points].
+    for run, values in zip(runs, series, strict=True):
+        if run.failure is None:
+            continue
+        until = np.isfinite(values) & (run.time <= run.failure.time)
+        if not until.any():
+            continue
+        place = (run.failure.time, values[until][-1])
+        style: Style = dict(ms=8, mfc=run.color, mec="white", zorder=5)
+        axes.plot(*place, "X", **style)
+        axes.annotate(
+            f"{run.failure.kind} {run.failure.time:.1f} s",
+            place,
+            xytext=(8, height),
+            textcoords="offset points",
+            color=run.color,
+            fontsize=7.5,
+            va="center",
+            path_effects=[withStroke(linewidth=2.5, foreground="white")],
+        )
+        height += 10.0
+
+
+def _shade_below_zero(axes: Any, words: str) -> None:
+    low, high = axes.get_ylim()
+    low = min(low, -0.09 * (high - low))
+    axes.axhspan(low, 0.0, color=ALARM, alpha=0.07, lw=0)
+    axes.axhline(0.0, color=ALARM, lw=0.8)
+    axes.set_ylim(low, high)
+    axes.annotate(
+        words,
+        (0.995, 0.0),
+        xycoords=axes.get_yaxis_transform(),
+        xytext=(0, -2),
+        textcoords="offset points",
+        color=ALARM,
+        fontsize=7,
+        ha="right",
+        va="top",
+    )
+
+
+def _time_axis(axes: Any) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    axes.margins(x=0.01)
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=10, integer=True))
+
+
+def _legend_above(axes: Any) -> None:
+    axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=5, borderpad=0.1)

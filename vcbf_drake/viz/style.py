@@ -1,0 +1,150 @@
+"""One look for every picture: a colour per method, fonts, and reproducible bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from vcbf_drake.errors import Array
+
+Style = dict[str, Any]  # The keyword arguments of something drawn.
+
+DPI = 160
+PAGE_WIDTH = 7.0  # Two columns of a paper [inch].
+
+INK = "#1f2733"
+MUTED = "#6b7685"
+GRID = "#e3e7ec"
+OBSTACLE = "#9aa5b4"
+START = "#4a5563"
+TARGET = "#1a9850"
+ALARM = "#c8102e"
+
+
+@dataclass(frozen=True)
+class MethodStyle:
+    """How one method is named and drawn, everywhere.
+
+    Attributes:
+        label: The name people read.
+        color: A hexadecimal colour, told apart by colour-blind eyes.
+        dashes: On and off lengths [points]; empty for a solid line.
+    """
+
+    label: str
+    color: str
+    dashes: tuple[float, ...]
+
+
+# Okabe and Ito's palette; the dashes tell the methods apart in grey print as well.
+METHOD_STYLES = {
+    "cbf-qp": MethodStyle("CBF-QP", "#56606e", (1.2, 1.4)),
+    "robust-cbf-qp": MethodStyle("Robust CBF-QP", "#009e73", (6.0, 1.6, 1.2, 1.6)),
+    "wang-xu-dob-cbf-qp": MethodStyle("Wang-Xu DOB-CBF-QP", "#cc79a7", (3.0, 1.4)),
+    "vcbf-qp": MethodStyle("VCBF-QP", "#e69f00", (8.0, 2.0)),
+    "dob-cbf-qp": MethodStyle("DOB-CBF-QP", "#d55e00", (5.0, 1.6)),
+    "dob-vcbf-qp": MethodStyle("DOB-VCBF-QP", "#0072b2", ()),
+}
+
+RC_PARAMS: dict[str, Any] = {
+    "axes.axisbelow": True,
+    "axes.edgecolor": MUTED,
+    "axes.grid": True,
+    "axes.labelcolor": INK,
+    "axes.labelsize": 9,
+    "axes.linewidth": 0.6,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlesize": 9,
+    "figure.dpi": DPI,
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "hatch.linewidth": 0.5,
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    "legend.handlelength": 2.6,
+    "lines.linewidth": 1.5,
+    "lines.solid_capstyle": "round",
+    "mathtext.fontset": "dejavusans",
+    "savefig.bbox": "tight",
+    "savefig.dpi": DPI,
+    "savefig.pad_inches": 0.06,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "vcbf_drake",
+    "text.color": INK,
+    "xtick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "xtick.labelsize": 8,
+    "xtick.major.width": 0.6,
+    "ytick.color": MUTED,
+    "ytick.labelcolor": INK,
+    "ytick.labelsize": 8,
+    "ytick.major.width": 0.6,
+}
+
+
+@contextmanager
+def figure_style() -> Iterator[None]:
+    """Draw what is inside with this package's look, whatever the user's settings."""
+    import matplotlib
+
+    settings: Any = matplotlib.rcParams
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        settings.update(RC_PARAMS)
+        yield
+
+
+def new_figure(width: float, height: float, **options: Any) -> Any:
+    """A figure without a window, so that no display or backend is touched.
+
+    Args:
+        width: The width [inch].
+        height: The height [inch].
+        **options: Passed to ``matplotlib.figure.Figure``.
+
+    Returns:
+        The ``matplotlib.figure.Figure``.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), **{"layout": "constrained", **options})
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def add_circle(axes: Any, center: Array, radius: float, **style: Any) -> None:
+    """Draws a circle.
+
+    Args:
+        axes: Where to draw.
+        center: Its centre, shape (2,).
+        radius: Its radius.
+        **style: Passed to ``matplotlib.patches.Circle``.
+    """
+    from matplotlib.patches import Circle
+
+    axes.add_patch(Circle((float(center[0]), float(center[1])), radius, **style))
+
+
+def save_figure(figure: Any, directory: Path, name: str) -> list[Path]:
+    """Write a figure as PNG and SVG, the same bytes every time.
+
+    Args:
+        figure: The figure.
+        directory: Where to write; it exists.
+        name: The file name without its ending.
+
+    Returns:
+        The two paths.
+    """
+    png, svg = directory / f"{name}.png", directory / f"{name}.svg"
+    figure.savefig(png, metadata={"Software": None})
+    figure.savefig(svg, metadata={"Date": None, "Creator": None})
+    return [png, svg]

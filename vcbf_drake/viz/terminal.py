@@ -1,0 +1,124 @@
+"""What the command line shows on a terminal: tables and a progress bar."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+import math
+import sys
+import textwrap
+from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from vcbf_drake.safety.assumptions import Assumption
+    from vcbf_drake.simulation.scenario import Scenario
+
+_OUTCOME_STYLES = {
+    "reached": "green",
+    "timeout": "yellow",
+    "infeasible": "red",
+    "collision": "bold red",
+}
+_VERDICTS = {
+    True: Text("holds", "green"),
+    False: Text("does not hold", "red"),
+    None: Text("information", "dim"),
+}
+# What 80 columns leave to the methods, beside the labels.
+_METHODS_WIDTH = 66
+
+
+def progress_bar() -> Progress:
+    """Returns a bar on stderr that disappears when done; silent in a pipe."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %"),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
+        disable=not sys.stderr.isatty(),
+    )
+
+
+def print_scenarios(scenarios: Sequence[Scenario]) -> None:
+    """Prints the names of scenarios and the first lines of their descriptions."""
+    table = Table.grid(padding=(0, 2, 0, 0), pad_edge=False)
+    for scenario in scenarios:
+        title = scenario.description.strip().partition("\n")[0]
+        table.add_row(scenario.name, Text(title))
+    Console().print(table)
+
+
+def print_summaries(summaries: Sequence[Mapping[str, Any]]) -> None:
+    """Prints the summaries of runs of one scenario, one column a run, and remarks."""
+    console = Console(highlight=False, markup=False)
+    width = _METHODS_WIDTH // len(summaries) - 1
+    table = Table(box=box.SIMPLE_HEAD, padding=0, show_edge=False)
+    table.add_column()
+    for summary in summaries:
+        header = "\n".join(textwrap.wrap(summary["method"], width))
+        table.add_column(header, justify="right", no_wrap=True)
+    columns = [_cells(summary) for summary in summaries]
+    for label in columns[0]:
+        table.add_row(label, *(cells[label] for cells in columns))
+    console.print(summaries[0]["scenario"])
+    console.print(table)
+    for summary in summaries:
+        for remark in _remarks(summary):
+            console.print(f"{summary['method']}: {remark}")
+
+
+def print_assumptions(scenario: Scenario, assumptions: Sequence[Assumption]) -> None:
+    """Prints the hypotheses with their numbers, and what those that fail cost."""
+    console = Console(highlight=False, markup=False)
+    console.print(f"{scenario.name}, {scenario.method}")
+    table = Table.grid(padding=(0, 2))
+    for assumption in assumptions:
+        table.add_row(_VERDICTS[assumption.holds], Text(assumption.name, "bold"))
+        table.add_row("", Text(assumption.statement))
+        table.add_row("", Text(_numbers(assumption.numbers)))
+        if assumption.holds is False:
+            table.add_row("", Text(f"cost: {assumption.consequence}", "red"))
+    console.print(table)
+
+
+def _cells(summary: Mapping[str, Any]) -> dict[str, str | Text]:
+    outcome, cpu = summary["outcome"], summary["step_cpu_ms"]
+    return {
+        "outcome": Text(outcome, _OUTCOME_STYLES[outcome]),
+        "running s": _number(summary["running_time"]),
+        "reached s": _number(summary["reached_at"]),
+        "infeasible s": _number(summary["infeasible_at"]),
+        "collided s": _number(summary["collided_at"]),
+        "min h": _number(summary["min_barrier"]),
+        "min V_v": _number(summary["min_volume"]),
+        "max |slack|": _number(summary["max_abs_slack"]),
+        "distance m": _number(summary["final_distance"]),
+        "CPU p50 ms": _number(cpu["median"]),
+        "CPU p99 ms": _number(cpu["p99"]),
+        "x real time": _number(summary["real_time_factor"]),
+    }
+
+
+def _remarks(summary: Mapping[str, Any]) -> Iterator[str]:
+    if summary["conflict"]:
+        yield f"no input satisfies {', '.join(summary['conflict'])}"
+    failing = [
+        each["name"] for each in summary["assumptions"] if each["holds"] is False
+    ]
+    if failing:
+        yield f"does not hold (see vcbf-drake check): {', '.join(failing)}"
+
+
+def _numbers(numbers: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} = {_number(value)}" for name, value in numbers.items())
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None or math.isnan(value) else f"{value:.3g}"
