@@ -1,0 +1,149 @@
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from vcbf_drake.barriers import BarrierRows
+from vcbf_drake.safety import (
+    DisturbanceKnowledge,
+    FilterStatus,
+    InputSet,
+    chebyshev_ball,
+)
+from vcbf_drake.safety.feasible_set import feasible_set
+from vcbf_drake.safety.filter_qp import VolumeRow, choose_input
+
+BOX = InputSet.box([-1.0, -2.0], [3.0, 2.0])
+ORIGIN = np.zeros(2)
+
+
+def set_of(A, b, input_set=BOX):
+    """The feasible set of plain rows A u <= b, without any disturbance."""
+    A, b = np.atleast_2d(np.array(A, dtype=float)), np.atleast_1d(b).astype(float)
+    n, m = A.shape
+    rows = BarrierRows(
+        value=np.ones(n),
+        chain=tuple(np.ones(2) for _ in range(n)),
+        A=A,
+        b=b,
+        w=np.zeros((n, 1)),
+        A_gradient=np.zeros((n, m, 3)),
+        b_gradient=np.zeros((n, 3)),
+        w_gradient=np.zeros((n, 1, 3)),
+    )
+    return feasible_set(input_set, rows, DisturbanceKnowledge.constant(1, 0.0))
+
+
+def choose(feasible, reference, volume_row=None, **options):
+    settings = {"fidelity": "corrected", "policy": "stop", "held_input": ORIGIN}
+    settings |= options
+    return choose_input(
+        feasible,
+        volume_row,
+        np.array(reference, dtype=float),
+        settings["held_input"],
+        BOX,
+        settings["fidelity"],
+        settings["policy"],
+    )
+
+
+def test_reference_passes_through_bit_for_bit():
+    reference = np.array([0.1, 0.2]) / 3.0
+    decision = choose(set_of([1.0, 1.0], 1.0), reference)
+    assert decision.status == FilterStatus.REFERENCE
+    assert np.array_equal(decision.input, reference)
+
+
+def test_filtered_input_is_the_nearest_in_the_normalised_norm():
+    # Half-widths are 2 and 2, so the norm is Euclid's and the answer a projection.
+    decision = choose(set_of([1.0, 1.0], 1.0), [2.0, 1.0])
+    assert decision.status == FilterStatus.FILTERED
+    np.testing.assert_allclose(decision.input, [1.0, 0.0], atol=1e-9)
+
+
+def test_volume_row_is_kept_exactly_when_it_can_be():
+    row = VolumeRow(a=np.array([1.0, 0.0]), c=-0.5, slack_penalty=1e3)
+    decision = choose(set_of([0.0, 1.0], 1.0), [0.0, 0.0], row)
+    assert decision.slack == 0.0
+    np.testing.assert_allclose(decision.input, [-0.5, 0.0], atol=1e-9)
+
+
+def test_volume_row_gives_way_by_the_least_slack():
+    row = VolumeRow(a=np.array([1.0, 0.0]), c=-1.5, slack_penalty=1e3)
+    decision = choose(set_of([0.0, 1.0], 1.0), [0.0, 0.3], row)
+    assert decision.status == FilterStatus.RELAXED
+    assert decision.slack == pytest.approx(-0.5, abs=1e-7)
+    np.testing.assert_allclose(decision.input, [-1.0, 0.3], atol=1e-7)
+
+
+def test_paper_penalty_leaves_the_slack_that_its_optimality_conditions_say():
+    """Delta = -mu / (2 M) whenever the row is active (R35): never exactly zero."""
+    penalty, feasible = 50.0, set_of([0.0, 1.0], 1.0)
+    row = VolumeRow(a=np.array([1.0, 0.0]), c=-0.5, slack_penalty=penalty)
+    decision = choose(feasible, [0.0, 0.0], row, fidelity="paper")
+    # In v = (u - center) / 2: min (v1 + 1/2)^2 + M d^2, 2 v1 + 1 + d <= -1/2.
+    # With s = 2 v1 + 1: min s^2 / 4 + M d^2, s + d = -1/2.
+    expected = -0.5 * (1.0 / 4.0) / (1.0 / 4.0 + penalty)
+    assert decision.slack == pytest.approx(expected, rel=1e-9)
+    assert decision.input[0] == pytest.approx(-0.5 - expected, rel=1e-9)
+
+
+def test_infeasible_rows_are_named():
+    feasible = set_of([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]], [-0.5, 0.2, 1.0])
+    decision = choose(feasible, [0.0, 0.0])
+    assert decision.status == FilterStatus.INFEASIBLE
+    assert decision.conflict == (4, 5)  # After the box's four rows.
+
+
+def test_infeasible_stays_infeasible_with_a_volume_row_in_the_qp():
+    feasible = set_of([[1.0, 0.0], [-1.0, 0.0]], [-0.5, 0.2])
+    vanished = VolumeRow(a=np.zeros(2), c=-0.06, slack_penalty=1e3)
+    for fidelity in ("corrected", "paper"):
+        decision = choose(feasible, [0.0, 0.0], vanished, fidelity=fidelity)
+        assert decision.status == FilterStatus.INFEASIBLE
+
+
+def test_least_violation_is_the_minimax_violation():
+    rng = np.random.default_rng(11)
+    checked = 0
+    for _ in range(200):
+        A, b = rng.normal(size=(4, 2)), rng.uniform(-3.0, -0.2, 4)
+        feasible = set_of(A, b)
+        if chebyshev_ball(feasible.A_v, feasible.b_v)[1] > -1e-6:
+            continue
+        decision = choose(feasible, rng.normal(size=2), policy="least_violation")
+        oracle = linprog(
+            [0.0, 0.0, 1.0],
+            A_ub=np.column_stack([A, -np.ones(4)]),
+            b_ub=b,
+            bounds=[(-1.0, 3.0), (-2.0, 2.0), (0.0, None)],
+        )
+        violation = np.max(A @ decision.input - b)
+        assert violation == pytest.approx(oracle.fun, abs=1e-6)
+        assert BOX.contains(decision.input)
+        checked += 1
+    assert checked > 50
+
+
+def test_hold_keeps_the_held_input_inside_the_input_set():
+    feasible = set_of([[1.0, 0.0], [-1.0, 0.0]], [-0.5, 0.2])
+    decision = choose(feasible, ORIGIN, policy="hold", held_input=np.array([9.0, 0.5]))
+    assert decision.status == FilterStatus.INFEASIBLE
+    np.testing.assert_allclose(decision.input, [3.0, 0.5])
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("where", ["A", "b", "reference", "reference and held input"])
+def test_numbers_that_are_not_finite_never_leave_the_filter(bad, where):
+    feasible = set_of([bad if where == "A" else 1.0, 0.0], bad if where == "b" else 1.0)
+    reference = [bad if "reference" in where else 0.0, 0.0]
+    held = np.full(2, bad) if "held" in where else ORIGIN
+    decision = choose(feasible, reference, held_input=held)
+    assert decision.status == FilterStatus.FAILED
+    assert BOX.contains(decision.input)
+
+
+def test_a_reference_far_outside_is_brought_back():
+    decision = choose(set_of([1.0, 1.0], 1.0), [1e200, -1e200])
+    assert decision.status == FilterStatus.FILTERED
+    np.testing.assert_allclose(decision.input, [3.0, -2.0], atol=1e-6)

@@ -1,0 +1,120 @@
+import numpy as np
+import pytest
+import quadprog
+
+from vcbf_drake.errors import EmptySetError
+from vcbf_drake.safety.nearest_point import nearest_point
+
+
+def random_problem(rng, kind):
+    """A box, random rows, and one of the things that make QPs hard."""
+    m, n = rng.integers(1, 5), rng.integers(2, 15)
+    rows, bounds = rng.normal(size=(n, m)), rng.uniform(-0.2, 1.0, n)
+    if kind == "repeated rows":
+        rows[1], bounds[1] = 3.0 * rows[0], 3.0 * bounds[0]
+    elif kind == "badly scaled rows":
+        scale = 10.0 ** rng.uniform(-4.0, 4.0, n)
+        rows, bounds = rows * scale[:, None], bounds * scale
+    elif kind == "many rows through one vertex":
+        bounds = rows @ rng.uniform(-0.5, 0.5, m)
+    A = np.vstack([np.eye(m), -np.eye(m), rows])
+    b = np.concatenate([np.ones(2 * m), bounds])
+    return A, b, rng.normal(size=m) * 10.0 ** rng.uniform(-1.0, 1.5)
+
+
+def quadprog_answer(A, b, reference):
+    length = np.linalg.norm(A, axis=1)
+    try:
+        return quadprog.solve_qp(
+            np.eye(len(reference)), reference, -A.T / length, -b / length
+        )[0]
+    except ValueError:
+        return None
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "plain",
+        "repeated rows",
+        "badly scaled rows",
+        "many rows through one vertex",
+    ],
+)
+def test_agrees_with_quadprog(kind):
+    rng = np.random.default_rng([7, len(kind)])
+    solved = 0
+    for _ in range(400):
+        A, b, reference = random_problem(rng, kind)
+        expected = quadprog_answer(A, b, reference)
+        try:
+            point = nearest_point(A, b, reference).point
+        except EmptySetError:
+            assert expected is None
+            continue
+        slack = (b - A @ point) / np.linalg.norm(A, axis=1)
+        assert slack.min() >= -1e-9
+        if expected is not None:
+            solved += 1
+            np.testing.assert_allclose(point, expected, atol=1e-8)
+    assert solved > 100
+
+
+def test_solves_the_instances_on_which_an_interior_point_method_cycles():
+    """Trivially feasible; Clarabel with default settings runs into its limit."""
+    rows = np.array(
+        [
+            [-0.0245, 0.0438, 0.0],
+            [-0.7989, -0.5991, 0.0],
+            [-0.9184, -0.3769, 0.0],
+            [-0.9501, -0.2679, 0.0],
+            [-0.8115, -0.5842, 0.0],
+            [-0.9582, -0.2785, 0.0],
+        ]
+    )
+    bounds = np.array([9.0013, 4.8413, 22.3975, 38.1006, 29.3474, 21.6401])
+    box = np.array([1.5, 1.5, 1.0])
+    for far in (1.0, 20.0):  # Inside the set, and far outside of it.
+        rng = np.random.default_rng(0)
+        for _ in range(300):
+            perturbed = rows * (1.0 + 0.1 * rng.uniform(-1.0, 1.0, rows.shape))
+            A = np.vstack([np.eye(3), -np.eye(3), perturbed])
+            b = np.concatenate([box, box, bounds])
+            reference = far * rng.uniform(-0.3, 0.3, 3)
+            expected = quadprog_answer(A, b, reference)
+            point = nearest_point(A, b, reference).point
+            np.testing.assert_allclose(point, expected, atol=1e-9)
+
+
+def test_reference_inside_passes_through_untouched():
+    A, b = np.vstack([np.eye(2), -np.eye(2)]), np.ones(4)
+    reference = np.array([0.1, -0.3])
+    solution = nearest_point(A, b, reference)
+    assert solution.point is reference
+    assert not solution.multipliers.any()
+
+
+def test_multipliers_satisfy_the_optimality_conditions_in_the_units_given():
+    A = np.array([[2.0, 0.0], [0.0, 5.0], [-1.0, 0.0], [0.0, -1.0]])
+    b = np.array([2.0, 5.0, 1.0, 1.0])
+    solution = nearest_point(A, b, np.array([3.0, 2.0]))
+    np.testing.assert_allclose(solution.point, [1.0, 1.0])
+    np.testing.assert_allclose(
+        np.array([3.0, 2.0]) - solution.multipliers @ A, solution.point
+    )
+    np.testing.assert_allclose(solution.multipliers, [1.0, 0.2, 0.0, 0.0])
+
+
+def test_an_empty_set_is_certified():
+    A = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    with pytest.raises(EmptySetError) as caught:
+        nearest_point(A, np.array([-1.0, 0.5, 1.0, 1.0]), np.zeros(2))
+    assert caught.value.inradius == pytest.approx(-0.25)
+
+
+def test_a_row_without_coefficients_is_empty_only_when_its_bound_is_negative():
+    A = np.array([[1.0], [-1.0], [0.0]])
+    far = np.array([5.0])
+    assert nearest_point(A, np.array([1.0, 1.0, 0.0]), far).point == pytest.approx(1.0)
+    with pytest.raises(EmptySetError):
+        nearest_point(A, np.array([1.0, 1.0, -1e-3]), far)

@@ -1,0 +1,254 @@
+import numpy as np
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput
+import pytest
+
+from vcbf_drake import (
+    AddSafetyFilter,
+    Blimp,
+    BlimpController,
+    Car,
+    ControlAffineModel,
+    DisturbanceSource,
+    InputSet,
+    SafetyFilter,
+    SphereObstacle,
+)
+from vcbf_drake.disturbances import DisturbanceBounds, Sinusoid
+from vcbf_drake.safety import METHODS, FilterStatus, filter_qp, unpack_feasible_set
+
+LIMITS = InputSet.box([-0.05, -0.2, -0.02], [0.25, 0.2, 0.02])
+CLOSE = np.array([0.0, 0.0, 0.0, 0.1, 0.25, 0.0, 0.1, 0.0])
+FAR = np.array([-50.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def model():
+    return ControlAffineModel.from_system(Blimp())
+
+
+def make_filter(model, **options):
+    barriers = [
+        SphereObstacle([1.0, 0.1, 0.1], 0.5).barrier([4.0, 3.0], name="near"),
+        SphereObstacle([9.0, 9.0, 9.0], 0.5).barrier([4.0, 3.0], name="far"),
+    ]
+    return SafetyFilter(model, barriers, LIMITS, **options)
+
+
+def fixed(safety_filter, state, reference=(0.2, 0.0, 0.0), estimate=(0.05, 0.0, 0.0)):
+    """A context whose ports hold these values."""
+    context = safety_filter.CreateDefaultContext()
+    values = {
+        "state": state,
+        "reference": reference,
+        "held_input": np.zeros(3),
+        "disturbance_estimate": estimate,
+        "estimate_rate": [0.1, 0.0, 0.0],
+        "error_bound": [0.05],
+        "error_bound_rate": [-0.1],
+    }
+    for name, value in values.items():
+        if safety_filter.HasInputPort(name):
+            safety_filter.GetInputPort(name).FixValue(context, np.array(value, float))
+    return context
+
+
+def evaluate(safety_filter, context, port):
+    return safety_filter.GetOutputPort(port).Eval(context)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("fidelity", ["corrected", "paper"])
+def test_every_method_keeps_its_rows_and_the_input_limits(model, method, fidelity):
+    safety_filter = make_filter(
+        model, method=method, fidelity=fidelity, disturbance_bound=0.1
+    )
+    context = fixed(safety_filter, CLOSE)
+    u = evaluate(safety_filter, context, "input")
+    packed = unpack_feasible_set(
+        evaluate(safety_filter, context, "feasible_set"), safety_filter.num_rows, 3
+    )
+    assert np.all(packed.A @ u <= packed.b + 1e-9)
+    assert LIMITS.contains(u)
+    assert evaluate(safety_filter, context, "status")[0] <= FilterStatus.RELAXED
+
+
+def test_methods_order_by_how_much_they_ask_for(model):
+    """Worst case asks for more than an estimate, an estimate for more than nothing."""
+    surge = {
+        method: evaluate(
+            f := make_filter(model, method=method, disturbance_bound=0.3),
+            fixed(f, CLOSE, estimate=(0.0, 0.0, 0.0)),
+            "input",
+        )[0]
+        for method in ("cbf-qp", "dob-cbf-qp", "robust-cbf-qp")
+    }
+    assert surge["robust-cbf-qp"] < surge["dob-cbf-qp"] < surge["cbf-qp"] < 0.2
+
+
+def test_far_from_everything_the_reference_passes_through(model):
+    safety_filter = make_filter(model)
+    reference = np.array([0.1, 0.1, 0.01]) / 3.0
+    context = fixed(safety_filter, FAR, reference)
+    assert np.array_equal(evaluate(safety_filter, context, "input"), reference)
+    assert evaluate(safety_filter, context, "status")[0] == FilterStatus.REFERENCE
+    assert evaluate(safety_filter, context, "volume")[0] == pytest.approx(0.98)
+
+
+def test_all_ports_share_one_solve(model, monkeypatch):
+    calls = []
+    original = filter_qp.nearest_point
+
+    def counting(*arguments):
+        calls.append(1)
+        return original(*arguments)
+
+    monkeypatch.setattr(filter_qp, "nearest_point", counting)
+    safety_filter = make_filter(model)
+    context = fixed(safety_filter, CLOSE)
+    for _ in range(3):
+        for port in ("status", "input", "slack", "volume", "barriers", "feasible_set"):
+            evaluate(safety_filter, context, port)
+    assert len(calls) == 1
+
+
+def test_output_depends_on_the_context_alone(model):
+    """The same numbers after other states were evaluated, and in a cloned context."""
+    safety_filter = make_filter(model)
+    first = evaluate(safety_filter, fixed(safety_filter, CLOSE), "input")
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        state = CLOSE + rng.normal(0.0, 0.1, 8)
+        evaluate(safety_filter, fixed(safety_filter, state), "input")
+    context = fixed(safety_filter, CLOSE)
+    assert np.array_equal(evaluate(safety_filter, context, "input"), first)
+    assert np.array_equal(evaluate(safety_filter, context.Clone(), "input"), first)
+    other = make_filter(model)
+    assert np.array_equal(evaluate(other, fixed(other, CLOSE), "input"), first)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize("method", ["cbf-qp", "dob-vcbf-qp"])
+def test_a_state_that_is_not_finite_gives_a_finite_input_and_says_so(
+    model, method, bad
+):
+    safety_filter = make_filter(model, method=method)
+    state = CLOSE.copy()
+    state[4] = bad
+    context = fixed(safety_filter, state)
+    assert LIMITS.contains(evaluate(safety_filter, context, "input"))
+    assert evaluate(safety_filter, context, "status")[0] == FilterStatus.FAILED
+    assert np.isnan(evaluate(safety_filter, context, "volume")[0])
+
+
+def test_the_centre_of_an_obstacle_is_survived(model):
+    safety_filter = make_filter(model)
+    state = np.zeros(8)
+    state[:3] = [1.0, 0.1, 0.1]
+    context = fixed(safety_filter, state)
+    assert LIMITS.contains(evaluate(safety_filter, context, "input"))
+    assert evaluate(safety_filter, context, "status")[0] == FilterStatus.FAILED
+
+
+def test_an_empty_set_is_reported_with_its_rows(model):
+    safety_filter = make_filter(model, infeasible="least_violation")
+    fast = CLOSE.copy()
+    fast[4] = 2.0
+    context = fixed(safety_filter, fast)
+    decision = safety_filter.decision(context)
+    assert decision.status == FilterStatus.INFEASIBLE
+    assert "near" in [safety_filter.row_name(row) for row in decision.conflict]
+    assert LIMITS.contains(decision.input)
+    assert evaluate(safety_filter, context, "volume")[0] == pytest.approx(-0.02)
+    assert decision.input[0] == pytest.approx(-0.05)  # It brakes as hard as it can.
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"method": "magic"}, r"method: got 'magic'; allowed: cbf-qp, robust-cbf-qp"),
+        ({"fidelity": "exact"}, r"fidelity: got 'exact'; allowed: corrected, paper"),
+        ({"infeasible": "pray"}, r"infeasible: got 'pray'; allowed: stop, least_viol"),
+    ],
+)
+def test_unknown_choices_are_refused_with_what_is_allowed(model, options, message):
+    with pytest.raises(ValueError, match=message):
+        make_filter(model, **options)
+
+
+def test_input_set_of_another_size_is_refused(model):
+    with pytest.raises(ValueError, match="input_set: has 2 inputs; the model has 3"):
+        SafetyFilter(model, [], InputSet.box([-1, -1], [1, 1]))
+
+
+def guarded_blimp(method="dob-vcbf-qp"):
+    """The loop of a user who wires everything but the filter."""
+    builder = DiagramBuilder()
+    plant = builder.AddNamedSystem("plant", Blimp())
+    controller = builder.AddNamedSystem("pilot", BlimpController([4.0, 0.0, 1.0]))
+    wind = builder.AddSystem(DisturbanceSource([Sinusoid([0.05] * 3, 0.8, 0.0)], 10.0))
+    builder.Connect(wind.get_output_port(), plant.GetInputPort("disturbance"))
+    builder.Connect(plant.GetOutputPort("state"), controller.GetInputPort("state"))
+    added = AddSafetyFilter(
+        builder,
+        plant=plant,
+        reference=controller.GetOutputPort("reference"),
+        barriers=[SphereObstacle([2.0, 0.1, 0.5], 0.5).barrier([4.0, 3.0])],
+        input_set=InputSet.box([-0.1, -0.1, -0.01], [0.1, 0.1, 0.01]),
+        period=0.02,
+        bounds=wind.bounds,
+        method=method,
+    )
+    log = LogVectorOutput(added.filter.GetOutputPort("barriers"), builder, 0.02)
+    return builder.Build(), added, log
+
+
+@pytest.mark.parametrize("method", ["dob-vcbf-qp", "wang-xu-dob-cbf-qp", "vcbf-qp"])
+def test_add_safety_filter_keeps_a_users_loop_safe(method):
+    diagram, _, log = guarded_blimp(method)
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(10.0)
+    assert log.FindLog(simulator.get_context()).data().min() > 0.0
+
+
+def test_one_solve_a_tick_in_a_running_loop(monkeypatch):
+    calls = []
+    original = filter_qp.nearest_point
+
+    def counting(*arguments):
+        calls.append(1)
+        return original(*arguments)
+
+    monkeypatch.setattr(filter_qp, "nearest_point", counting)
+    diagram, _, log = guarded_blimp()
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(1.0)
+    ticks = log.FindLog(simulator.get_context()).num_samples()
+    assert ticks == 51
+    assert len(calls) == ticks - 1  # The barriers' last sample needs no solve.
+
+
+def test_add_safety_filter_takes_the_car_and_a_foreign_reference():
+    builder = DiagramBuilder()
+    car = builder.AddSystem(Car())
+    pedal = builder.AddSystem(ConstantVectorSource([1.0, 0.0]))
+    source = builder.AddSystem(DisturbanceSource([], num_disturbances=1))
+    builder.Connect(source.get_output_port(), car.GetInputPort("disturbance"))
+    wall = SphereObstacle([5.0, 0.0], 1.0, form="squared")
+    AddSafetyFilter(
+        builder,
+        plant=car,
+        reference=pedal.get_output_port(),
+        barriers=[wall.barrier([4.0, 3.0])],
+        input_set=InputSet.box([-4.0, -1.0], [4.0, 1.0]),
+        period=0.02,
+        bounds=DisturbanceBounds(0.0, 0.0, 0.0),
+    )
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(20.0)
+    state = car.GetOutputPort("state").Eval(
+        car.GetMyContextFromRoot(simulator.get_context())
+    )
+    assert 3.0 < state[0] < 4.0  # Full throttle, and it stands before the wall.

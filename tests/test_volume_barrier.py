@@ -1,0 +1,237 @@
+"""V_v's derivatives: against differences, and along the closed loop."""
+
+import dataclasses
+
+import numpy as np
+from pydrake.geometry.optimization import HPolyhedron
+from pydrake.systems.analysis import Simulator
+import pytest
+
+from vcbf_drake import Blimp, ControlAffineModel, InputSet, SphereObstacle
+from vcbf_drake.barriers import BarrierSet
+from vcbf_drake.safety import DisturbanceKnowledge, VolumeBarrier, inscribed_ellipsoid
+from vcbf_drake.safety.feasible_set import feasible_set
+from vcbf_drake.safety.volume_barrier import volume, volume_row
+from vcbf_drake.simulation import load_scenario, make_loop
+
+THRESHOLD = 0.02
+INPUTS = InputSet.box([-0.05, -0.2, -0.02], [0.25, 0.2, 0.02])
+
+
+@pytest.fixture(scope="module")
+def blimp():
+    model = ControlAffineModel.from_system(Blimp())
+    obstacles = [
+        SphereObstacle([1.2, 0.3, 0.1], 0.5),
+        SphereObstacle([0.9, -0.6, 0.7], 0.3, velocity=[-0.1, 0.05, 0.0]),
+        SphereObstacle([0.2, 0.4, -0.9], 0.4),
+    ]
+    return model, BarrierSet(model, [o.barrier([4.0, 3.0]) for o in obstacles])
+
+
+def random_situation(rng):
+    state = np.concatenate(
+        [
+            rng.normal(0.0, 0.15, 3),
+            [rng.uniform(-0.8, 0.8)],
+            rng.normal(0.0, 0.3, 3),
+            rng.normal(0.0, 0.3, 1),
+        ]
+    )
+    known = DisturbanceKnowledge(
+        estimate=rng.normal(0.0, 0.2, 3),
+        rate=rng.normal(0.0, 0.3, 3),
+        bound=rng.uniform(0.0, 0.2),
+        bound_rate=-rng.uniform(0.0, 0.4),
+        gain=4.0,
+    )
+    return state, rng.uniform(0.0, 1.0), known
+
+
+def drake_volume(barriers, state, time, known):
+    """V_v by Drake's own ellipsoid, in normalised inputs."""
+    feasible = feasible_set(INPUTS, barriers.rows(state, time), known)
+    ellipsoid = HPolyhedron(
+        feasible.A_v, feasible.b_v
+    ).MaximumVolumeInscribedEllipsoid()
+    return 1.0 / np.linalg.det(ellipsoid.A()) - THRESHOLD
+
+
+def evaluate(barriers, state, time, known):
+    feasible = feasible_set(INPUTS, barriers.rows(state, time), known)
+    ellipsoid = inscribed_ellipsoid(feasible.A_v, feasible.b_v)
+    return volume(ellipsoid, feasible, known, INPUTS, THRESHOLD)
+
+
+def situations(barriers, count):
+    """Seeded situations whose feasible set is cut by a barrier but not tiny."""
+    rng, found = np.random.default_rng(5), []
+    while len(found) < count:
+        situation = random_situation(rng)
+        feasible = feasible_set(INPUTS, barriers.rows(*situation[:2]), situation[2])
+        ball = HPolyhedron(feasible.A_v, feasible.b_v)
+        cut = np.any(np.linalg.norm(feasible.A_v, axis=1) > feasible.b_v + 1e-3)
+        if cut and not ball.IsEmpty() and drake_volume(barriers, *situation) > 0.1:
+            found.append(situation)
+    return found
+
+
+def test_value_agrees_with_drake(blimp):
+    _, barriers = blimp
+    for situation in situations(barriers, 10):
+        expected = drake_volume(barriers, *situation)
+        assert evaluate(barriers, *situation).value == pytest.approx(expected, abs=1e-6)
+
+
+def test_every_partial_derivative_agrees_with_central_differences(blimp):
+    _, barriers = blimp
+
+    def difference(perturbed, step):
+        return (
+            drake_volume(barriers, *perturbed(step))
+            - drake_volume(barriers, *perturbed(-step))
+        ) / (2.0 * step)
+
+    checked = 0
+    for state, time, known in situations(barriers, 12):
+        exact = evaluate(barriers, state, time, known)
+        analytic = [*exact.state, exact.time, *exact.estimate, exact.bound]
+        directions = [
+            *(
+                lambda h, e=e: (state + h * e, time, known)  # noqa: B023
+                for e in np.eye(8)
+            ),
+            lambda h: (state, time + h, known),  # noqa: B023
+            *(
+                lambda h, e=e: (
+                    state,  # noqa: B023
+                    time,  # noqa: B023
+                    dataclasses.replace(known, estimate=known.estimate + h * e),  # noqa: B023
+                )
+                for e in np.eye(3)
+            ),
+            lambda h: (state, time, dataclasses.replace(known, bound=known.bound + h)),  # noqa: B023
+        ]
+        scale = max(np.abs(analytic).max(), 0.1)
+        for value, direction in zip(analytic, directions, strict=True):
+            coarse, fine = difference(direction, 2e-4), difference(direction, 1e-4)
+            if abs(coarse - fine) > 1e-4 * scale:
+                continue  # A row comes into contact in between: no derivative there.
+            assert value == pytest.approx(fine, abs=3e-4 * scale)
+            checked += 1
+    assert checked > 100
+
+
+def test_plateau_has_no_gradient(blimp):
+    model, barriers = blimp
+    far = np.zeros(8)
+    far[0] = -50.0
+    known = DisturbanceKnowledge.constant(3, 0.1)
+    exact = evaluate(barriers, far, 0.0, known)
+    assert exact.value == pytest.approx(1.0 - THRESHOLD, abs=1e-9)
+    assert not exact.state.any()
+    a, c = volume_row(
+        exact,
+        *model.drift_and_input_matrix(far),
+        model.disturbance_matrix,
+        known,
+        gain=3.0,
+        fidelity="corrected",
+    )
+    assert not a.any()
+    assert c == pytest.approx(3.0 * exact.value)
+
+
+def test_volume_row_is_the_worst_case_of_the_total_derivative(blimp):
+    """The row's right side is the least of (E26) over |d - estimate| <= bound."""
+    model, barriers = blimp
+    rng = np.random.default_rng(3)
+    for state, time, known in situations(barriers, 10):
+        exact = evaluate(barriers, state, time, known)
+        drift, g = model.drift_and_input_matrix(state)
+        a, c = volume_row(
+            exact, drift, g, model.disturbance_matrix, known, 3.0, "corrected"
+        )
+        u = rng.uniform(-0.05, 0.05, 3)
+        errors = rng.normal(size=(4000, 3))
+        errors *= known.bound / np.linalg.norm(errors, axis=1, keepdims=True)
+        rates = [
+            exact.rate(
+                drift + g @ u + model.disturbance_matrix @ (known.estimate + error),
+                known,
+                known.estimate + error,
+            )
+            for error in errors
+        ]
+        worst = c - a @ u - 3.0 * exact.value
+        assert min(rates) >= worst - 1e-9
+        assert min(rates) == pytest.approx(worst, abs=0.02 * (1.0 + abs(worst)))
+
+
+def closed_loop(fidelity):
+    """The measured derivative of V_v along a transient, and two predictions of it.
+
+    Ticks at which the observer's sign function switches are left out: V_v has a kink
+    there, between two ticks.
+    """
+    scenario = load_scenario(
+        "blimp-single-obstacle",
+        {
+            "fidelity": fidelity,
+            "period": 1e-3,
+            "duration": 0.6,
+            # Fast towards the sphere, so that its row cuts the inputs from the start.
+            "initial_state": [0.0, 0.0, 0.1, 0.0, 0.15, 0.0, 0.1, 0.0],
+        },
+    )
+    diagram = make_loop(scenario)
+    simulator = Simulator(diagram)
+    context = simulator.get_mutable_context()
+    diagram.GetSubsystemByName("plant").GetMyMutableContextFromRoot(
+        context
+    ).SetContinuousState(scenario.initial_state)
+    safety_filter = diagram.GetSubsystemByName("filter")
+    model = safety_filter.model
+    filter_context = safety_filter.GetMyContextFromRoot(context)
+    source = diagram.GetSubsystemByName("disturbance")
+    plant = diagram.GetSubsystemByName("plant")
+    values, total, printed, rates = [], [], [], []
+    simulator.Initialize()
+    for tick in range(round(scenario.duration / scenario.period)):
+        simulator.AdvanceTo(tick * scenario.period)
+        now = safety_filter.volume(filter_context)
+        known = safety_filter.knowledge(filter_context)
+        state = plant.GetOutputPort("state").Eval(plant.GetMyContextFromRoot(context))
+        drift, g = model.drift_and_input_matrix(state)
+        u = safety_filter.decision(filter_context).input
+        d = source.value(context.get_time())
+        rate = drift + g @ u + model.disturbance_matrix @ d
+        values.append(now.value)
+        total.append(now.rate(rate, known, d))
+        printed.append(now.state @ rate + now.time + now.bound * known.bound_rate)
+        rates.append(known.rate)
+    measured = np.diff(values) / scenario.period
+    smooth = np.abs(np.diff(rates, axis=0)).max(axis=1) < 0.5 * scenario.observer.beta
+    assert smooth.mean() > 0.9
+    return measured[smooth], *(np.array(p)[:-1][smooth] for p in (total, printed))
+
+
+def relative_error(predicted, measured):
+    return np.linalg.norm(predicted - measured) / np.linalg.norm(measured)
+
+
+def test_corrected_derivative_is_the_one_that_is_measured():
+    measured, total, _ = closed_loop("corrected")
+    assert np.abs(measured).max() > 0.5  # There is something to predict.
+    assert relative_error(total, measured) < 0.02
+
+
+def test_printed_derivative_is_not_the_one_that_is_measured():
+    measured, _, printed = closed_loop("paper")
+    assert np.abs(measured).max() > 0.5
+    assert relative_error(printed, measured) > 0.1
+
+
+def test_volume_barrier_refuses_numbers_that_make_no_sense():
+    with pytest.raises(ValueError, match=r"VolumeBarrier\.gain: got -1\.0"):
+        VolumeBarrier(gain=-1.0)

@@ -1,0 +1,150 @@
+"""AddSafetyFilter: the filter, its hold and its observer around a user's own loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from pydrake.systems.framework import DiagramBuilder, InputPort, OutputPort, System
+from pydrake.systems.primitives import ZeroOrderHold
+
+from vcbf_drake.barriers import Barrier, StateInputLimit
+from vcbf_drake.disturbances import (
+    DisturbanceBounds,
+    DisturbanceObserver,
+    LinearDisturbanceObserver,
+    RiseObserver,
+)
+from vcbf_drake.plants import ControlAffineModel
+from vcbf_drake.safety.filter_qp import InfeasiblePolicy
+from vcbf_drake.safety.input_set import InputSet
+from vcbf_drake.safety.methods import Fidelity, method_named
+from vcbf_drake.safety.safety_filter import SafetyFilter, observer_ports
+from vcbf_drake.safety.volume_barrier import VolumeBarrier
+
+
+class AddedSafetyFilter(NamedTuple):
+    """The systems that `AddSafetyFilter` put into the diagram.
+
+    Attributes:
+        filter: The safety filter.
+        hold: Holds the filter's input over a control period.
+        observer: The disturbance observer; its estimate is there for the controller.
+    """
+
+    filter: SafetyFilter
+    hold: ZeroOrderHold
+    observer: DisturbanceObserver
+
+
+def AddSafetyFilter(
+    builder: DiagramBuilder,
+    *,
+    plant: System,
+    reference: OutputPort,
+    barriers: Sequence[Barrier | StateInputLimit],
+    input_set: InputSet,
+    period: float,
+    bounds: DisturbanceBounds,
+    method: str = "dob-vcbf-qp",
+    fidelity: Fidelity = "corrected",
+    infeasible: InfeasiblePolicy = "stop",
+    volume_barrier: VolumeBarrier | None = None,
+    observer: DisturbanceObserver | None = None,
+    state: OutputPort | None = None,
+    input_port: InputPort | str | int | None = None,
+    disturbance_port: InputPort | str | int | None = None,
+    model: ControlAffineModel | None = None,
+    name: str = "filter",
+) -> AddedSafetyFilter:
+    """Puts a safety filter between a controller's output and a plant's input.
+
+    Adds filter, hold and observer to the builder and connects them: state and
+    reference to the filter, the filter's input through the hold to the plant, state
+    and held input to the observer, the observer to the filter.
+
+    Args:
+        builder: Holds the plant and the controller already.
+        plant: Any control-affine Drake system; see `ControlAffineModel.from_system`.
+        reference: The controller's output port, (m,).
+        barriers: What must stay true.
+        input_set: What the actuators can do.
+        period: The control period [s].
+        bounds: delta1, delta2, delta3 of the disturbance.
+        method: One of `vcbf_drake.safety.METHODS`.
+        fidelity: ``corrected``, or ``paper`` for the equations as printed.
+        infeasible: What to apply when no input satisfies the barrier rows.
+        volume_barrier: Threshold and gain of the volume barrier.
+        observer: Used in place of the method's own with its default gains.
+        state: The measured state; the plant's output named ``state`` or its only one
+            by default.
+        input_port: The plant's input, where it has several.
+        disturbance_port: The plant's disturbance input, where it has another name.
+        model: The plant's model, when it is at hand already.
+        name: The filter's name; hold and observer are named after it.
+
+    Raises:
+        ModelError: The plant is not control affine or a barrier does not fit it.
+        ValueError: An argument is outside what is allowed.
+    """
+    model = model or ControlAffineModel.from_system(plant, input_port, disturbance_port)
+    observer = observer or _default_observer(method, model, period, bounds)
+    safety_filter = SafetyFilter(
+        model,
+        barriers,
+        input_set,
+        method=method,
+        fidelity=fidelity,
+        infeasible=infeasible,
+        volume_barrier=volume_barrier,
+        disturbance_bound=bounds.delta1,
+        estimate_gain=observer.estimate_gain,
+        hold_margin=bounds.delta2 * period if fidelity == "corrected" else 0.0,
+    )
+    builder.AddNamedSystem(name, safety_filter)
+    hold = builder.AddNamedSystem(
+        f"{name}_hold", ZeroOrderHold(period, model.num_inputs)
+    )
+    builder.AddNamedSystem(f"{name}_observer", observer)
+    if state is None:
+        state = _state_output(plant)
+    held = hold.get_output_port()
+    builder.Connect(state, safety_filter.GetInputPort("state"))
+    builder.Connect(reference, safety_filter.GetInputPort("reference"))
+    builder.Connect(safety_filter.GetOutputPort("input"), hold.get_input_port())
+    builder.Connect(held, safety_filter.GetInputPort("held_input"))
+    builder.Connect(held, _port(plant, input_port))
+    builder.Connect(state, observer.GetInputPort("state"))
+    builder.Connect(held, observer.GetInputPort("input"))
+    if safety_filter.method.disturbance == "estimated":
+        for port, _ in observer_ports(model.num_disturbances):
+            builder.Connect(
+                observer.GetOutputPort(port), safety_filter.GetInputPort(port)
+            )
+    return AddedSafetyFilter(safety_filter, hold, observer)
+
+
+def _default_observer(
+    method: str, model: ControlAffineModel, period: float, bounds: DisturbanceBounds
+) -> DisturbanceObserver:
+    if method_named(method).observer == "linear":
+        return LinearDisturbanceObserver(model, period, bounds)
+    return RiseObserver(model, period, bounds)
+
+
+def _state_output(plant: System) -> OutputPort:
+    if plant.HasOutputPort("state"):
+        return plant.GetOutputPort("state")
+    return plant.get_output_port()
+
+
+def _port(plant: System, port: InputPort | str | int | None) -> InputPort:
+    if port is None:
+        return (
+            plant.GetInputPort("input")
+            if plant.HasInputPort("input")
+            else plant.get_input_port()
+        )
+    if isinstance(port, str):
+        return plant.GetInputPort(port)
+    return plant.get_input_port(port) if isinstance(port, int) else port

@@ -1,0 +1,196 @@
+"""The hypotheses behind the guarantees, each with its numbers at one start."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from pydrake.systems.framework import Context
+
+from vcbf_drake.barriers import Barrier
+from vcbf_drake.disturbances import DisturbanceObserver, RiseObserver
+from vcbf_drake.safety.safety_filter import SafetyFilter
+
+
+@dataclass(frozen=True)
+class Assumption:
+    """One hypothesis of the lemmas and theorems.
+
+    Attributes:
+        name: A short name.
+        statement: What has to hold, in words and symbols.
+        holds: Whether it does; None when it is information that no proof needs.
+        numbers: The quantities that decide it.
+        consequence: What is lost when it does not hold.
+    """
+
+    name: str
+    statement: str
+    holds: bool | None
+    numbers: dict[str, float] = field(default_factory=dict)
+    consequence: str = ""
+
+
+def assumptions(
+    safety_filter: SafetyFilter,
+    filter_context: Context,
+    observer: DisturbanceObserver,
+    period: float,
+    noise: float = 0.0,
+) -> tuple[Assumption, ...]:
+    """Returns every hypothesis with its numbers, at the state the context holds.
+
+    Args:
+        safety_filter: The filter.
+        filter_context: Its context, input ports connected, at the start.
+        observer: The observer that feeds it.
+        period: The control period [s].
+        noise: Largest standard deviation of the noise on the disturbed states
+            [m/s].
+    """
+    method = safety_filter.method
+    found: list[Assumption] = [_bounded_inputs(safety_filter)]
+    if method.disturbance == "ignored":
+        found.append(_no_disturbance(observer))
+    if method.disturbance == "estimated":
+        found.extend(_observer_conditions(observer))
+        found.append(_known_start(noise))
+    found.append(_disturbance_relative_degree(safety_filter))
+    found.extend(_barriers_at_start(safety_filter, filter_context))
+    found.append(_authority_at_start(safety_filter, filter_context))
+    found.append(_volume_at_start(safety_filter, filter_context))
+    if method.disturbance == "estimated" and isinstance(observer, RiseObserver):
+        found.extend(_rate_orders(safety_filter, observer))
+    found.append(_sampling(period))
+    return tuple(found)
+
+
+def _bounded_inputs(safety_filter: SafetyFilter) -> Assumption:
+    scale = safety_filter.input_set.scale
+    return Assumption(
+        "bounded input set",
+        "U = {u : A_m u <= b_m} is bounded and has an interior",
+        True,
+        {"smallest half-width": float(scale.min())},
+        "the largest inscribed ellipsoid (E20) would not exist",
+    )
+
+
+def _no_disturbance(observer: DisturbanceObserver) -> Assumption:
+    delta1 = observer.bounds.delta1
+    return Assumption(
+        "no disturbance",
+        "d = 0: this method's rows ignore it",
+        delta1 == 0.0,
+        {"delta1": delta1},
+        "a barrier may become negative",
+    )
+
+
+def _observer_conditions(observer: DisturbanceObserver) -> Iterator[Assumption]:
+    for condition in observer.gain_conditions():
+        yield Assumption(
+            f"observer gain: {condition.name}",
+            "Lemma 2 (E13) in sampled time",
+            condition.holds,
+            {"left": condition.left, "right": condition.right},
+            "the error bound is not certified, so no row is",
+        )
+
+
+def _known_start(noise: float) -> Assumption:
+    return Assumption(
+        "known start",
+        "the observer starts at the true state: xtil(0) = 0 (R8)",
+        noise == 0.0,
+        {"measurement noise": noise},
+        "the error bound is calibrated, not proven",
+    )
+
+
+def _disturbance_relative_degree(safety_filter: SafetyFilter) -> Assumption:
+    return Assumption(
+        "disturbance relative degree",
+        "no barrier meets the disturbance before the input (R2)",
+        True,
+        {"barriers": float(safety_filter.barrier_set.size)},
+        "h' and phi_1 would be unknown (checked when the filter is built)",
+    )
+
+
+def _barriers_at_start(
+    safety_filter: SafetyFilter, context: Context
+) -> Iterator[Assumption]:
+    rows = safety_filter.feasible_set(context).rows
+    for name, chain in zip(safety_filter.barrier_set.names, rows.chain, strict=True):
+        if len(chain) == 0:
+            continue
+        yield Assumption(
+            f"start inside: {name}",
+            "phi_k(0) >= 0 for every k (E3), the largest decay rate first (R21)",
+            bool(np.all(chain >= 0.0)),
+            {f"phi_{k}": float(value) for k, value in enumerate(chain)},
+            "Theorem 1 does not apply to this barrier: it may become negative",
+        )
+
+
+def _authority_at_start(safety_filter: SafetyFilter, context: Context) -> Assumption:
+    rows = safety_filter.feasible_set(context).rows
+    authority = np.linalg.norm(rows.A * safety_filter.input_set.scale, axis=1)
+    least = float(authority.min(initial=np.inf))
+    return Assumption(
+        "input authority",
+        "every row has an input that moves it: L_g L_f^(r-1) h != 0 (R33)",
+        least > 1e-9,
+        {"least authority": least},
+        "a row without authority is infeasible as soon as its right side is negative",
+    )
+
+
+def _volume_at_start(safety_filter: SafetyFilter, context: Context) -> Assumption:
+    v = safety_filter.volume(context)
+    value = np.nan if v is None else v.value
+    holds = bool(value > 0.0)
+    return Assumption(
+        "volume at the start",
+        "V_v(0) > 0 (Theorem 2)",
+        holds if safety_filter.method.volume else None,
+        {"V_v(0)": value, "threshold": safety_filter.volume_barrier.threshold},
+        "the feasible set starts smaller than the volume barrier wants it",
+    )
+
+
+def _rate_orders(
+    safety_filter: SafetyFilter, observer: RiseObserver
+) -> Iterator[Assumption]:
+    decay = observer.decay_rate
+    slowest = min(
+        (b.decay_rates[-1] for b in safety_filter.barriers if isinstance(b, Barrier)),
+        default=np.nan,
+    )
+    yield Assumption(
+        "lambda_V >= lambda_r",
+        "asked for by Theorem 1 as printed; its proof does not need it (R21)",
+        None,
+        {"lambda_V": decay, "lambda_r": float(slowest)},
+        "nothing",
+    )
+    if safety_filter.method.volume:
+        yield Assumption(
+            "lambda_V >= lambda_Vv",
+            "asked for by Theorem 2 as printed; its proof does not need it (R36)",
+            None,
+            {"lambda_V": decay, "lambda_Vv": safety_filter.volume_barrier.gain},
+            "nothing",
+        )
+
+
+def _sampling(period: float) -> Assumption:
+    return Assumption(
+        "sampled input",
+        "the theorems are for continuous time; the input is held over a period",
+        None,
+        {"period": period},
+        "barriers may dip between ticks by an amount of the order of the period",
+    )

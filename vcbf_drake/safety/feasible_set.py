@@ -1,0 +1,103 @@
+"""The inputs a QP may choose from: input limits and robust barrier rows together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vcbf_drake.barriers import BarrierRows
+from vcbf_drake.errors import Array
+from vcbf_drake.safety.input_set import InputSet
+
+
+@dataclass(frozen=True)
+class DisturbanceKnowledge:
+    """What is known of the disturbance d at one time: ``|d - estimate| <= bound``.
+
+    Attributes:
+        estimate: The estimate, shape (q,) [m/s^2].
+        rate: The part of its time derivative that does not depend on the unknown
+            error, shape (q,) [m/s^3].
+        bound: The bound on the error's norm [m/s^2].
+        bound_rate: The bound's time derivative [m/s^3].
+        gain: How strongly the unknown error drives the estimate [1/s]:
+            d(estimate)/dt = rate + gain (d - estimate).
+    """
+
+    estimate: Array
+    rate: Array
+    bound: float
+    bound_rate: float
+    gain: float
+
+    @staticmethod
+    def constant(num_disturbances: int, bound: float) -> DisturbanceKnowledge:
+        """Returns what is known without an observer: a fixed ball around zero."""
+        zero = np.zeros(num_disturbances)
+        return DisturbanceKnowledge(zero, zero, bound, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class FeasibleSet:
+    """The polytope ``{u : A u <= b}`` of (E18), with the barrier rows it came from.
+
+    The first rows are the input set's, then follows one row per barrier. The same set
+    in normalised inputs v, u = center + scale * v, is ``{v : A_v v <= b_v}``.
+
+    Attributes:
+        A: Shape (k + N, m).
+        b: The right-hand sides, the disturbance's margin included, shape (k + N,).
+        A_v: `A` in normalised inputs, shape (k + N, m).
+        b_v: `b` in normalised inputs, shape (k + N,).
+        rows: The barrier rows.
+        num_input_rows: k, how many rows limit the input whatever the state.
+        cutting: Indices of the rows that can matter: the input set's, and the barrier
+            rows that cut its bounding box |v_j| <= 1. The others hold for every input.
+    """
+
+    A: Array
+    b: Array
+    A_v: Array
+    b_v: Array
+    rows: BarrierRows
+    num_input_rows: int
+    cutting: NDArray[np.intp]
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether every number in the rows is finite."""
+        return bool(np.isfinite(self.A).all() and np.isfinite(self.b).all())
+
+
+def disturbance_margin(rows: BarrierRows, known: DisturbanceKnowledge) -> Array:
+    """Returns Lambda, the certified lower bound of w'd per row (E16), shape (N,)."""
+    return rows.w @ known.estimate - np.linalg.norm(rows.w, axis=1) * known.bound
+
+
+def feasible_set(
+    input_set: InputSet, rows: BarrierRows, known: DisturbanceKnowledge
+) -> FeasibleSet:
+    """Returns the feasible set of (E18): A u <= b + Delta b.
+
+    Args:
+        input_set: The inputs the actuators can produce.
+        rows: The barriers' rows at one state and time.
+        known: What is known of the disturbance there.
+    """
+    k = len(input_set.b)
+    b = rows.b + disturbance_margin(rows, known)
+    A_v = rows.A * input_set.scale
+    b_v = b - rows.A @ input_set.center
+    return FeasibleSet(
+        A=np.concatenate([input_set.A, rows.A]),
+        b=np.concatenate([input_set.b, b]),
+        A_v=np.concatenate([input_set.A_normalised, A_v]),
+        b_v=np.concatenate([input_set.b_normalised, b_v]),
+        rows=rows,
+        num_input_rows=k,
+        cutting=np.concatenate(
+            [np.arange(k), k + np.flatnonzero(b_v < np.abs(A_v).sum(axis=1))]
+        ),
+    )

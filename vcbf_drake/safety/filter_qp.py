@@ -1,0 +1,216 @@
+"""The filter's QP, verified, and what happens at a tick when it has no solution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Literal
+
+import numpy as np
+
+from vcbf_drake.errors import Array, EmptySetError, SolverError
+from vcbf_drake.safety.feasible_set import FeasibleSet
+from vcbf_drake.safety.input_set import InputSet
+from vcbf_drake.safety.linear_program import minimise_linear
+from vcbf_drake.safety.methods import Fidelity
+from vcbf_drake.safety.nearest_point import nearest_point
+from vcbf_drake.safety.polytope import emptiness_certificate
+
+InfeasiblePolicy = Literal["stop", "least_violation", "hold"]
+
+INFEASIBLE_POLICIES: tuple[InfeasiblePolicy, ...] = ("stop", "least_violation", "hold")
+
+# A reference this many input ranges away is as good as one infinitely far.
+_FARTHEST_REFERENCE = 1e6
+# A minimal relaxation leaves a set without interior; this opens it for the QP.
+_OPENING = 1e-9
+
+
+class FilterStatus(IntEnum):
+    """What the filter did at a tick."""
+
+    REFERENCE = 0
+    """The reference satisfied every row and passed through untouched."""
+    FILTERED = 1
+    """The nearest input that satisfies every row."""
+    RELAXED = 2
+    """No input satisfies the volume row too; it gave way by the least slack."""
+    INFEASIBLE = 3
+    """No input satisfies the barrier rows, by certificate; the policy chose."""
+    FAILED = 4
+    """Data were not finite or no solver's answer was verified; the fallback acts."""
+
+
+@dataclass(frozen=True)
+class VolumeRow:
+    """The volume barrier's condition a u <= c.
+
+    Attributes:
+        a: Shape (m,).
+        c: The right-hand side.
+        slack_penalty: M of (E24), for fidelity ``paper``.
+    """
+
+    a: Array
+    c: float
+    slack_penalty: float
+
+
+@dataclass(frozen=True)
+class FilterDecision:
+    """The input that leaves the filter, finite and inside the input set.
+
+    Attributes:
+        input: Shape (m,).
+        status: How it was found.
+        slack: delta of (E24): how far the volume row gave way, 0 when it did not.
+        conflict: When infeasible, rows of the feasible set that exclude each other.
+    """
+
+    input: Array
+    status: FilterStatus
+    slack: float = 0.0
+    conflict: tuple[int, ...] = ()
+
+
+def choose_input(
+    feasible: FeasibleSet,
+    volume_row: VolumeRow | None,
+    reference: Array,
+    held_input: Array,
+    input_set: InputSet,
+    fidelity: Fidelity,
+    policy: InfeasiblePolicy,
+) -> FilterDecision:
+    """Returns the feasible input nearest to the reference, (E19) or (E24), (E25).
+
+    Fidelity ``corrected`` keeps the volume row hard and relaxes it, by as little as
+    possible, only when no input satisfies it together with the other rows; ``paper``
+    adds the printed penalty M delta^2.
+
+    Args:
+        feasible: Input limits and barrier rows.
+        volume_row: The volume barrier's row; None leaves it out.
+        reference: The controller's input, shape (m,).
+        held_input: The input applied now, shape (m,); for the fallbacks.
+        input_set: The inputs the actuators can produce.
+        fidelity: How the volume row may give way.
+        policy: What to apply when the barrier rows have no solution.
+    """
+    if not (feasible.is_finite and np.isfinite(reference).all()):
+        return FilterDecision(input_set.project(held_input), FilterStatus.FAILED)
+    A, b = feasible.A_v[feasible.cutting], feasible.b_v[feasible.cutting]
+    v_reference = np.clip(
+        (reference - input_set.center) / input_set.scale,
+        -_FARTHEST_REFERENCE,
+        _FARTHEST_REFERENCE,
+    )
+    try:
+        if volume_row is None:
+            v, slack, status = _hard(A, b, v_reference), 0.0, None
+        else:
+            a = volume_row.a * input_set.scale
+            c = volume_row.c - float(volume_row.a @ input_set.center)
+            solve = _with_penalty if fidelity == "paper" else _hard_first
+            v, slack, status = solve(A, b, a, c, volume_row.slack_penalty, v_reference)
+    except EmptySetError:
+        return _infeasible(feasible, v_reference, held_input, input_set, policy)
+    except SolverError:
+        return _failed(feasible, v_reference, held_input, input_set)
+    if v is v_reference:
+        return FilterDecision(reference, FilterStatus.REFERENCE)
+    u = input_set.project(input_set.center + input_set.scale * v)
+    return FilterDecision(u, status or FilterStatus.FILTERED, slack)
+
+
+def _hard(A: Array, b: Array, reference: Array) -> Array:
+    return nearest_point(A, b, reference).point
+
+
+_Solution = tuple[Array, float, FilterStatus | None]
+
+
+def _hard_first(
+    A: Array, b: Array, a: Array, c: float, _: float, reference: Array
+) -> _Solution:
+    """The volume row as a constraint; relaxed only where it leaves nothing (E25)."""
+    all_A, all_b = np.vstack([A, a]), np.append(b, c)
+    try:
+        return _hard(all_A, all_b, reference), 0.0, None
+    except EmptySetError:
+        v = _hard(A, b, reference)  # Empty without it too?
+    if np.any(a):
+        v = minimise_linear(a, A, b)
+        all_b[-1] = a @ v + _OPENING * (1.0 + abs(c))
+        try:
+            v = _hard(all_A, all_b, reference)
+        except (EmptySetError, SolverError):
+            pass  # The linear program's own minimiser is a solution too.
+    return v, min(0.0, c - float(a @ v)), FilterStatus.RELAXED
+
+
+def _with_penalty(
+    A: Array, b: Array, a: Array, c: float, penalty: float, reference: Array
+) -> _Solution:
+    """The volume row with the free slack delta at the cost M delta^2 (E24).
+
+    In the variables (v, sqrt(M) delta) the cost is a distance again.
+    """
+    root = float(np.sqrt(penalty))
+    all_A = np.block([[A, np.zeros((len(b), 1))], [a, 1.0 / root]])
+    augmented = np.append(reference, 0.0)
+    solution = _hard(all_A, np.append(b, c), augmented)
+    if solution is augmented:
+        return reference, 0.0, None
+    slack = float(solution[-1]) / root
+    return solution[:-1], slack, FilterStatus.RELAXED if slack < 0.0 else None
+
+
+def _infeasible(
+    feasible: FeasibleSet,
+    reference: Array,
+    held_input: Array,
+    input_set: InputSet,
+    policy: InfeasiblePolicy,
+) -> FilterDecision:
+    certificate = emptiness_certificate(feasible.A_v, feasible.b_v)
+    conflict = () if certificate is None else tuple(int(i) for i in certificate.rows)
+    if policy == "hold":
+        u = input_set.project(held_input)
+    else:
+        u = _least_violation(feasible, reference, held_input, input_set)
+    return FilterDecision(u, FilterStatus.INFEASIBLE, 0.0, conflict)
+
+
+def _failed(
+    feasible: FeasibleSet, reference: Array, held_input: Array, input_set: InputSet
+) -> FilterDecision:
+    u = _least_violation(feasible, reference, held_input, input_set)
+    return FilterDecision(u, FilterStatus.FAILED)
+
+
+def _least_violation(
+    feasible: FeasibleSet, reference: Array, held_input: Array, input_set: InputSet
+) -> Array:
+    """The input within its limits whose worst barrier violation is least.
+
+    Among those, the one nearest to the reference.
+    """
+    k = feasible.num_input_rows
+    weight = np.zeros(len(feasible.b_v))
+    weight[k:] = 1.0
+    A = np.column_stack([feasible.A_v, -weight])
+    no_reward = np.append(np.zeros(A.shape[1] - 1), -1.0)  # violation >= 0
+    cost = np.append(np.zeros(A.shape[1] - 1), 1.0)
+    try:
+        solution = minimise_linear(
+            cost, np.vstack([A, no_reward]), np.append(feasible.b_v, 0.0)
+        )
+        v, violation = solution[:-1], solution[-1]
+        relaxed = feasible.b_v + weight * (violation + _OPENING * (1.0 + violation))
+        v = _hard(feasible.A_v, relaxed, reference)
+    except EmptySetError:
+        pass  # The linear program's own minimiser is a solution too.
+    except SolverError:
+        return input_set.project(held_input)
+    return input_set.project(input_set.center + input_set.scale * v)

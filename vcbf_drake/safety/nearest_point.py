@@ -1,0 +1,202 @@
+"""The point of a polytope nearest to a reference: the QP behind every filter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from pydrake.solvers import (
+    ClarabelSolver,
+    MathematicalProgram,
+    NloptSolver,
+    SnoptSolver,
+    SolverInterface,
+    SolverOptions,
+)
+
+from vcbf_drake.errors import Array, EmptySetError, SolverError
+from vcbf_drake.safety.polytope import emptiness_certificate
+
+# A verified solution leaves no row, measured as a distance, by more than this.
+FEASIBILITY_TOLERANCE = 1e-9
+# Its duality gap, relative to the size of the cost's terms, is at most this.
+GAP_TOLERANCE = 1e-9
+# Rows this close to a solver's answer may be active; the wider reach forgives a
+# solver's tolerance, the narrower one keeps apart rows that nearly meet.
+_TOUCHING = (1e-7, 1e-4)
+
+
+@dataclass(frozen=True)
+class NearestPoint:
+    """A verified solution v of min 1/2 |v - reference|^2 subject to ``A v <= b``.
+
+    Attributes:
+        point: The minimiser v, shape (m,).
+        multipliers: Of the rows as given, nonnegative, shape (n,).
+    """
+
+    point: Array
+    multipliers: Array
+
+
+def nearest_point(A: Array, b: Array, reference: Array) -> NearestPoint:
+    """Returns the point of ``{v : A v <= b}`` nearest to the reference.
+
+    A reference inside the set is returned untouched. Any other answer is verified by
+    the optimality conditions v = reference - A'y, y >= 0, A v <= b, y'(b - A v) = 0.
+
+    Args:
+        A: The rows, shape (n, m).
+        b: The right-hand sides, shape (n,).
+        reference: The point to stay close to, shape (m,).
+
+    Raises:
+        EmptySetError: No point satisfies the rows; certified, not guessed.
+        SolverError: No solver's answer could be verified.
+    """
+    if np.all(A @ reference <= b):
+        return NearestPoint(reference, np.zeros(len(b)))
+    length = np.sqrt(np.einsum("ij,ij->i", A, A))
+    live = length > 1e-12 * max(1.0, float(length.max(initial=0.0)))
+    if np.any(b[~live] < 0.0):
+        _raise_if_empty(A, b)
+    rows, bounds = A[live] / length[live, None], b[live] / length[live]
+    for attempt, (solver, options) in enumerate(_solvers()):
+        guess = _program(*rows.shape).solve(solver, options, rows, bounds, reference)
+        solution = _polish(rows, bounds, reference, guess)
+        if solution is not None:
+            multipliers = np.zeros(len(b))
+            multipliers[live] = solution.multipliers / length[live]
+            return NearestPoint(solution.point, multipliers)
+        if attempt == 0:
+            _raise_if_empty(A, b)
+    raise SolverError("no solver's answer to the QP could be verified", A, b)
+
+
+def _raise_if_empty(A: Array, b: Array) -> None:
+    certificate = emptiness_certificate(A, b)
+    if certificate is not None:
+        raise EmptySetError(A, b, certificate.inradius)
+
+
+def _polish(A: Array, b: Array, reference: Array, guess: Array) -> NearestPoint | None:
+    """Solves the optimality conditions exactly on the rows that the guess touches.
+
+    Returns None when the result is not an optimum: the guess was wrong.
+    """
+    for touching in _TOUCHING:
+        active = np.flatnonzero(b - A @ guess < touching)
+        multipliers = np.zeros(len(b))
+        multipliers[active] = _active_set(A[active], b[active], reference)
+        point = reference - multipliers @ A
+        if _is_optimal(A, b, point, multipliers):
+            return NearestPoint(point, multipliers)
+    return None
+
+
+def _is_optimal(A: Array, b: Array, point: Array, multipliers: Array) -> bool:
+    """Whether a point reference - A'y, y >= 0, is the projection, to the tolerances."""
+    slack = b - A @ point
+    scale = 1.0 + multipliers @ np.abs(b)
+    return bool(
+        slack.min() >= -FEASIBILITY_TOLERANCE
+        and abs(multipliers @ slack) <= GAP_TOLERANCE * scale
+    )
+
+
+def _active_set(A: Array, b: Array, reference: Array) -> Array:
+    """Returns the y >= 0 that minimises 1/2 |A'y|^2 - y'(A reference - b).
+
+    The dual of the projection, for a few rows, by Lawson and Hanson's active-set
+    iterations, which end after finitely many.
+    """
+    gram, violation = A @ A.T, A @ reference - b
+    y = _restricted_minimiser(gram, violation, np.ones(len(b), dtype=bool))
+    residual = np.abs(gram @ y - violation).max(initial=0.0)
+    if y.min(initial=0.0) >= 0.0 and residual <= 1e-12 * (
+        1.0 + np.abs(b).max(initial=0.0)
+    ):
+        return y  # Every row is active: the usual case.
+    y = np.zeros(len(b))
+    active = np.zeros(len(b), dtype=bool)
+    for _ in range(10 * len(b)):
+        gradient = np.where(active, -np.inf, violation - gram @ y)
+        if active.all() or gradient.max() <= 1e-12:
+            break
+        active[np.argmax(gradient)] = True
+        target = _restricted_minimiser(gram, violation, active)
+        while target.min() < 0.0:  # Walk towards the target; drop what blocks.
+            falling = active & (target <= 0.0)
+            step = np.min(y[falling] / (y[falling] - target[falling]))
+            y = y + step * (target - y)
+            active &= ~(falling & (y <= 1e-14))
+            y[~active] = 0.0
+            target = _restricted_minimiser(gram, violation, active)
+        y = target
+    return y
+
+
+def _restricted_minimiser(gram: Array, violation: Array, active: Array) -> Array:
+    y = np.zeros(len(violation))
+    index = active.nonzero()[0]
+    if len(index) == 1:
+        y[index] = violation[index] / gram[index, index]
+    elif len(index) > 1:
+        y[index] = np.linalg.lstsq(
+            gram[index[:, None], index], violation[index], rcond=1e-11
+        )[0]
+    return y
+
+
+class _Program:
+    """The QP as a MathematicalProgram of fixed size; every solve overwrites it all."""
+
+    def __init__(self, num_rows: int, num_variables: int) -> None:
+        self._program = MathematicalProgram()
+        self._v = self._program.NewContinuousVariables(num_variables)
+        self._identity = np.eye(num_variables)
+        self._below = np.full(num_rows, -np.inf)
+        self._cost = self._program.AddQuadraticCost(
+            self._identity, np.zeros(num_variables), self._v, is_convex=True
+        ).evaluator()
+        self._rows = self._program.AddLinearConstraint(
+            np.ones((num_rows, num_variables)),
+            self._below,
+            np.zeros(num_rows),
+            self._v,
+        ).evaluator()
+
+    def solve(
+        self,
+        solver: SolverInterface,
+        options: SolverOptions,
+        A: Array,
+        b: Array,
+        reference: Array,
+    ) -> Array:
+        self._cost.UpdateCoefficients(self._identity, -reference)
+        self._rows.UpdateCoefficients(A, self._below, b)
+        result = solver.Solve(self._program, np.zeros(len(reference)), options)
+        point: Array = result.GetSolution(self._v)
+        return point
+
+
+@lru_cache(maxsize=256)
+def _program(num_rows: int, num_variables: int) -> _Program:
+    return _Program(num_rows, num_variables)
+
+
+@lru_cache(maxsize=1)
+def _solvers() -> tuple[tuple[SolverInterface, SolverOptions], ...]:
+    """Returns the solvers in the order in which they are tried.
+
+    Clarabel with its default step length cycles on some feasible QPs without slack.
+    """
+    shorter_steps = SolverOptions()
+    shorter_steps.SetOption(ClarabelSolver.id(), "max_step_fraction", 0.9)
+    return (
+        (NloptSolver(), SolverOptions()),
+        (ClarabelSolver(), shorter_steps),
+        (SnoptSolver(), SolverOptions()),
+    )

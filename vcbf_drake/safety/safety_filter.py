@@ -1,0 +1,410 @@
+"""SafetyFilter: one control tick of the method as a Drake system."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import (
+    BasicVector,
+    CacheEntry,
+    Context,
+    DependencyTicket,
+    InputPort,
+    LeafSystem,
+    OutputPort,
+    ValueProducer,
+)
+
+from vcbf_drake.barriers import Barrier, BarrierSet, StateInputLimit
+from vcbf_drake.errors import Array, EmptySetError, SolverError
+from vcbf_drake.plants import ControlAffineModel
+from vcbf_drake.safety.ellipsoid import Ellipsoid, InscribedEllipsoidSolver
+from vcbf_drake.safety.feasible_set import (
+    DisturbanceKnowledge,
+    FeasibleSet,
+    feasible_set,
+)
+from vcbf_drake.safety.filter_qp import (
+    INFEASIBLE_POLICIES,
+    FilterDecision,
+    FilterStatus,
+    InfeasiblePolicy,
+    VolumeRow,
+    choose_input,
+)
+from vcbf_drake.safety.input_set import InputSet
+from vcbf_drake.safety.methods import FIDELITIES, Fidelity, method_named
+from vcbf_drake.safety.volume_barrier import (
+    Volume,
+    VolumeBarrier,
+    volume,
+    volume_row,
+)
+
+T = TypeVar("T")
+
+
+class SafetyFilter(LeafSystem):
+    r"""Changes a reference input as little as possible so that every barrier holds.
+
+    .. pydrake_system::
+
+        name: SafetyFilter
+        input_ports:
+        - state
+        - reference
+        - disturbance_estimate (optional)
+        - estimate_rate (optional)
+        - error_bound (optional)
+        - error_bound_rate (optional)
+        - held_input (optional)
+        output_ports:
+        - input
+        - volume
+        - slack
+        - barriers
+        - status
+        - feasible_set
+
+    At every evaluation it solves (E19), or (E24) when the method has a volume row:
+
+    .. math:: \min_u |u - u_{ref}|^2 \quad \text{s.t.} \quad A u \le b + \Delta b,
+              \quad \dot V_v \ge -\lambda_{Vv} V_v
+
+    The norm is that of the normalised inputs (u - center) / scale of the input set.
+    The system is pure: its outputs are functions of its input ports and the time
+    alone, computed once and cached. Put a ZeroOrderHold behind `input`;
+    `AddSafetyFilter` does.
+
+    | port | size | what |
+    | --- | --- | --- |
+    | ``state`` | n | the measured state |
+    | ``reference`` | m | what the controller would apply |
+    | ``disturbance_estimate`` | q | the observer's estimate [m/s^2] |
+    | ``estimate_rate`` | q | the known part of its derivative [m/s^3] |
+    | ``error_bound`` | 1 | a bound on the estimate's error [m/s^2] |
+    | ``error_bound_rate`` | 1 | its derivative [m/s^3] |
+    | ``held_input`` | m | the input applied now; read by the fallbacks only |
+    | ``input`` | m | finite and inside the input set, always |
+    | ``volume`` | 1 | V_v of (E21); -threshold when the set is empty, nan on failure |
+    | ``slack`` | 1 | delta of (E24), at most 0; 0 unless the volume row gave way |
+    | ``barriers`` | N | h_i; nan for a state-dependent input limit |
+    | ``status`` | 1 | a `FilterStatus` |
+    | ``feasible_set`` | | A, b, ellipsoid: see `unpack_feasible_set` |
+
+    Methods without an observer declare no estimate ports.
+    """
+
+    def __init__(
+        self,
+        model: ControlAffineModel,
+        barriers: Sequence[Barrier | StateInputLimit],
+        input_set: InputSet,
+        *,
+        method: str = "dob-vcbf-qp",
+        fidelity: Fidelity = "corrected",
+        infeasible: InfeasiblePolicy = "stop",
+        volume_barrier: VolumeBarrier | None = None,
+        disturbance_bound: float = 0.0,
+        estimate_gain: float = 0.0,
+        hold_margin: float = 0.0,
+    ) -> None:
+        """Declares ports and cache entries.
+
+        Args:
+            model: The plant's f, g, E.
+            barriers: What must stay true, one row each.
+            input_set: What the actuators can do.
+            method: One of `vcbf_drake.safety.METHODS`.
+            fidelity: ``corrected``, or ``paper`` for the equations as printed.
+            infeasible: What to apply when no input satisfies the barrier rows.
+            volume_barrier: Threshold and gain of the volume barrier.
+            disturbance_bound: delta1, for the methods that take the worst case
+                [m/s^2].
+            estimate_gain: The observer's `estimate_gain` [1/s].
+            hold_margin: How far the disturbance can move while one input is held,
+                delta2 times the control period; added to the error bound (E39)
+                [m/s^2].
+
+        Raises:
+            ValueError: An argument is outside what is allowed.
+            ModelError: A barrier does not fit the model.
+        """
+        super().__init__()
+        self.method = method_named(method)
+        if fidelity not in FIDELITIES:
+            raise ValueError(
+                f"fidelity: got {fidelity!r}; allowed: {', '.join(FIDELITIES)}"
+            )
+        if infeasible not in INFEASIBLE_POLICIES:
+            raise ValueError(
+                f"infeasible: got {infeasible!r};"
+                f" allowed: {', '.join(INFEASIBLE_POLICIES)}"
+            )
+        if input_set.num_inputs != model.num_inputs:
+            raise ValueError(
+                f"input_set: has {input_set.num_inputs} inputs;"
+                f" the model has {model.num_inputs}"
+            )
+        self.model = model
+        self.barriers = tuple(barriers)
+        self.barrier_set = BarrierSet(model, barriers)
+        self.input_set = input_set
+        self.volume_barrier = volume_barrier or VolumeBarrier()
+        self.fidelity: Fidelity = fidelity
+        self.infeasible: InfeasiblePolicy = infeasible
+        self._worst_case = disturbance_bound
+        self._estimate_gain = estimate_gain
+        self._hold_margin = hold_margin
+        self._ellipsoid_solver = InscribedEllipsoidSolver(input_set)
+        self._declare_inputs()
+        self._declare_cache_entries()
+        self._declare_outputs()
+
+    def _declare_inputs(self) -> None:
+        m, q = self.model.num_inputs, self.model.num_disturbances
+        self._state = self.DeclareVectorInputPort("state", self.model.num_states)
+        self._reference = self.DeclareVectorInputPort("reference", m)
+        self._held_input = self.DeclareVectorInputPort("held_input", m)
+        self._observer_ports: tuple[InputPort, ...] = ()
+        if self.method.disturbance == "estimated":
+            self._observer_ports = tuple(
+                self.DeclareVectorInputPort(name, size)
+                for name, size in observer_ports(q)
+            )
+
+    def _declare_cache_entries(self) -> None:
+        known = {port.ticket() for port in self._observer_ports}
+        at_state = {self._state.ticket(), self.time_ticket()}
+        self._feasible_entry = self._entry(
+            "feasible set", self._calc_feasible_set, at_state | known
+        )
+        self._volume_entry = self._entry(
+            "volume", self._calc_volume, {self._feasible_entry.ticket()}
+        )
+        needs = {
+            self._feasible_entry.ticket(),
+            self._reference.ticket(),
+            self._held_input.ticket(),
+        }
+        if self.method.volume:
+            needs.add(self._volume_entry.ticket())
+        self._decision_entry = self._entry("decision", self._calc_decision, needs)
+
+    def _entry(
+        self,
+        name: str,
+        calc: Callable[[Context], object],
+        needs: set[DependencyTicket],
+    ) -> CacheEntry:
+        producer = ValueProducer(
+            allocate=lambda: Value[object](),
+            calc=lambda context, value: value.set_value(calc(context)),
+        )
+        return self.DeclareCacheEntry(name, producer, needs)
+
+    def _declare_outputs(self) -> None:
+        m, n_rows = self.model.num_inputs, self.num_rows
+        self._output("input", m, lambda c: self.decision(c).input, self._decision_entry)
+        self._output(
+            "slack", 1, lambda c: [self.decision(c).slack], self._decision_entry
+        )
+        self._output(
+            "status", 1, lambda c: [self.decision(c).status], self._decision_entry
+        )
+        self._output("volume", 1, self._calc_volume_value, self._volume_entry)
+        self._output(
+            "barriers",
+            self.barrier_set.size,
+            lambda c: self.feasible_set(c).rows.value,
+            self._feasible_entry,
+        )
+        self._output(
+            "feasible_set",
+            n_rows * (m + 1) + m * (m + 1),
+            self._calc_packed_feasible_set,
+            self._volume_entry,
+        )
+
+    def _output(
+        self,
+        name: str,
+        size: int,
+        calc: Callable[[Context], object],
+        entry: CacheEntry,
+    ) -> OutputPort:
+        def write(context: Context, output: BasicVector) -> None:
+            output.SetFromVector(calc(context))
+
+        return self.DeclareVectorOutputPort(name, size, write, {entry.ticket()})
+
+    @property
+    def num_rows(self) -> int:
+        """How many rows the feasible set has: input limits, then barriers."""
+        return len(self.input_set.b) + self.barrier_set.size
+
+    def knowledge(self, context: Context) -> DisturbanceKnowledge:
+        """Returns what this method takes as known of the disturbance."""
+        if self.method.disturbance != "estimated":
+            bound = self._worst_case if self.method.disturbance == "worst_case" else 0.0
+            return DisturbanceKnowledge.constant(self.model.num_disturbances, bound)
+        estimate, rate, bound, bound_rate = (
+            port.Eval(context) for port in self._observer_ports
+        )
+        return DisturbanceKnowledge(
+            estimate,
+            rate,
+            float(bound[0]) + self._hold_margin,
+            float(bound_rate[0]),
+            self._estimate_gain,
+        )
+
+    def feasible_set(self, context: Context) -> FeasibleSet:
+        """Returns the feasible set at the context's state and time."""
+        value: FeasibleSet = self._feasible_entry.Eval(context)
+        return value
+
+    def volume(self, context: Context) -> Volume | None:
+        """Returns V_v with its derivatives; None when it could not be computed."""
+        value: Volume | None = self._volume_entry.Eval(context)
+        return value
+
+    def decision(self, context: Context) -> FilterDecision:
+        """Returns the chosen input and how it was found."""
+        value: FilterDecision = self._decision_entry.Eval(context)
+        return value
+
+    def row_name(self, row: int) -> str:
+        """Returns what a row of the feasible set stands for."""
+        k, m = len(self.input_set.b), self.model.num_inputs
+        if row >= k:
+            return self.barrier_set.names[row - k]
+        if not self.input_set.is_box:
+            return f"input limit {row}"
+        return f"{'upper' if row < m else 'lower'} limit of input {row % m}"
+
+    def _calc_feasible_set(self, context: Context) -> FeasibleSet:
+        rows = self.barrier_set.rows(self._state.Eval(context), context.get_time())
+        return feasible_set(self.input_set, rows, self.knowledge(context))
+
+    def _calc_volume(self, context: Context) -> Volume | None:
+        feasible = self.feasible_set(context)
+        if not feasible.is_finite:
+            return None
+        threshold = self.volume_barrier.threshold
+        k = feasible.num_input_rows
+        try:
+            ellipsoid = self._ellipsoid_solver.solve(feasible.A_v[k:], feasible.b_v[k:])
+        except EmptySetError:
+            return Volume.vanished(
+                self.model.num_states, self.model.num_disturbances, threshold
+            )
+        except SolverError:
+            return None
+        return volume(
+            ellipsoid, feasible, self.knowledge(context), self.input_set, threshold
+        )
+
+    def _calc_decision(self, context: Context) -> FilterDecision:
+        reference = self._reference.Eval(context)
+        held = (
+            self._held_input.Eval(context)
+            if self._held_input.HasValue(context)
+            else np.zeros(self.model.num_inputs)
+        )
+        row, failed = None, False
+        if self.method.volume:
+            v = self.volume(context)
+            failed = v is None
+            row = None if v is None else self._volume_row(context, v)
+        decision = choose_input(
+            self.feasible_set(context),
+            row,
+            reference,
+            held,
+            self.input_set,
+            self.fidelity,
+            self.infeasible,
+        )
+        if failed:
+            return FilterDecision(decision.input, FilterStatus.FAILED)
+        return decision
+
+    def _volume_row(self, context: Context, v: Volume) -> VolumeRow:
+        drift, input_matrix = self.model.drift_and_input_matrix(
+            self._state.Eval(context)
+        )
+        a, c = volume_row(
+            v,
+            drift,
+            input_matrix,
+            self.model.disturbance_matrix,
+            self.knowledge(context),
+            self.volume_barrier.gain,
+            self.fidelity,
+        )
+        return VolumeRow(a, c, self.volume_barrier.slack_penalty)
+
+    def _calc_volume_value(self, context: Context) -> list[float]:
+        v = self.volume(context)
+        return [np.nan if v is None else v.value]
+
+    def _calc_packed_feasible_set(self, context: Context) -> Array:
+        feasible, v = self.feasible_set(context), self.volume(context)
+        m = self.model.num_inputs
+        shape, center = np.full((m, m), np.nan), np.full(m, np.nan)
+        if v is not None and v.ellipsoid is not None:
+            shape, center = self._in_physical_inputs(v.ellipsoid)
+        return np.concatenate([feasible.A.ravel(), feasible.b, shape.ravel(), center])
+
+    def _in_physical_inputs(self, ellipsoid: Ellipsoid) -> tuple[Array, Array]:
+        scaled = self.input_set.scale[:, None] * ellipsoid.shape
+        eigenvalues, axes = np.linalg.eigh(scaled @ scaled.T)
+        shape = (axes * np.sqrt(np.maximum(eigenvalues, 0.0))) @ axes.T
+        return shape, self.input_set.center + self.input_set.scale * ellipsoid.center
+
+
+def observer_ports(num_disturbances: int) -> tuple[tuple[str, int], ...]:
+    """Returns name and size of the ports that carry an observer's knowledge."""
+    return (
+        ("disturbance_estimate", num_disturbances),
+        ("estimate_rate", num_disturbances),
+        ("error_bound", 1),
+        ("error_bound_rate", 1),
+    )
+
+
+class PackedFeasibleSet(NamedTuple):
+    """The ``feasible_set`` port's value, taken apart; leading axes are kept.
+
+    Attributes:
+        A: Rows in physical inputs, (..., rows, m).
+        b: Right-hand sides, (..., rows).
+        shape: The largest ellipsoid's symmetric B, (..., m, m); nan when empty.
+        center: Its center, (..., m); nan when empty.
+    """
+
+    A: Array
+    b: Array
+    shape: Array
+    center: Array
+
+
+def unpack_feasible_set(
+    packed: Array, num_rows: int, num_inputs: int
+) -> PackedFeasibleSet:
+    """Takes apart one value, or an array of values, of the ``feasible_set`` port.
+
+    Args:
+        packed: Shape (..., size of the port).
+        num_rows: Rows of the set.
+        num_inputs: m.
+    """
+    rows, m, lead = num_rows, num_inputs, packed.shape[:-1]
+    A, b, shape, center = np.split(packed, np.cumsum([rows * m, rows, m * m]), axis=-1)
+    return PackedFeasibleSet(
+        A.reshape(*lead, rows, m), b, shape.reshape(*lead, m, m), center
+    )
