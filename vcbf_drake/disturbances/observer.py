@@ -226,7 +226,7 @@ def _is_finite(vector: Array) -> bool:
 def _left_inverse(model: ControlAffineModel) -> Array:
     """Returns the pseudo-inverse of E, shape (q, n)."""
     E = np.asarray(model.disturbance_matrix, dtype=float)
-    rank = np.linalg.matrix_rank(E)
+    rank = np.linalg.matrix_rank(E) if E.size else 0
     if rank < E.shape[1]:
         raise ModelError(
             f"{model.name}: the disturbance matrix has rank {rank}; it must be"

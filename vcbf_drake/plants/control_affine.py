@@ -64,7 +64,7 @@ class ControlAffineModel:
                 f"{name}: f, g and E have the shapes {shapes}; with {n} states they"
                 f" must be ({n},), ({n}, m) and ({n}, q)"
             )
-        if np.linalg.matrix_rank(disturbance_matrix) < q:
+        if q and np.linalg.matrix_rank(disturbance_matrix) < q:
             raise ModelError(
                 f"{name}: the columns of the disturbance matrix E are dependent, so"
                 " the motion does not tell one disturbance from another"

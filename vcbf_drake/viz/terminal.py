@@ -113,7 +113,7 @@ def _remarks(summary: Mapping[str, Any]) -> Iterator[str]:
         each["name"] for each in summary["assumptions"] if each["holds"] is False
     ]
     if failing:
-        yield f"does not hold (see vcbf-drake check): {', '.join(failing)}"
+        yield f"hypotheses that fail (see vcbf-drake check): {', '.join(failing)}"
 
 
 def _numbers(numbers: Mapping[str, float]) -> str:

@@ -1,0 +1,369 @@
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+import json
+import math
+from pathlib import Path
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from vcbf_drake.cli import app
+from vcbf_drake.safety.assumptions import Assumption
+from vcbf_drake.safety.methods import METHODS
+import vcbf_drake.simulation.run as run_module
+from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.simulation.scenario_file import shipped_scenarios
+import vcbf_drake.viz.figures as figures_module
+import vcbf_drake.viz.replay as replay_module
+
+SHORT = "{duration: 0.1}"
+
+
+def invoke(*arguments: str) -> Any:
+    return CliRunner().invoke(app, arguments)
+
+
+def process(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "vcbf_drake.cli", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def summary(scenario: Scenario) -> dict[str, Any]:
+    infeasible = scenario.method == "dob-cbf-qp"
+    return {
+        "scenario": scenario.name,
+        "method": scenario.method,
+        "fidelity": scenario.fidelity,
+        "outcome": "infeasible" if infeasible else "reached",
+        "running_time": 7.6 if infeasible else 20.0,
+        "reached_at": None if infeasible else 19.01,
+        "infeasible_at": 7.6 if infeasible else None,
+        "collided_at": None,
+        "conflict": ["input limit 1", "obstacle 5"] if infeasible else None,
+        "min_barrier": -1.23456e-10,
+        "min_volume": -0.0123456,
+        "max_abs_slack": 1.23456e-5,
+        "slack_active_fraction": 0.0,
+        "failed_ticks": 0,
+        "final_distance": 0.112,
+        "assumptions": [{"name": "known start", "holds": not infeasible}],
+        "step_cpu_ms": {"median": 0.4, "p99": 1.3},
+        "real_time_factor": 123.4,
+    }
+
+
+class StandInResult:
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario, self.summary = scenario, summary(scenario)
+
+    def save(self, directory: Path) -> None:
+        directory.mkdir(parents=True, exist_ok=True)
+        (directory / "summary.json").write_text(json.dumps(self.summary))
+
+
+@pytest.fixture
+def stand_ins(monkeypatch: pytest.MonkeyPatch) -> list[Scenario]:
+    """Replaces the simulation and the pictures; collects the scenarios run."""
+    simulated: list[Scenario] = []
+
+    def simulate(
+        scenario: Scenario, progress: Callable[[float], None]
+    ) -> StandInResult:
+        simulated.append(scenario)
+        progress(0.5)
+        return StandInResult(scenario)
+
+    def write_figures(results: Sequence[Any], directory: Path) -> list[Path]:
+        path = directory / "paths.svg"
+        path.write_text(" ".join(result.scenario.method for result in results))
+        return [path]
+
+    def write_replay(results: Sequence[Any], path: Path) -> Path:
+        path.write_text(" ".join(result.scenario.method for result in results))
+        return path
+
+    monkeypatch.setattr(run_module, "simulate", simulate)
+    monkeypatch.setattr(figures_module, "write_figures", write_figures)
+    monkeypatch.setattr(replay_module, "write_replay", write_replay)
+    return simulated
+
+
+def files(directory: Path) -> set[str]:
+    return {
+        str(path.relative_to(directory))
+        for path in directory.rglob("*")
+        if path.is_file()
+    }
+
+
+# Help ------------------------------------------------------------------------------
+
+
+def test_help_imports_nothing_heavy() -> None:
+    script = (
+        "import sys; sys.argv = ['vcbf-drake', *sys.argv[1:]]\n"
+        "from vcbf_drake.cli import main\n"
+        "try: main()\n"
+        "except SystemExit as stop: assert stop.code == 0\n"
+        "heavy = {'pydrake', 'numpy', 'matplotlib', 'sympy', 'scipy'}\n"
+        "print(sorted(heavy & set(sys.modules)))\n"
+    )
+    for arguments in (["--help"], ["run", "--help"]):
+        done = subprocess.run(
+            [sys.executable, "-c", script, *arguments],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize("command", ["list", "run", "compare", "check"])
+def test_help_lists_commands(command: str) -> None:
+    assert command in invoke("--help").output
+    assert invoke(command, "--help").exit_code == 0
+
+
+def test_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vcbf_drake.cli.version", lambda name: f"{name} 1.2.3")
+    shown = invoke("--version")
+    assert (shown.exit_code, shown.output) == (0, "vcbf-drake 1.2.3\n")
+
+
+def test_list_shows_each_scenario_on_a_line() -> None:
+    lines = invoke("list").output.splitlines()
+    assert [line.split()[0] for line in lines] == [
+        "blimp-multiple-obstacles",
+        "blimp-single-obstacle",
+        "car-avoidance",
+    ]
+    assert all("  " in line and len(line) <= 80 for line in lines)
+
+
+# Bad usage -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        ([], "Missing command"),
+        (["rnu"], "No such command 'rnu'"),
+        (["--colour"], "--colour"),
+        (["run"], "Missing argument 'SCENARIO'"),
+        (["run", "car-avoidance", "--metod", "x"], "--metod"),
+        (["run", "car-avoidence"], "did you mean car-avoidance?"),
+        (["run", "car-avoidance", "--method", "cbf"], "method: 'cbf'; it must be one"),
+        (["run", "car-avoidance", "--override", "{a: [}"], "override: not YAML"),
+        (["run", "car-avoidance", "--override", "{period: 0}"], "override: period: 0"),
+        (["run", "car-avoidance", "--out", __file__], "is a file"),
+        (["compare", "car-avoidance", "--methods", "cbf-qp,x"], "method: 'x'"),
+        (["check", "car-avoidance", "--method", "x"], "method: 'x'"),
+    ],
+)
+def test_bad_usage_is_one_line_and_status_2(
+    stand_ins: list[Scenario], arguments: list[str], problem: str
+) -> None:
+    shown = invoke(*arguments)
+    assert shown.exit_code == 2
+    assert shown.output.startswith("vcbf-drake: ")
+    assert shown.output.count("\n") == 1
+    assert problem in shown.output
+    assert stand_ins == []
+
+
+def test_bad_scenario_from_a_shell() -> None:
+    done = process("check", "car-avoidance", "--override", "{observer: {alpha: '5'}}")
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr == (
+        "vcbf-drake: override: observer.alpha: expected a number, got the text '5'\n"
+    )
+
+
+def test_other_failures_are_one_line_and_status_1(
+    stand_ins: list[Scenario], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def simulate(scenario: Scenario, progress: object) -> None:
+        raise RuntimeError("the solver\nbroke")
+
+    monkeypatch.setattr(run_module, "simulate", simulate)
+    arguments = ["run", "car-avoidance", "--out", str(tmp_path / "out")]
+    shown = invoke(*arguments)
+    assert shown.exit_code == 1
+    assert shown.output == (
+        "vcbf-drake: RuntimeError: the solver broke"
+        " (vcbf-drake --traceback ... shows where)\n"
+    )
+    shown = invoke("--traceback", *arguments)
+    assert shown.exit_code == 1
+    assert "Traceback" in shown.output
+    assert "in simulate" in shown.output
+
+
+# Results ---------------------------------------------------------------------------
+
+
+def test_run_writes_results_figures_and_replay(
+    stand_ins: list[Scenario], tmp_path: Path
+) -> None:
+    out = tmp_path / "deep" / "out"
+    shown = invoke("run", "car-avoidance", "--out", str(out), "--method", "vcbf-qp")
+    assert shown.exit_code == 0
+    assert files(out) == {"summary.json", "paths.svg", "replay.html"}
+    assert [scenario.method for scenario in stand_ins] == ["vcbf-qp"]
+    assert "reached" in shown.output
+    assert str(out) in shown.output.replace("\n", "")
+
+
+def test_run_leaves_out_what_is_not_wanted(
+    stand_ins: list[Scenario], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    invoke("run", "car-avoidance", "--out", str(out), "--no-replay", "--no-figures")
+    assert files(out) == {"summary.json"}
+
+
+def test_default_directories(
+    stand_ins: list[Scenario], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    invoke("run", "car-avoidance", "--method", "cbf-qp")
+    invoke("compare", "car-avoidance", "--methods", "cbf-qp")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "car-avoidance-cbf-qp",
+        "car-avoidance",
+    }
+
+
+def test_compare_writes_one_replay_and_a_directory_per_method(
+    stand_ins: list[Scenario], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    methods = "dob-cbf-qp, dob-vcbf-qp,dob-cbf-qp"
+    shown = invoke("compare", "car-avoidance", "--methods", methods, "--out", str(out))
+    assert shown.exit_code == 0
+    assert files(out) == {
+        "dob-cbf-qp/summary.json",
+        "dob-vcbf-qp/summary.json",
+        "paths.svg",
+        "replay.html",
+    }
+    assert (out / "replay.html").read_text() == "dob-cbf-qp dob-vcbf-qp"
+    assert "no input satisfies input limit 1, obstacle 5" in shown.output
+    assert "hypotheses that fail (see vcbf-drake check): known start" in shown.output
+
+
+def test_compare_runs_all_methods_in_80_columns(
+    stand_ins: list[Scenario], tmp_path: Path
+) -> None:
+    shown = invoke("compare", "car-avoidance", "--out", str(tmp_path))
+    assert [scenario.method for scenario in stand_ins] == list(METHODS)
+    lines = shown.output.splitlines()
+    table = [line for line in lines if "written to" not in line]
+    assert max(len(line) for line in table) <= 80
+    # No cell is cut short and no label is broken.
+    assert "…" not in shown.output
+    (row,) = [line for line in table if line.startswith("infeasible s")]
+    assert row.split() == ["infeasible", "s", "-", "-", "-", "-", "7.6", "-"]
+
+
+def test_results_are_written_whole_or_not_at_all(
+    stand_ins: list[Scenario], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    (out / "mine").mkdir(parents=True)
+    (out / "mine" / "notes.txt").write_text("keep")
+    (out / "summary.json").write_text("old")
+
+    def write_replay(results: Sequence[Any], path: Path) -> None:
+        path.write_text("half a page")
+        raise OSError("no space left")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(replay_module, "write_replay", write_replay)
+        assert invoke("run", "car-avoidance", "--out", str(out)).exit_code == 1
+    assert files(tmp_path) == {"out/mine/notes.txt", "out/summary.json"}
+    assert (out / "summary.json").read_text() == "old"
+
+    assert invoke("run", "car-avoidance", "--out", str(out)).exit_code == 0
+    assert files(tmp_path) == {
+        "out/mine/notes.txt",
+        "out/summary.json",
+        "out/paths.svg",
+        "out/replay.html",
+    }
+    assert json.loads((out / "summary.json").read_text())["outcome"] == "reached"
+
+
+# Check -----------------------------------------------------------------------------
+
+ASSUMPTIONS = (
+    Assumption("bounded", "U is bounded [N]", True, {"width": 0.5}, "no ellipsoid"),
+    Assumption("no wind", "d = 0", False, {"delta1": math.inf}, "h may be negative"),
+    Assumption("rates", "lambda_V >= 1", None, {"lambda_V": 4.0, "x": math.nan}, ""),
+)
+
+
+@pytest.fixture
+def fixed_assumptions(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_module, "check_assumptions", lambda scenario: ASSUMPTIONS)
+
+
+@pytest.mark.usefixtures("fixed_assumptions")
+def test_check_lists_hypotheses() -> None:
+    shown = invoke("check", "car-avoidance", "--method", "cbf-qp")
+    assert shown.exit_code == 0
+    words = " ".join(shown.output.split())
+    assert words.startswith("car-avoidance, cbf-qp")
+    assert "holds bounded U is bounded [N] width = 0.5" in words
+    assert "does not hold no wind d = 0 delta1 = inf cost: h may be negative" in words
+    assert "information rates lambda_V >= 1 lambda_V = 4, x = -" in words
+    assert "no ellipsoid" not in words
+
+
+@pytest.mark.usefixtures("fixed_assumptions")
+def test_check_prints_strict_json() -> None:
+    def refuse(constant: str) -> None:
+        raise AssertionError(constant)
+
+    shown = invoke("check", "car-avoidance", "--json")
+    listed = json.loads(shown.output, parse_constant=refuse)
+    assert [each["holds"] for each in listed] == [True, False, None]
+    assert listed[1]["numbers"] == {"delta1": None}
+    assert listed[0] == {
+        "name": "bounded",
+        "statement": "U is bounded [N]",
+        "holds": True,
+        "numbers": {"width": 0.5},
+        "consequence": "no ellipsoid",
+    }
+
+
+# The real thing --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", shipped_scenarios())
+def test_runs_shipped_scenario(name: str, tmp_path: Path) -> None:
+    """A pipe sees the summary on stdout and nothing on stderr."""
+    out = tmp_path / name
+    done = process("run", name, "--override", SHORT, "--no-figures", "--out", str(out))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert files(out) == {"log.npz", "replay.html", "scenario.yaml", "summary.json"}
+    saved = json.loads((out / "summary.json").read_text())
+    assert saved["outcome"] == "timeout"
+    assert saved["outcome"] in done.stdout
+    assert "\x1b" not in done.stdout
+
+
+def test_checks_shipped_scenario() -> None:
+    listed = json.loads(invoke("check", "car-avoidance", "--json").output)
+    assert all(each["holds"] is not False for each in listed)
+    assert all(each["name"] and each["statement"] for each in listed)

@@ -1,0 +1,538 @@
+from __future__ import annotations
+
+import copy
+import dataclasses
+from pathlib import Path
+import random
+import re
+
+import numpy as np
+from pydrake.common.yaml import yaml_load_typed
+import pytest
+
+from vcbf_drake.errors import ScenarioError
+from vcbf_drake.simulation.scenario import Obstacle, Scenario, TurnLimit
+from vcbf_drake.simulation.scenario_file import (
+    dump_scenario,
+    load_scenario,
+    shipped_scenarios,
+)
+from vcbf_drake.simulation.validation import InvalidFieldError, validate
+
+SHIPPED = ("blimp-multiple-obstacles", "blimp-single-obstacle", "car-avoidance")
+DIRECTORY = Path(load_scenario.__code__.co_filename).parent / "scenarios"
+
+ONE_OF_EVERYTHING = """\
+_template: &wind
+  frequency: 0.5
+OneOfEverything:
+  name: everything
+  description: One of everything.
+  plant: !CarParameters
+    mass: 1.5
+  controller: !CarControllerParameters
+    turn_gain: 1.0
+    speed_gain: 3.0
+    approach_gain: 0.5
+  input_set:
+    lower: [-2.0, -1]
+    upper: [2.0, 1.0]
+    A: [[0.5, 1.0]]
+    b: [1.5]
+  turn_limit:
+    curvature: 1.25
+    smoothing_speed: 0.2
+  disturbance:
+    - !Constant {value: [1e-2]}
+    - !Sinusoid {<<: *wind, amplitude: [0.1], phase: 0.3}
+    - !SmoothStep {amplitude: [0.2], start: 1.0, duration: 2.0}
+    - !BandLimitedNoise {std: [0.05], bandwidth: 3.0, seed: 4}
+    - !Recorded
+      times: [0.0, 1.0, 3.0, 6.0]
+      values: [[0.0], [0.1], [-0.1], [0.0]]
+  observer:
+    alpha: 4.0
+    beta: 5.0
+    gamma: 3.0
+    step: saturated
+    boundary_layer: 0.02
+    linear_rate: 2.0
+  obstacles:
+    - center: [2.0, 0.5]
+      radius: 0.3
+    - {center: [3.0, -0.5], radius: 0.3, velocity: [0.0, 0.1], margin: 0.05}
+  barrier:
+    form: squared
+    gains: [4.0, 4.0]
+  volume:
+    threshold: 0.05
+    gain: 2.0
+    slack_penalty: 10.0
+  method: vcbf-qp
+  fidelity: paper
+  infeasible: hold
+  initial_state: [0.0, 0.0, 0.1, 0.2]
+  target: [5.0, 0.0]
+  duration: 6.0
+  period: 0.05
+  arrival_tolerance: 0.1
+  integrator:
+    scheme: runge_kutta2
+    max_step: 0.01
+  noise:
+    std: [0.0, 0.0, 0.01, 0.0]
+    seed: 3
+"""
+
+
+@pytest.fixture
+def everything(tmp_path: Path) -> Path:
+    path = tmp_path / "everything.yaml"
+    path.write_text(ONE_OF_EVERYTHING)
+    return path
+
+
+def refusal(*args: object, **kwargs: object) -> str:
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario(*args, **kwargs)  # type: ignore[arg-type]
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+# What loads ------------------------------------------------------------------------
+
+
+def test_ships_its_scenarios() -> None:
+    assert shipped_scenarios() == SHIPPED
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_scenario_is_what_drake_reads(name: str) -> None:
+    scenario = load_scenario(name)
+    drakes = yaml_load_typed(
+        schema=Scenario, filename=DIRECTORY / f"{name}.yaml", child_name=name
+    )
+    assert scenario.name == name
+    assert scenario == dataclasses.replace(drakes, name=name)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_scenario_says_what_one_will_see(name: str) -> None:
+    text = (DIRECTORY / f"{name}.yaml").read_text()
+    head, body = text.split("\n\n" + name + ":", 1)
+    assert all(line.startswith("#") for line in head.splitlines())
+    assert "What you will see" in head
+    # Every group of values names its source.
+    for group in re.split(r"\n\n", body.split("\n\n", 1)[1]):
+        assert re.search(r"# .*(paper|literature|ours)", group, re.IGNORECASE), group
+    title = load_scenario(name).description.splitlines()[0]
+    assert len(name.ljust(24)) + 2 + len(title) <= 80
+
+
+def test_defaults_load(tmp_path: Path) -> None:
+    path = tmp_path / "defaults.yaml"
+    path.write_text("Defaults: {}\n")
+    assert load_scenario(path) == Scenario(name="Defaults")
+
+
+def test_one_of_everything_loads(everything: Path) -> None:
+    scenario = load_scenario(everything)
+    drakes = yaml_load_typed(
+        schema=Scenario, filename=everything, child_name="OneOfEverything"
+    )
+    assert scenario == drakes
+    assert scenario.name == "everything"
+    assert scenario.turn_limit == TurnLimit(1.25, 0.2)
+    assert scenario.disturbance[0].value == [0.01]  # YAML 1.1 reads 1e-2 as text.
+    assert scenario.disturbance[1].frequency == 0.5
+    assert [type(signal).__name__ for signal in scenario.disturbance] == [
+        "Constant",
+        "Sinusoid",
+        "SmoothStep",
+        "BandLimitedNoise",
+        "Recorded",
+    ]
+    defaults = Scenario()
+    unmentioned = [
+        each.name
+        for each in dataclasses.fields(Scenario)
+        if getattr(scenario, each.name) == getattr(defaults, each.name)
+    ]
+    assert unmentioned == []
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_dump_loads_back(name: str, tmp_path: Path) -> None:
+    check_round_trip(load_scenario(name), tmp_path)
+
+
+def test_dump_of_one_of_everything_loads_back(everything: Path, tmp_path: Path) -> None:
+    check_round_trip(load_scenario(everything), tmp_path)
+
+
+def check_round_trip(scenario: Scenario, directory: Path) -> None:
+    text = dump_scenario(scenario)
+    path = directory / "dump.yaml"
+    path.write_text(text)
+    assert load_scenario(path) == scenario
+    assert dump_scenario(load_scenario(path)) == text
+    assert (
+        yaml_load_typed(schema=Scenario, data=text, child_name=scenario.name)
+        == scenario
+    )
+
+
+def test_dump_takes_arrays(tmp_path: Path) -> None:
+    scenario = load_scenario("car-avoidance")
+    scenario.initial_state = np.array([0.0, 0.0, 0.1 + 0.2, 0.0])  # type: ignore[assignment]
+    validate(scenario)
+    path = tmp_path / "dump.yaml"
+    path.write_text(dump_scenario(scenario))
+    assert load_scenario(path).initial_state == [0.0, 0.0, 0.1 + 0.2, 0.0]
+
+
+def test_one_scenario_of_several(tmp_path: Path) -> None:
+    path = tmp_path / "two.yaml"
+    path.write_text("one: {}\ntwo: {period: 0.1}\n")
+    assert load_scenario(path, scenario_name="two").period == 0.1
+    assert "scenario_name must be one of one, two" in refusal(path)
+    assert "did you mean two?" in refusal(path, scenario_name="tow")
+
+
+# Overrides -------------------------------------------------------------------------
+
+
+def test_overrides_merge_mappings_and_replace_the_rest() -> None:
+    base = load_scenario("blimp-single-obstacle")
+    scenario = load_scenario(
+        "blimp-single-obstacle",
+        "{method: cbf-qp, plant: {mass: 0.2}, target: [2, 0, 1],"
+        " disturbance: [!Constant {value: [0, 0, 1]}]}",
+    )
+    assert (scenario.method, scenario.target) == ("cbf-qp", [2.0, 0.0, 1.0])
+    assert scenario.plant == dataclasses.replace(base.plant, mass=0.2)
+    assert len(scenario.disturbance) == 1
+    assert scenario.obstacles == base.obstacles
+
+
+def test_overriding_tag_replaces() -> None:
+    scenario = load_scenario(
+        "blimp-single-obstacle", "{plant: !BlimpParameters {mass: 0.2}}"
+    )
+    assert scenario.plant == type(scenario.plant)(mass=0.2)
+
+
+def test_overrides_as_mapping_say_the_same() -> None:
+    text = "{observer: {alpha: 3.5}, disturbance: [!Constant {value: [0, 0, 1]}]}"
+    mapping = {
+        "observer": {"alpha": 3.5},
+        "disturbance": [{"_tag": "!Constant", "value": [0, 0, 1]}],
+    }
+    name = "blimp-single-obstacle"
+    assert load_scenario(name, text) == load_scenario(name, mapping)
+
+
+def test_override_can_rename() -> None:
+    assert load_scenario("car-avoidance", "{name: mine}").name == "mine"
+
+
+def test_messages_name_the_source_of_the_value() -> None:
+    message = refusal("blimp-single-obstacle", "{period: -1}")
+    assert message == "override: period: -1; it must be above 0"
+    # The override moves the sphere; what is wrong then is the file's start.
+    message = refusal(
+        "blimp-single-obstacle", {"obstacles": [{"center": [0, 0, 0.2], "radius": 0.3}]}
+    )
+    assert re.search(r"blimp-single-obstacle\.yaml:\d+: initial_state: ", message)
+    assert "signed distance is -0.1 m" in message
+
+
+# What is refused -------------------------------------------------------------------
+
+REFUSED = [
+    # Keys, tags and types.
+    ("{mehtod: cbf-qp}", "mehtod", "unknown key; did you mean method?"),
+    ("{observer: {alhpa: 1}}", "observer.alhpa", "did you mean alpha?"),
+    (
+        "{obstacles: [{center: [2, 2, 2], radius: 0.1}, {radus: 1}]}",
+        "obstacles[1].radus",
+        "did you mean radius?",
+    ),
+    (
+        "{disturbance: [!Sinusoid {amplitudes: [1, 1, 1]}]}",
+        "disturbance[0].amplitudes",
+        "did you mean amplitude?",
+    ),
+    ("{plant: {colour: 1}}", "plant.colour", "allowed: mass, added_mass, drag"),
+    (
+        "{disturbance: [{frequency: 1}]}",
+        "disturbance[0].frequency",
+        "read as !Constant; or !Sinusoid, !SmoothStep",
+    ),
+    ("{disturbance: [!Sinus {}]}", "disturbance[0]", "did you mean !Sinusoid"),
+    ("{plant: !Boat {}}", "plant", "allowed: !BlimpParameters, !CarParameters"),
+    ("{observer: !Rise {}}", "observer", "unknown tag !Rise; allowed: !Observer"),
+    ("{period: !Seconds 1}", "period", "tag !Seconds; no tag is expected here"),
+    ("{obstacles: [{radius: 0.1}]}", "obstacles[0].center", "missing"),
+    ("{obstacles: [{center: [2, 2, 2]}]}", "obstacles[0].radius", "missing"),
+    ("{disturbance: [!Constant {}]}", "disturbance[0].value", "a list of finite"),
+    ("{duration: long}", "duration", "expected a number, got 'long'"),
+    ("{duration: '3'}", "duration", "expected a number, got the text '3'"),
+    ("{duration: yes}", "duration", "expected a number, got 'yes'"),
+    ("{duration: [3]}", "duration", "expected a number, got a list"),
+    ("{duration: }", "duration", "expected a number, got nothing"),
+    ("{noise: {seed: '3'}}", "noise.seed", "expected a whole number, got the text"),
+    ("{noise: {seed: 1.5}}", "noise.seed", "expected a whole number, got '1.5'"),
+    ("{method: 3}", "method", "expected text, got '3'"),
+    ("{target: 3}", "target", "expected a list, got '3'"),
+    ("{obstacles: {center: [1]}}", "obstacles", "expected a list, got a mapping"),
+    ("{observer: [1]}", "observer", "expected a mapping, got a list"),
+    ("{target: [1, [2], 3]}", "target[1]", "expected a number, got a list"),
+    ("{period: 1, period: 2}", "period", "given twice"),
+    # Numbers.
+    ("{duration: .nan}", "duration", "nan; it must be finite"),
+    ("{duration: .inf}", "duration", "inf; it must be finite"),
+    ("{duration: 1e999}", "duration", "inf; it must be finite"),
+    ("{target: [.nan, 0, 0]}", "target[0]", "nan; it must be finite"),
+    ("{input_set: {upper: [.inf, 1, 1]}}", "input_set.upper[0]", "must be finite"),
+    ("{plant: {mass: .nan}}", "plant.mass", "finite and above 0"),
+    ("{plant: {drag: [-1, 0, 0]}}", "plant.drag", "not below 0"),
+    ("{controller: {yaw_gain: -1}}", "controller.yaw_gain", "not below 0"),
+    ("{duration: 0}", "duration", "0; it must be above 0"),
+    ("{period: -0.01}", "period", "-0.01; it must be above 0"),
+    ("{arrival_tolerance: 0}", "arrival_tolerance", "above 0"),
+    ("{observer: {beta: -6}}", "observer.beta", "-6; it must be above 0"),
+    ("{integrator: {max_step: -1}}", "integrator.max_step", "not below 0"),
+    ("{noise: {seed: -1}}", "noise.seed", "not below 0"),
+    ("{volume: {gain: 0}}", "volume.gain", "must be positive"),
+    ("{volume: {threshold: 1}}", "volume.threshold", "1; it must be below 1"),
+    ("{barrier: {gains: [-1, 1]}}", "barrier.gains[0]", "above 0"),
+    ("{barrier: {gains: [2, 1.1]}}", "barrier.gains", "k1^2 >= 4 k2"),
+    (
+        "{obstacles: [{center: [2, 2, 2], radius: -0.1}]}",
+        "obstacles[0].radius",
+        "-0.1; it must be above 0",
+    ),
+    (
+        "{obstacles: [{center: [2, 2, 2], radius: 0.1, margin: -1}]}",
+        "obstacles[0].margin",
+        "not below 0",
+    ),
+    (
+        "{disturbance: [!SmoothStep {amplitude: [1, 1, 1], duration: 0}]}",
+        "disturbance[0].duration",
+        "above 0",
+    ),
+    # Sizes.
+    ("{initial_state: [0, 0]}", "initial_state", "8 numbers, one per state"),
+    ("{target: [1, 0]}", "target", "3 numbers, one per dimension"),
+    ("{obstacles: [{center: [1, 0], radius: 1}]}", "obstacles[0].center", "3 numbers"),
+    (
+        "{obstacles: [{center: [2, 2, 2], radius: 1, velocity: [1]}]}",
+        "obstacles[0].velocity",
+        "3 numbers",
+    ),
+    ("{noise: {std: [1]}}", "noise.std", "8 numbers, one per state"),
+    ("{input_set: {lower: [-1]}}", "input_set.lower", "3 numbers, one per input"),
+    ("{input_set: {A: [[1, 1]], b: [1]}}", "input_set.A[0]", "3 numbers"),
+    ("{input_set: {A: [[1, 1, 1]]}}", "input_set.b", "1 number, one per row of A"),
+    ("{barrier: {gains: [1, 2, 3]}}", "barrier.gains", "2 numbers"),
+    ("{disturbance: [!Constant {value: [1]}]}", "disturbance[0]", "must have 3"),
+    ("{plant: {added_mass: [1]}}", "plant.added_mass", "list of 3 numbers"),
+    # Choices.
+    ("{method: dob}", "method", "'dob'; it must be one of cbf-qp, robust-cbf-qp"),
+    ("{fidelity: exact}", "fidelity", "one of corrected, paper"),
+    ("{infeasible: go}", "infeasible", "one of stop, least_violation, hold"),
+    ("{observer: {step: euler}}", "observer.step", "implicit, saturated, explicit"),
+    ("{barrier: {form: cube}}", "barrier.form", "one of distance, squared"),
+    ("{integrator: {scheme: rk4}}", "integrator.scheme", "runge_kutta3"),
+    # Parts that must agree.
+    ("{input_set: {lower: [0, 0, 1]}}", "input_set.lower[2]", "below upper"),
+    ("{input_set: {A: [[1, 0, 0]], b: [-9]}}", "input_set", "is empty"),
+    ("{period: 30}", "period", "at most the duration, 20 s"),
+    (
+        "{controller: !CarControllerParameters {}}",
+        "controller",
+        "!CarControllerParameters; it must be !BlimpControllerParameters",
+    ),
+    ("{turn_limit: {curvature: 1}}", "turn_limit", "for the plant is a blimp"),
+    ("{target: [0.5, 0.1, 0.5]}", "target", "signed distance is -0.1 m"),
+    (
+        "{disturbance: [!Recorded {times: [0, 1, 2],"
+        " values: [[0, 0, 0], [0, 0, 0], [0, 0, 0]]}]}",
+        "disturbance[0].times",
+        "must span",
+    ),
+]
+
+
+@pytest.mark.parametrize(("override", "key", "allowed"), REFUSED)
+def test_refuses(override: str, key: str, allowed: str) -> None:
+    message = refusal("blimp-single-obstacle", override)
+    assert message.startswith(f"override: {key}: ")
+    assert allowed in message
+
+
+@pytest.mark.parametrize(
+    ("line", "replacement", "key"),
+    [
+        ("    approach_gain: 0.5", "    aproach_gain: 0.5", "controller.aproach_gain"),
+        ("    upper: [2.0, 1.0]", "    upper: [2.0, one]", "input_set.upper[1]"),
+        ("    b: [1.5]", "    b: [-9.0]", "input_set"),
+        ("    - !Constant {value: [1e-2]}", "    - !Const {}", "disturbance[0]"),
+        ("      radius: 0.3", "      radius: -0.3", "obstacles[0].radius"),
+        ("    gains: [4.0, 4.0]", "    gains: [4.0, 4.1]", "barrier.gains"),
+        ("  method: vcbf-qp", "  method: cbf", "method"),
+        ("  target: [5.0, 0.0]", "  target: [5.0]", "target"),
+        ("  period: 0.05", "  period: 60.0", "period"),
+        ("    std: [0.0, 0.0, 0.01, 0.0]", "    std: [0.1]", "noise.std"),
+    ],
+)
+def test_names_file_and_line(
+    everything: Path, line: str, replacement: str, key: str
+) -> None:
+    lines = ONE_OF_EVERYTHING.splitlines()
+    number = lines.index(line)
+    lines[number] = replacement
+    everything.write_text("\n".join(lines))
+    # What a whole mapping is blamed for is located at its key.
+    expected = lines.index(f"  {key}:") if f"  {key}:" in lines else number
+    assert refusal(everything).startswith(f"{everything}:{expected + 1}: {key}: ")
+
+
+def test_names_line_of_syntax_error(tmp_path: Path) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text("one:\n  target: [1, 2\n  period: 1\n")
+    assert refusal(path).startswith(f"{path}:3: not YAML: ")
+
+
+def test_missing_file_suggests_shipped_names() -> None:
+    message = refusal("blimp-single-obstacles")
+    assert message.startswith("blimp-single-obstacles: neither a file nor")
+    assert all(name in message for name in SHIPPED)
+    assert message.endswith("did you mean blimp-single-obstacle?")
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"", "expected a mapping, got nothing"),
+        (b"- 1\n", "expected a mapping, got a list"),
+        (b"_only: {}\n", "holds no scenario"),
+        (b"one:\n", "expected a mapping, got nothing"),
+        (b"\xff\xfe\xfa", "not a UTF-8 text file"),
+        (b"one: {}\n---\ntwo: {}\n", "not YAML"),
+        (b"one: \x07\n", "not YAML"),
+        (b"one: *nowhere\n", "not YAML"),
+        (b"? [1]\n: 2\n", "keys are words"),
+        (b"one: {<<: 3}\n", "not YAML"),
+    ],
+)
+def test_refuses_file(tmp_path: Path, content: bytes, problem: str) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_bytes(content)
+    message = refusal(path)
+    assert message.startswith(str(path))
+    assert problem in message
+
+
+def test_refuses_directory(tmp_path: Path) -> None:
+    assert refusal(tmp_path).startswith(f"{tmp_path}: ")
+
+
+def test_refuses_overrides_yaml_cannot_hold() -> None:
+    assert refusal("car-avoidance", {"noise": {"std": object()}}).startswith("override")
+
+
+def test_garbled_scenarios_load_or_are_refused_in_one_line(everything: Path) -> None:
+    """Whatever is written over a token, nothing but a `ScenarioError` escapes."""
+    generator = random.Random(5)
+    junk = ["", "{}", "[]", "~", "-1", "!Tag x", "'", "[[1]]", ".nan", "&a *a", "text"]
+    tokens = list(re.finditer(r"[\w.!-]+", ONE_OF_EVERYTHING))
+    refused = 0
+    for _ in range(300):
+        token = generator.choice(tokens)
+        everything.write_text(
+            ONE_OF_EVERYTHING[: token.start()]
+            + generator.choice(junk)
+            + ONE_OF_EVERYTHING[token.end() :]
+        )
+        try:
+            load_scenario(everything)
+        except ScenarioError as error:
+            assert str(error).startswith(str(everything))
+            assert "\n" not in str(error)
+            refused += 1
+    assert refused > 200
+
+
+# Scenarios made in Python ----------------------------------------------------------
+
+
+def test_validate_names_the_field() -> None:
+    scenario = Scenario(obstacles=[Obstacle([3.0, 3.0, 3.0], 0.5)])
+    validate(scenario)
+    scenario.obstacles[0].radius = float("nan")
+    with pytest.raises(InvalidFieldError, match="nan; it must be finite") as caught:
+        validate(scenario)
+    assert caught.value.path == ("obstacles", 0, "radius")
+    scenario.obstacles.clear()
+    scenario.volume.gain = -1.0
+    with pytest.raises(InvalidFieldError, match="-1; it must be above 0"):
+        validate(scenario)
+
+
+@pytest.mark.parametrize(
+    ("center", "radius", "margin", "velocity", "allowed"),
+    [
+        ([0.0, 0.0, 0.5], 0.4, 0.0, [], True),
+        ([0.0, 0.0, 0.5], 0.4, 0.2, [], False),
+        ([0.0, 0.0, 0.5], 0.5, 0.0, [], False),
+        ([1.0, 0.0, 1.0], 0.1, 0.0, [], False),
+        # A moving obstacle may pass over the target.
+        ([1.0, 0.0, 1.0], 0.1, 0.0, [1.0, 0.0, 0.0], True),
+        ([0.0, 0.0, 0.0], 0.1, 0.0, [1.0, 0.0, 0.0], False),
+    ],
+)
+def test_start_and_target_are_outside(
+    center: list[float],
+    radius: float,
+    margin: float,
+    velocity: list[float],
+    allowed: bool,
+) -> None:
+    scenario = Scenario(obstacles=[Obstacle(center, radius, velocity, margin)])
+    if allowed:
+        validate(scenario)
+    else:
+        with pytest.raises(ScenarioError, match="outside obstacles"):
+            validate(scenario)
+
+
+@pytest.mark.parametrize(
+    ("gains", "allowed"),
+    [([4.0, 4.0], True), ([4.0, 4.001], False), ([3.0, 2.0], True)],
+)
+def test_gains_have_real_negative_roots(gains: list[float], allowed: bool) -> None:
+    scenario = Scenario()
+    scenario.barrier.gains = gains
+    if allowed:
+        validate(scenario)
+        assert np.all(np.roots([1.0, *gains]) < 0.0)
+    else:
+        with pytest.raises(ScenarioError, match="real roots"):
+            validate(scenario)
+
+
+def test_input_set_holds_box_and_rows() -> None:
+    limits = copy.deepcopy(Scenario().input_set)
+    limits.lower, limits.upper = [-1.0, -1.0, -1.0], [1.0, 2.0, 3.0]
+    assert limits.input_set().is_box
+    limits.A, limits.b = [[1.0, 1.0, 0.0]], [0.5]
+    inputs = limits.input_set()
+    for u in np.random.default_rng(0).uniform(-3.5, 3.5, (200, 3)):
+        inside = (
+            np.all((limits.lower <= u) & (u <= limits.upper)) and u[0] + u[1] <= 0.5
+        )
+        assert inputs.contains(u) == inside

@@ -1,0 +1,26 @@
+"""Scenarios, the loop they describe, and what happens when it runs."""
+
+from vcbf_drake.simulation.loop import barriers, make_loop
+from vcbf_drake.simulation.result import Result, load_result
+from vcbf_drake.simulation.run import check_assumptions, simulate
+from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.simulation.scenario_file import (
+    dump_scenario,
+    load_scenario,
+    shipped_scenarios,
+)
+from vcbf_drake.simulation.validation import validate
+
+__all__ = [
+    "Result",
+    "Scenario",
+    "barriers",
+    "check_assumptions",
+    "dump_scenario",
+    "load_result",
+    "load_scenario",
+    "make_loop",
+    "shipped_scenarios",
+    "simulate",
+    "validate",
+]

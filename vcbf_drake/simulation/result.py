@@ -1,0 +1,66 @@
+"""What a simulation returns, and how it is kept on disk."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import io
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vcbf_drake.errors import Array
+from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.simulation.scenario_file import dump_scenario, load_scenario
+
+
+@dataclass(frozen=True)
+class Result:
+    """One run: what was asked for, what happened, and every tick of it.
+
+    Attributes:
+        scenario: The resolved scenario.
+        summary: The numbers people compare; see `summarise`.
+        log: Named arrays, one row a control tick: time (T,), state (T, n), reference
+            and input (T, m), disturbance, disturbance_estimate and estimate_rate
+            (T, q), error_bound, slack, volume and status (T,), barriers (T, N),
+            polytope_A (T, rows, m), polytope_b (T, rows), ellipsoid_shape (T, m, m),
+            ellipsoid_center (T, m).
+    """
+
+    scenario: Scenario
+    summary: dict[str, Any]
+    log: dict[str, Array]
+
+    def save(self, directory: str | Path) -> None:
+        """Writes summary.json, log.npz and scenario.yaml; each whole or not at all."""
+        directory = Path(directory)
+        directory.mkdir(parents=True, exist_ok=True)
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, **self.log)  # type: ignore[arg-type]
+        summary = json.dumps(self.summary, indent=2, allow_nan=True) + "\n"
+        _write(directory / "log.npz", buffer.getvalue())
+        _write(directory / "scenario.yaml", dump_scenario(self.scenario).encode())
+        _write(directory / "summary.json", summary.encode())
+
+
+def load_result(directory: str | Path) -> Result:
+    """Returns a result that `Result.save` wrote.
+
+    Raises:
+        FileNotFoundError: A file is missing.
+        ScenarioError: The scenario does not load.
+    """
+    directory = Path(directory)
+    summary = json.loads((directory / "summary.json").read_text())
+    with np.load(directory / "log.npz") as archive:
+        log = dict(archive)
+    return Result(load_scenario(directory / "scenario.yaml"), summary, log)
+
+
+def _write(path: Path, content: bytes) -> None:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary.write_bytes(content)
+    os.replace(temporary, path)

@@ -1,0 +1,147 @@
+"""simulate: run a scenario's loop and say what happened."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import time
+
+import numpy as np
+from pydrake.systems.analysis import (
+    ApplySimulatorConfig,
+    Simulator,
+    SimulatorConfig,
+    SimulatorStatus,
+)
+from pydrake.systems.framework import Context, Diagram
+
+from vcbf_drake.errors import Array
+from vcbf_drake.safety import (
+    Assumption,
+    SafetyFilter,
+    assumptions,
+    unpack_feasible_set,
+)
+from vcbf_drake.simulation.loop import LOG_PREFIX, make_loop, measurement_noise
+from vcbf_drake.simulation.result import Result
+from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.simulation.step_time import step_cpu_time
+from vcbf_drake.simulation.summary import Ending, summarise
+
+Progress = Callable[[float], None]
+
+# Isolates the instant of a collision to a microsecond; integration has fixed steps.
+_WITNESS_ACCURACY = 1e-4
+_SCALARS = ("error_bound", "error_bound_rate", "slack", "volume", "status")
+
+
+def simulate(scenario: Scenario, progress: Progress | None = None) -> Result:
+    """Runs the scenario's loop from its initial state to its end.
+
+    Args:
+        scenario: A validated scenario.
+        progress: Called now and then with the fraction of the duration that is done.
+    """
+    diagram = make_loop(scenario)
+    simulator = _simulator(diagram, scenario)
+    found = _assumptions(scenario, diagram, simulator.get_context())
+    started = time.process_time()
+    ending = _advance(simulator, scenario, progress)
+    cpu_time = time.process_time() - started
+    context = simulator.get_context()
+    log = _read_log(diagram, context)
+    path_time, path = _find(diagram, context, "path")
+    safety_filter: SafetyFilter = diagram.GetSubsystemByName("filter")
+    summary = summarise(scenario, safety_filter, log, path_time, path, ending)
+    summary["assumptions"] = [vars(assumption) for assumption in found]
+    summary["step_cpu_ms"] = step_cpu_time(safety_filter, log)
+    summary["real_time_factor"] = ending.time / max(cpu_time, 1e-9)
+    return Result(scenario, summary, log)
+
+
+def check_assumptions(scenario: Scenario) -> tuple[Assumption, ...]:
+    """Returns the theorems' hypotheses with numbers, before anything moves."""
+    diagram = make_loop(scenario)
+    simulator = _simulator(diagram, scenario)
+    return _assumptions(scenario, diagram, simulator.get_context())
+
+
+def _simulator(diagram: Diagram, scenario: Scenario) -> Simulator:
+    simulator = Simulator(diagram)
+    ApplySimulatorConfig(
+        SimulatorConfig(
+            integration_scheme=scenario.integrator.scheme,
+            max_step_size=scenario.integrator.max_step or min(scenario.period, 0.01),
+            use_error_control=False,
+        ),
+        simulator,
+    )
+    context = simulator.get_mutable_context()
+    context.SetAccuracy(_WITNESS_ACCURACY)
+    plant = diagram.GetSubsystemByName("plant")
+    plant.GetMyMutableContextFromRoot(context).SetContinuousState(
+        np.array(scenario.initial_state)
+    )
+    return simulator
+
+
+def _assumptions(
+    scenario: Scenario, diagram: Diagram, context: Context
+) -> tuple[Assumption, ...]:
+    safety_filter: SafetyFilter = diagram.GetSubsystemByName("filter")
+    return assumptions(
+        safety_filter,
+        safety_filter.GetMyContextFromRoot(context),
+        diagram.GetSubsystemByName("filter_observer"),
+        scenario.period,
+        measurement_noise(scenario, safety_filter.model),
+    )
+
+
+def _advance(
+    simulator: Simulator, scenario: Scenario, progress: Progress | None
+) -> Ending:
+    status = simulator.Initialize()
+    pieces = 1 if progress is None else 100
+    for fraction in np.arange(1, pieces + 1) / pieces:
+        if _ending(status).monitor:
+            break
+        status = simulator.AdvanceTo(scenario.duration * fraction)
+        if progress is not None:
+            progress(float(fraction))
+    return _ending(status)
+
+
+def _ending(status: SimulatorStatus) -> Ending:
+    ended = status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition
+    return Ending(
+        status.return_time(), str(status.system().get_name()) if ended else ""
+    )
+
+
+def _find(diagram: Diagram, context: Context, name: str) -> tuple[Array, Array]:
+    sink = diagram.GetSubsystemByName(LOG_PREFIX + name)
+    log = sink.FindLog(context)
+    return log.sample_times().copy(), log.data().T.copy()
+
+
+def _read_log(diagram: Diagram, context: Context) -> dict[str, Array]:
+    names = [
+        system.get_name().removeprefix(LOG_PREFIX)
+        for system in diagram.GetSystems()
+        if system.get_name().startswith(LOG_PREFIX)
+    ]
+    log: dict[str, Array] = {}
+    for name in names:
+        if name == "path":
+            continue
+        times, data = _find(diagram, context, name)
+        log["time"] = times
+        log[name] = data[:, 0] if name in _SCALARS else data
+    safety_filter: SafetyFilter = diagram.GetSubsystemByName("filter")
+    packed = unpack_feasible_set(
+        log.pop("feasible_set"), safety_filter.num_rows, safety_filter.model.num_inputs
+    )
+    log["polytope_A"], log["polytope_b"] = packed.A, packed.b
+    log["ellipsoid_shape"], log["ellipsoid_center"] = packed.shape, packed.center
+    log["status"] = log["status"].astype(int)
+    return log

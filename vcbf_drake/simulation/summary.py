@@ -1,0 +1,115 @@
+"""What a run came to, in the numbers people compare."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vcbf_drake.errors import Array
+from vcbf_drake.safety import FilterStatus, SafetyFilter, emptiness_certificate
+from vcbf_drake.simulation.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a simulation ended.
+
+    Attributes:
+        time: When [s].
+        monitor: The name of the monitor that ended it; empty at the planned end.
+    """
+
+    time: float
+    monitor: str
+
+
+def summarise(
+    scenario: Scenario,
+    safety_filter: SafetyFilter,
+    log: dict[str, Array],
+    path_time: Array,
+    path: Array,
+    ending: Ending,
+) -> dict[str, Any]:
+    """Returns the summary of a run, without its assumptions and timings.
+
+    Args:
+        scenario: What was run.
+        safety_filter: The filter that ran.
+        log: The arrays of the log, one row a control tick.
+        path_time: Times of the integrator's steps, (S,) [s].
+        path: The true state there, (S, n).
+        ending: How it ended.
+    """
+    infeasible = log["status"] == FilterStatus.INFEASIBLE
+    infeasible_at = _first(log["time"], infeasible)
+    collided_at = ending.time if ending.monitor == "collision_monitor" else None
+    reached_at = _first(
+        path_time, _distance(scenario, path) <= scenario.arrival_tolerance
+    )
+    stopped = ending.monitor == "infeasibility_monitor"
+    heights = safety_filter.barrier_set.values_along(path, path_time)
+    slack = np.abs(log["slack"])
+    return {
+        "scenario": scenario.name,
+        "method": scenario.method,
+        "fidelity": scenario.fidelity,
+        "outcome": _outcome(collided_at, stopped, reached_at),
+        "running_time": min(
+            t for t in (infeasible_at, collided_at, ending.time) if t is not None
+        ),
+        "reached_at": reached_at,
+        "infeasible_at": infeasible_at,
+        "collided_at": collided_at,
+        "conflict": _conflict(safety_filter, log, infeasible),
+        "min_barrier": _least(heights),
+        "min_volume": _least(log["volume"]),
+        "max_abs_slack": float(slack.max()),
+        "slack_active_fraction": float(np.mean(slack > 0.0)),
+        "failed_ticks": int(np.sum(log["status"] == FilterStatus.FAILED)),
+        "final_distance": float(_distance(scenario, path[-1:])[0]),
+    }
+
+
+def _outcome(collided_at: float | None, stopped: bool, reached_at: float | None) -> str:
+    if collided_at is not None:
+        return "collision"
+    if stopped:
+        return "infeasible"
+    return "timeout" if reached_at is None else "reached"
+
+
+def _distance(scenario: Scenario, path: Array) -> Array:
+    target = np.array(scenario.target)
+    distance: Array = np.linalg.norm(path[:, : len(target)] - target, axis=1)
+    return distance
+
+
+def _first(times: Array, condition: NDArray[np.bool_]) -> float | None:
+    hits = np.flatnonzero(condition)
+    return float(times[hits[0]]) if len(hits) else None
+
+
+def _least(values: Array) -> float | None:
+    finite = values[np.isfinite(values)]
+    return float(finite.min()) if len(finite) else None
+
+
+def _conflict(
+    safety_filter: SafetyFilter, log: dict[str, Array], infeasible: NDArray[np.bool_]
+) -> list[str] | None:
+    """The rows that exclude each other at the first infeasible tick, by name."""
+    if not infeasible.any():
+        return None
+    tick = int(np.argmax(infeasible))
+    certificate = emptiness_certificate(
+        log["polytope_A"][tick] * safety_filter.input_set.scale,
+        log["polytope_b"][tick]
+        - log["polytope_A"][tick] @ safety_filter.input_set.center,
+    )
+    if certificate is None:
+        return None
+    return [safety_filter.row_name(int(row)) for row in certificate.rows]

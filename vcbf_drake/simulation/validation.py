@@ -1,0 +1,281 @@
+"""validate: what the types of a scenario's fields cannot say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import fields, is_dataclass
+import math
+import re
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from pydrake.systems.analysis import GetIntegrationSchemes
+
+from vcbf_drake.control.blimp_controller import BlimpControllerParameters
+from vcbf_drake.control.car_controller import CarControllerParameters
+from vcbf_drake.errors import ScenarioError, VcbfError
+from vcbf_drake.plants.blimp import BlimpParameters
+from vcbf_drake.plants.car import CarParameters
+from vcbf_drake.safety.filter_qp import INFEASIBLE_POLICIES
+from vcbf_drake.safety.methods import FIDELITIES, METHODS
+from vcbf_drake.safety.volume_barrier import VolumeBarrier
+from vcbf_drake.simulation.scenario import (
+    BarrierGains,
+    InputLimits,
+    Integrator,
+    MeasurementNoise,
+    Observer,
+    Obstacle,
+    Scenario,
+    TurnLimit,
+)
+
+BARRIER_FORMS = ("distance", "squared")
+OBSERVER_STEPS = ("implicit", "saturated", "explicit")
+
+# Keys and list indices from the top of a scenario down to one value.
+KeyPath: TypeAlias = tuple[str | int, ...]
+
+
+def key_path(path: KeyPath) -> str:
+    """Returns the path as it is written, for example ``obstacles[1].radius``."""
+    parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
+    return "".join(parts).removeprefix(".")
+
+
+class InvalidFieldError(ScenarioError):
+    """A field of a scenario has a value that is not allowed.
+
+    Attributes:
+        path: Where the field is.
+    """
+
+    def __init__(self, path: KeyPath, problem: str) -> None:
+        super().__init__(f"{key_path(path)}: {problem}")
+        self.path = path
+
+
+class PlantKind(NamedTuple):
+    """What a scenario has to know about a plant: its controller and its sizes."""
+
+    name: str
+    controller: type
+    states: int
+    inputs: int
+    disturbances: int
+    dimensions: int
+
+
+PLANT_KINDS = {
+    BlimpParameters: PlantKind("blimp", BlimpControllerParameters, 8, 3, 3, 3),
+    CarParameters: PlantKind("car", CarControllerParameters, 4, 2, 1, 2),
+}
+
+
+def validate(scenario: Scenario) -> None:
+    """Checks what types cannot say: signs, sizes, choices, and that parts agree.
+
+    Raises:
+        InvalidFieldError: A `ScenarioError` that names the field, its value and what
+            is allowed.
+    """
+    _check_numbers(scenario)
+    _check_choices(scenario)
+    _check_sizes(scenario)
+    _check_input_set(scenario.input_set)
+    _check_disturbance(scenario)
+    _check_gains(scenario.barrier.gains)
+    _check_threshold(scenario.volume.threshold)
+    _check_period(scenario)
+    _check_geometry(scenario)
+
+
+def _require(allowed: bool, path: KeyPath, value: object, rule: str) -> None:
+    if not allowed:
+        shown = f"{value:g}" if isinstance(value, float) else repr(value)
+        raise InvalidFieldError(path, f"{shown}; it must be {rule}")
+
+
+# Numbers ---------------------------------------------------------------------------
+
+_POSITIVE = {
+    BarrierGains: {"gains"},
+    Observer: {"alpha", "beta", "gamma", "boundary_layer", "linear_rate"},
+    Obstacle: {"radius"},
+    Scenario: {"duration", "period", "arrival_tolerance"},
+    TurnLimit: {"curvature", "smoothing_speed"},
+    VolumeBarrier: {"threshold", "gain", "slack_penalty"},
+}
+_NON_NEGATIVE = {
+    Integrator: {"max_step"},
+    MeasurementNoise: {"std", "seed"},
+    Obstacle: {"margin"},
+}
+
+
+def _check_numbers(value: Any, path: KeyPath = (), sign: str = "") -> None:
+    """Checks every number below a value; parts that check themselves are asked to."""
+    if hasattr(value, "validate"):
+        ask(value.validate, value, path)
+    elif is_dataclass(value):
+        for name in (each.name for each in fields(value)):
+            positive = name in _POSITIVE.get(type(value), ())
+            non_negative = name in _NON_NEGATIVE.get(type(value), ())
+            sign = "above 0" if positive else "not below 0" if non_negative else ""
+            _check_numbers(getattr(value, name), (*path, name), sign)
+    elif isinstance(value, list | tuple | np.ndarray):
+        for index, item in enumerate(value):
+            _check_numbers(item, (*path, index), sign)
+    elif isinstance(value, int | float):
+        _require(math.isfinite(value), path, value, "finite")
+        allowed = value > 0 if sign == "above 0" else value >= 0 or not sign
+        _require(allowed, path, value, sign)
+
+
+def ask(check: Callable[[], Any], owner: object, path: KeyPath) -> Any:
+    """Returns what a check of a field's owner returns; its errors name the field.
+
+    Raises:
+        InvalidFieldError: The check raised a `ValueError` or a `VcbfError`.
+    """
+    try:
+        return check()
+    except (ValueError, VcbfError) as error:
+        # Such messages begin with the field: "Sinusoid.phase is nan; it must be ..."
+        match = re.match(r"(?:\w+\.)?(\w+)(?::| is)? (.*)", str(error), re.DOTALL)
+        if match and match[1] in {each.name for each in fields(owner)}:  # type: ignore[arg-type]
+            raise InvalidFieldError((*path, match[1]), match[2]) from None
+        raise InvalidFieldError(path, str(error)) from None
+
+
+# Choices ---------------------------------------------------------------------------
+
+
+def _check_choices(scenario: Scenario) -> None:
+    choices: list[tuple[KeyPath, str, Collection[str]]] = [
+        (("method",), scenario.method, METHODS),
+        (("fidelity",), scenario.fidelity, FIDELITIES),
+        (("infeasible",), scenario.infeasible, INFEASIBLE_POLICIES),
+        (("observer", "step"), scenario.observer.step, OBSERVER_STEPS),
+        (("barrier", "form"), scenario.barrier.form, BARRIER_FORMS),
+        (
+            ("integrator", "scheme"),
+            scenario.integrator.scheme,
+            GetIntegrationSchemes(),
+        ),
+    ]
+    for path, value, allowed in choices:
+        _require(value in allowed, path, value, f"one of {', '.join(allowed)}")
+    _check_pairing(scenario, PLANT_KINDS[type(scenario.plant)])
+
+
+def _check_pairing(scenario: Scenario, kind: PlantKind) -> None:
+    if not isinstance(scenario.controller, kind.controller):
+        raise InvalidFieldError(
+            ("controller",),
+            f"!{type(scenario.controller).__name__}; it must be"
+            f" !{kind.controller.__name__}, for the plant is a {kind.name}",
+        )
+    if scenario.turn_limit is not None and kind.name != "car":
+        raise InvalidFieldError(
+            ("turn_limit",),
+            f"given; it must be left out, for the plant is a {kind.name}",
+        )
+
+
+# Sizes -----------------------------------------------------------------------------
+
+
+def _check_sizes(scenario: Scenario) -> None:
+    kind, limits = PLANT_KINDS[type(scenario.plant)], scenario.input_set
+    _check_size(("initial_state",), scenario.initial_state, kind.states, "state")
+    _check_size(("target",), scenario.target, kind.dimensions, "dimension")
+    _check_size(("input_set", "lower"), limits.lower, kind.inputs, "input")
+    _check_size(("input_set", "upper"), limits.upper, kind.inputs, "input")
+    _check_size(("input_set", "b"), limits.b, len(limits.A), "row of A")
+    for index, row in enumerate(limits.A):
+        _check_size(("input_set", "A", index), row, kind.inputs, "input")
+    _check_size(("barrier", "gains"), scenario.barrier.gains, 2, "relative degree")
+    if len(scenario.noise.std):
+        _check_size(("noise", "std"), scenario.noise.std, kind.states, "state")
+    for index, obstacle in enumerate(scenario.obstacles):
+        path: KeyPath = ("obstacles", index)
+        _check_size((*path, "center"), obstacle.center, kind.dimensions, "dimension")
+        if len(obstacle.velocity):
+            _check_size(
+                (*path, "velocity"), obstacle.velocity, kind.dimensions, "dimension"
+            )
+
+
+def _check_size(path: KeyPath, value: Sequence[float], size: int, of: str) -> None:
+    count = f"{size} number{'s' * (size != 1)}"
+    _require(len(value) == size, path, list(value), f"{count}, one per {of}")
+
+
+# Parts that must agree -------------------------------------------------------------
+
+
+def _check_input_set(limits: InputLimits) -> None:
+    for index, lower in enumerate(limits.lower):
+        upper = limits.upper[index]
+        path: KeyPath = ("input_set", "lower", index)
+        _require(lower < upper, path, lower, f"below upper, {upper:g}")
+    ask(limits.input_set, limits, ("input_set",))
+
+
+def _check_disturbance(scenario: Scenario) -> None:
+    size = PLANT_KINDS[type(scenario.plant)].disturbances
+    for index, signal in enumerate(scenario.disturbance):
+        path: KeyPath = ("disturbance", index)
+        curve = ask(lambda s=signal: s.curve(scenario.duration), signal, path)  # type: ignore[misc]
+        if curve.size != size:
+            raise InvalidFieldError(
+                path,
+                f"has {curve.size} channels; it must have {size},"
+                " one per disturbed state",
+            )
+
+
+def _check_gains(gains: Sequence[float]) -> None:
+    k1, k2 = gains
+    _require(
+        k1**2 >= 4.0 * k2,
+        ("barrier", "gains"),
+        list(gains),
+        "(k1, k2) with real roots of s^2 + k1 s + k2, so k1^2 >= 4 k2",
+    )
+
+
+def _check_threshold(threshold: float) -> None:
+    path = ("volume", "threshold")
+    _require(threshold < 1.0, path, threshold, "below 1, det B of the free box")
+
+
+def _check_period(scenario: Scenario) -> None:
+    _require(
+        scenario.period <= scenario.duration,
+        ("period",),
+        scenario.period,
+        f"at most the duration, {scenario.duration:g} s",
+    )
+
+
+def _check_geometry(scenario: Scenario) -> None:
+    start = scenario.initial_state[: len(scenario.target)]
+    for index, obstacle in enumerate(scenario.obstacles):
+        _check_outside(("initial_state",), start, index, obstacle)
+        if not any(obstacle.velocity):
+            _check_outside(("target",), scenario.target, index, obstacle)
+
+
+def _check_outside(
+    path: KeyPath, position: Sequence[float], index: int, obstacle: Obstacle
+) -> None:
+    distance = math.dist(position, obstacle.center) - obstacle.radius - obstacle.margin
+    _require(
+        distance > 0.0,
+        path,
+        list(position),
+        f"outside obstacles[{index}], margin included; its signed distance is"
+        f" {distance:.3g} m",
+    )
