@@ -7,8 +7,9 @@ from pydrake.geometry.optimization import HPolyhedron
 import pytest
 
 from vcbf_drake.errors import EmptySetError, SolverError, UnboundedSetError, VcbfError
-from vcbf_drake.safety import ellipsoid as module
-from vcbf_drake.safety.ellipsoid import InscribedEllipsoidSolver, inscribed_ellipsoid
+from vcbf_drake.safety import certified_ellipsoid, cone_program, ellipsoid_solver
+from vcbf_drake.safety.ellipsoid import inscribed_ellipsoid
+from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver
 from vcbf_drake.safety.input_set import InputSet
 
 UNIT_BALL = {1: 2.0, 2: math.pi, 3: 4.0 * math.pi / 3.0, 4: math.pi**2 / 2.0}
@@ -308,14 +309,14 @@ def test_malformed_rows_are_refused(A, b):
 
 
 def test_what_cannot_be_certified_is_not_returned(monkeypatch):
-    monkeypatch.setattr(module, "_gap", lambda n, e, w: 1e-6)
+    monkeypatch.setattr(certified_ellipsoid, "_gap", lambda n, e, w: 1e-6)
     with pytest.raises(SolverError, match="certified") as raised:
         inscribed_ellipsoid(box_rows(2), np.ones(4))
     np.testing.assert_array_equal(raised.value.b, np.ones(4))
 
 
 def test_a_solver_that_gives_up_is_not_believed(monkeypatch):
-    monkeypatch.setattr(module._ConeProgram, "solve", lambda self, A, b: None)
+    monkeypatch.setattr(cone_program.ConeProgram, "solve", lambda self, A, b: None)
     with pytest.raises(SolverError):
         inscribed_ellipsoid(box_rows(2), np.ones(4))
 
@@ -334,7 +335,7 @@ def test_answers_do_not_depend_on_history_or_threads():
     A, b = zip(*sets, strict=True)
     for solve in (inscribed_ellipsoid, solver.solve):
         first = [as_bytes(e) for e in map(solve, A, b)]
-        module._cone_program.cache_clear()
+        cone_program.cone_program.cache_clear()
         backwards = [as_bytes(e) for e in map(solve, A[::-1], b[::-1])]
         assert backwards == first[::-1]
         with ThreadPoolExecutor(4) as pool:
@@ -401,7 +402,7 @@ def test_plateau_needs_no_solve(monkeypatch):
     box = InscribedEllipsoidSolver(InputSet.box([-5.0, 0.0], [5.0, 1.0]))
     triangle_rows = np.array([[1.0, 1.0], [-1.0, 1.0], [0.0, -1.0]]), np.ones(3)
     triangle = InscribedEllipsoidSolver(InputSet(*triangle_rows))
-    monkeypatch.setattr(module, "_fast", None)
+    monkeypatch.setattr(ellipsoid_solver, "_fast", None)
     # The first row touches the unit ball, the second cuts a corner of the box only.
     e = box.solve(np.array([[3.0, 4.0], [1.0, 1.0]]), np.array([5.0, 1.5]))
     np.testing.assert_array_equal(e.shape, np.eye(2))
@@ -500,7 +501,7 @@ def test_cut_rows_of_wrong_shape_are_refused(shapes):
 
 
 def test_failures_of_the_solver_are_honest(monkeypatch):
-    monkeypatch.setattr(module._ConeProgram, "solve", lambda self, A, b: None)
+    monkeypatch.setattr(cone_program.ConeProgram, "solve", lambda self, A, b: None)
     solver = InscribedEllipsoidSolver(InputSet.box(-np.ones(2), np.ones(2)))
     with pytest.raises(VcbfError, match="certified"):
         solver.solve(np.array([[1.0, 0.5]]), np.array([0.1]))

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from vcbf_drake.safety.ellipsoid import InscribedEllipsoidSolver, inscribed_ellipsoid
+from vcbf_drake.safety.ellipsoid import inscribed_ellipsoid
+from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.polytope import chebyshev_ball, emptiness_certificate
 

@@ -12,17 +12,16 @@ from vcbf_drake.safety.filter_qp import (
 )
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.methods import FIDELITIES, METHODS, Fidelity, Method
+from vcbf_drake.safety.packed_feasible_set import (
+    PackedFeasibleSet,
+    unpack_feasible_set,
+)
 from vcbf_drake.safety.polytope import (
     Emptiness,
     chebyshev_ball,
     emptiness_certificate,
 )
-from vcbf_drake.safety.safety_filter import (
-    PackedFeasibleSet,
-    SafetyFilter,
-    observer_ports,
-    unpack_feasible_set,
-)
+from vcbf_drake.safety.safety_filter import SafetyFilter, observer_ports
 from vcbf_drake.safety.volume_barrier import Volume, VolumeBarrier
 
 __all__ = [

@@ -10,6 +10,7 @@ from pydrake.systems.framework import Context
 
 from vcbf_drake.barriers import Barrier
 from vcbf_drake.disturbances import DisturbanceObserver, RiseObserver
+from vcbf_drake.safety.polytope import recession_direction
 from vcbf_drake.safety.safety_filter import SafetyFilter
 
 
@@ -67,12 +68,12 @@ def assumptions(
 
 
 def _bounded_inputs(safety_filter: SafetyFilter) -> Assumption:
-    scale = safety_filter.input_set.scale
+    inputs = safety_filter.input_set
     return Assumption(
         "bounded input set",
         "U = {u : A_m u <= b_m} is bounded and has an interior",
-        True,
-        {"smallest half-width": float(scale.min())},
+        recession_direction(inputs.A) is None and bool(np.all(inputs.scale > 0.0)),
+        {"smallest half-width": float(inputs.scale.min())},
         "the largest inscribed ellipsoid (E20) would not exist",
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from threading import Lock
 
 import numpy as np
 from pydrake.solvers import ClpSolver, MathematicalProgram
@@ -35,21 +36,23 @@ class _Program:
     """The LP as a MathematicalProgram of fixed size; every solve overwrites it all."""
 
     def __init__(self, num_rows: int, num_variables: int) -> None:
+        self._lock = Lock()
         self._program = MathematicalProgram()
-        self._v = self._program.NewContinuousVariables(num_variables)
+        v = self._program.NewContinuousVariables(num_variables)
         self._below = np.full(num_rows, -np.inf)
         self._cost = self._program.AddLinearCost(
-            np.zeros(num_variables), 0.0, self._v
+            np.zeros(num_variables), 0.0, v
         ).evaluator()
         self._rows = self._program.AddLinearConstraint(
-            np.ones((num_rows, num_variables)), self._below, self._below, self._v
+            np.ones((num_rows, num_variables)), self._below, self._below, v
         ).evaluator()
 
     def solve(self, cost: Array, A: Array, b: Array) -> tuple[Array, bool]:
-        self._cost.UpdateCoefficients(cost, 0.0)
-        self._rows.UpdateCoefficients(A, self._below, b)
-        result = ClpSolver().Solve(self._program)
-        return result.GetSolution(self._v), result.is_success()
+        with self._lock:
+            self._cost.UpdateCoefficients(cost, 0.0)
+            self._rows.UpdateCoefficients(A, self._below, b)
+            result = ClpSolver().Solve(self._program)
+        return result.get_x_val(), result.is_success()
 
 
 @lru_cache(maxsize=256)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from threading import Lock
 
 import numpy as np
 from pydrake.solvers import (
@@ -153,18 +154,19 @@ class _Program:
     """The QP as a MathematicalProgram of fixed size; every solve overwrites it all."""
 
     def __init__(self, num_rows: int, num_variables: int) -> None:
+        self._lock = Lock()
         self._program = MathematicalProgram()
-        self._v = self._program.NewContinuousVariables(num_variables)
+        v = self._program.NewContinuousVariables(num_variables)
         self._identity = np.eye(num_variables)
         self._below = np.full(num_rows, -np.inf)
         self._cost = self._program.AddQuadraticCost(
-            self._identity, np.zeros(num_variables), self._v, is_convex=True
+            self._identity, np.zeros(num_variables), v, is_convex=True
         ).evaluator()
         self._rows = self._program.AddLinearConstraint(
             np.ones((num_rows, num_variables)),
             self._below,
             np.zeros(num_rows),
-            self._v,
+            v,
         ).evaluator()
 
     def solve(
@@ -175,10 +177,11 @@ class _Program:
         b: Array,
         reference: Array,
     ) -> Array:
-        self._cost.UpdateCoefficients(self._identity, -reference)
-        self._rows.UpdateCoefficients(A, self._below, b)
-        result = solver.Solve(self._program, np.zeros(len(reference)), options)
-        point: Array = result.GetSolution(self._v)
+        with self._lock:
+            self._cost.UpdateCoefficients(self._identity, -reference)
+            self._rows.UpdateCoefficients(A, self._below, b)
+            result = solver.Solve(self._program, np.zeros(len(reference)), options)
+        point: Array = result.get_x_val()
         return point
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeVar
 
 import numpy as np
 from pydrake.common.value import Value
@@ -21,7 +20,8 @@ from pydrake.systems.framework import (
 from vcbf_drake.barriers import Barrier, BarrierSet, StateInputLimit
 from vcbf_drake.errors import Array, EmptySetError, SolverError
 from vcbf_drake.plants import ControlAffineModel
-from vcbf_drake.safety.ellipsoid import Ellipsoid, InscribedEllipsoidSolver
+from vcbf_drake.safety.ellipsoid import Ellipsoid
+from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver
 from vcbf_drake.safety.feasible_set import (
     DisturbanceKnowledge,
     FeasibleSet,
@@ -37,14 +37,16 @@ from vcbf_drake.safety.filter_qp import (
 )
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.methods import FIDELITIES, Fidelity, method_named
+from vcbf_drake.safety.packed_feasible_set import (
+    PackedFeasibleSet,
+    pack_feasible_set,
+)
 from vcbf_drake.safety.volume_barrier import (
     Volume,
     VolumeBarrier,
     volume,
     volume_row,
 )
-
-T = TypeVar("T")
 
 
 class SafetyFilter(LeafSystem):
@@ -358,7 +360,9 @@ class SafetyFilter(LeafSystem):
         shape, center = np.full((m, m), np.nan), np.full(m, np.nan)
         if v is not None and v.ellipsoid is not None:
             shape, center = self._in_physical_inputs(v.ellipsoid)
-        return np.concatenate([feasible.A.ravel(), feasible.b, shape.ravel(), center])
+        return pack_feasible_set(
+            PackedFeasibleSet(feasible.A, feasible.b, shape, center)
+        )
 
     def _in_physical_inputs(self, ellipsoid: Ellipsoid) -> tuple[Array, Array]:
         scaled = self.input_set.scale[:, None] * ellipsoid.shape
@@ -374,37 +378,4 @@ def observer_ports(num_disturbances: int) -> tuple[tuple[str, int], ...]:
         ("estimate_rate", num_disturbances),
         ("error_bound", 1),
         ("error_bound_rate", 1),
-    )
-
-
-class PackedFeasibleSet(NamedTuple):
-    """The ``feasible_set`` port's value, taken apart; leading axes are kept.
-
-    Attributes:
-        A: Rows in physical inputs, (..., rows, m).
-        b: Right-hand sides, (..., rows).
-        shape: The largest ellipsoid's symmetric B, (..., m, m); nan when empty.
-        center: Its center, (..., m); nan when empty.
-    """
-
-    A: Array
-    b: Array
-    shape: Array
-    center: Array
-
-
-def unpack_feasible_set(
-    packed: Array, num_rows: int, num_inputs: int
-) -> PackedFeasibleSet:
-    """Takes apart one value, or an array of values, of the ``feasible_set`` port.
-
-    Args:
-        packed: Shape (..., size of the port).
-        num_rows: Rows of the set.
-        num_inputs: m.
-    """
-    rows, m, lead = num_rows, num_inputs, packed.shape[:-1]
-    A, b, shape, center = np.split(packed, np.cumsum([rows * m, rows, m * m]), axis=-1)
-    return PackedFeasibleSet(
-        A.reshape(*lead, rows, m), b, shape.reshape(*lead, m, m), center
     )

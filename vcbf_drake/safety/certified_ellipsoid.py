@@ -1,0 +1,145 @@
+"""A proposed ellipsoid made exact and certified.
+
+Newton's method on the optimality conditions (E42), in the ellipsoid's own coordinates,
+makes it and its multipliers exact. Weak duality bounds what is left of the error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+from vcbf_drake.errors import Array
+
+# Largest certified error of log det B, hence of the volume's relative error.
+ACCEPTED_GAP = 1e-7
+# Newton's method stops below this gap.
+_TARGET_GAP = 1e-9
+
+
+@dataclass(frozen=True)
+class CertifiedEllipsoid:
+    """An ellipsoid with what is known of it; see `Ellipsoid`, for rows of length 1."""
+
+    center: Array
+    shape: Array
+    log_det: float
+    multipliers: Array
+    certified_gap: float
+
+
+def polish(
+    A: Array, b: Array, center: Array, frame: Array, multipliers: Array
+) -> CertifiedEllipsoid | None:
+    """Semismooth Newton's method on the optimality conditions (E42).
+
+    In the coordinates in which the ellipsoid is the unit ball, with the rows' unit
+    normals n_i, their excess distance e_i = (b_i - a_i c) / |B a_i| - 1 and their
+    weights w_i = lambda_i |B a_i|, the conditions read
+
+        sum w_i n_i n_i' = I,   sum w_i n_i = 0,   min(w_i, e_i) = 0.
+
+    A row takes part in a step when w_i > e_i; the weights of the others are zero. The
+    step moves the centre by d and the shape from I to I + D. The conditions, linear in
+    D, d and the change of w, ask for
+
+        2 D = I - sum (v_i - w_i e_i) n_i n_i',   d = sum v_i n_i,
+        n_i' D n_i + n_i' d = e_i   for the rows that take part,
+
+    which determines v, and w_i becomes v_i - w_i n_i' d.
+    """
+    best, least = None, math.inf
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        for step in range(8):
+            n = A @ frame
+            length = np.sqrt(np.einsum("ij,ij->i", n, n))
+            n /= length[:, None]
+            e = (b - A @ center) / length - 1.0
+            w = multipliers * length
+            w[w <= e] = 0.0
+            # The cone program's own multipliers are never exact enough to stop at.
+            if step > 0:
+                gap = _gap(n, e, w)
+                if gap < least:
+                    best, least = (center, frame, w / length, e), gap
+                if gap <= _TARGET_GAP:
+                    break
+            on = ((w > 0.0) | (e < 0.0)).nonzero()[0]
+            n, e, w = n[on], e[on], w[on]
+            cosine = n @ n.T
+            square = cosine * cosine
+            matrix = 0.5 * square - cosine
+            # Rows given twice make it singular; shifted, they share their weight.
+            matrix.flat[:: len(on) + 1] += 1e-10
+            we = w * e
+            try:
+                v = np.linalg.solve(matrix, 0.5 - e + 0.5 * (square @ we))
+            except np.linalg.LinAlgError:
+                break
+            d = v @ n
+            multipliers = np.zeros(len(b))
+            multipliers[on] = np.maximum(v - w * (n @ d), 0.0) / length[on]
+            center = center + frame @ d
+            frame = 1.5 * frame - 0.5 * frame @ ((n.T * (v - we)) @ n)
+    return best and _inside(*best, least)
+
+
+def _gap(n: Array, e: Array, w: Array) -> float:
+    """Bounds log det B* - log det B by weak duality, in the coordinates of `polish`.
+
+    There B = (1 + min e) I. For every ellipsoid (B, c) inside and S = sum w_i n_i n_i',
+
+        sum w_i (1 + e_i) >= sum w_i (|B n_i| + n_i c) >= tr(S B) + c' sum w_i n_i
+
+    and tr(S B) >= m (det S det B)^(1/m). At the optimum sum w_i n_i vanishes; until
+    then |c| is bounded by c'S c = sum w_i (n_i c)^2 with -|c| <= n_i c <= 1 + e_i, to
+    2 sum w_i (1 + e_i) over the least eigenvalue of S less |sum w_i n_i|.
+    """
+    m = n.shape[1]
+    reach, total = 1.0 + float(e.min()), float(w @ (1.0 + e))
+    det = float(np.linalg.det((n.T * w) @ n))
+    imbalance = math.hypot(*(w @ n).tolist())
+    # Then the least eigenvalue of S is above 0.09 for up to 8 inputs.
+    if not (0.0 < total < 1.1 * m * reach and det > 0.5 and imbalance < 0.04):
+        return math.inf
+    farthest = 2.0 * total / 0.05
+    return m * math.log((total + imbalance * farthest) / (m * reach)) - math.log(det)
+
+
+def _inside(
+    center: Array, frame: Array, multipliers: Array, e: Array, gap: float
+) -> CertifiedEllipsoid:
+    """Scales the ellipsoid until it touches, and takes its symmetric shape (F F')^1/2.
+
+    The gap gets the rounding of |B a_i| and b_i - a_i c added, which grows with the
+    ratio of the longest to the shortest axis.
+    """
+    axes, lengths, _ = np.linalg.svd(frame)
+    lengths *= 1.0 + e.min()
+    longest, shortest = lengths[0] + math.sqrt(center @ center), lengths[-1]
+    rounding = 4e-16 * len(lengths) * float(longest / shortest)
+    log_det = float(np.log(lengths).sum())
+    half = axes * (0.5 * lengths) @ axes.T
+    return CertifiedEllipsoid(
+        center, half + half.T, log_det, multipliers, gap + rounding
+    )
+
+
+def interval(A: Array, b: Array) -> CertifiedEllipsoid | None:
+    """One input: the interval between the nearest bounds on either side."""
+    rows = A[:, 0]
+    bound = b / rows
+    upper = int(np.where(rows > 0.0, bound, np.inf).argmin())
+    lower = int(np.where(rows < 0.0, bound, -np.inf).argmax())
+    half = 0.5 * float(bound[upper] - bound[lower])
+    if not (rows[upper] > 0.0 > rows[lower] and half > 0.0):
+        return None
+    multipliers = np.zeros(len(b))
+    multipliers[[upper, lower]] = 0.5 / half
+    center = np.array([0.5 * (bound[upper] + bound[lower])])
+    rounding = 1e-15 * (1.0 + abs(float(center[0])) / half)
+    return CertifiedEllipsoid(
+        center, np.array([[half]]), math.log(half), multipliers, rounding
+    )
