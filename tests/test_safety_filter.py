@@ -16,7 +16,8 @@ from vcbf_drake import (
     SphereObstacle,
 )
 from vcbf_drake.disturbances import DisturbanceBounds, Sinusoid
-from vcbf_drake.safety import METHODS, FilterStatus, filter_qp, unpack_feasible_set
+from vcbf_drake.safety import METHODS, FilterStatus, unpack_feasible_set
+from vcbf_drake.safety import safety_filter as safety_filter_module
 
 LIMITS = InputSet.box([-0.05, -0.2, -0.02], [0.25, 0.2, 0.02])
 CLOSE = np.array([0.0, 0.0, 0.0, 0.1, 0.25, 0.0, 0.1, 0.0])
@@ -98,13 +99,13 @@ def test_far_from_everything_the_reference_passes_through(model):
 
 def test_all_ports_share_one_solve(model, monkeypatch):
     calls = []
-    original = filter_qp.nearest_point
+    original = safety_filter_module.choose_input
 
     def counting(*arguments):
         calls.append(1)
         return original(*arguments)
 
-    monkeypatch.setattr(filter_qp, "nearest_point", counting)
+    monkeypatch.setattr(safety_filter_module, "choose_input", counting)
     safety_filter = make_filter(model)
     context = fixed(safety_filter, CLOSE)
     for _ in range(3):
@@ -214,13 +215,13 @@ def test_add_safety_filter_keeps_a_users_loop_safe(method):
 
 def test_one_solve_a_tick_in_a_running_loop(monkeypatch):
     calls = []
-    original = filter_qp.nearest_point
+    original = safety_filter_module.choose_input
 
     def counting(*arguments):
         calls.append(1)
         return original(*arguments)
 
-    monkeypatch.setattr(filter_qp, "nearest_point", counting)
+    monkeypatch.setattr(safety_filter_module, "choose_input", counting)
     diagram, _, log = guarded_blimp()
     simulator = Simulator(diagram)
     simulator.AdvanceTo(1.0)

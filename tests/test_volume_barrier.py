@@ -60,7 +60,7 @@ def drake_volume(barriers, state, time, known):
 def evaluate(barriers, state, time, known):
     feasible = feasible_set(INPUTS, barriers.rows(state, time), known)
     ellipsoid = inscribed_ellipsoid(feasible.A_v, feasible.b_v)
-    return volume(ellipsoid, feasible, known, INPUTS, THRESHOLD)
+    return volume(ellipsoid, feasible, INPUTS, THRESHOLD)
 
 
 def situations(barriers, count):

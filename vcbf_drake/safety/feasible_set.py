@@ -52,6 +52,7 @@ class FeasibleSet:
         A_v: `A` in normalised inputs, shape (k + N, m).
         b_v: `b` in normalised inputs, shape (k + N,).
         rows: The barrier rows.
+        known: What they take as known of the disturbance.
         num_input_rows: k, how many rows limit the input whatever the state.
         cutting: Indices of the rows that can matter: the input set's, and the barrier
             rows that cut its bounding box |v_j| <= 1. The others hold for every input.
@@ -62,6 +63,7 @@ class FeasibleSet:
     A_v: Array
     b_v: Array
     rows: BarrierRows
+    known: DisturbanceKnowledge
     num_input_rows: int
     cutting: NDArray[np.intp]
 
@@ -73,7 +75,8 @@ class FeasibleSet:
 
 def disturbance_margin(rows: BarrierRows, known: DisturbanceKnowledge) -> Array:
     """Returns Lambda, the certified lower bound of w'd per row (E16), shape (N,)."""
-    return rows.w @ known.estimate - np.linalg.norm(rows.w, axis=1) * known.bound
+    w_norm = np.sqrt(np.einsum("ij,ij->i", rows.w, rows.w))
+    return rows.w @ known.estimate - w_norm * known.bound
 
 
 def feasible_set(
@@ -96,6 +99,7 @@ def feasible_set(
         A_v=np.concatenate([input_set.A_normalised, A_v]),
         b_v=np.concatenate([input_set.b_normalised, b_v]),
         rows=rows,
+        known=known,
         num_input_rows=k,
         cutting=np.concatenate(
             [np.arange(k), k + np.flatnonzero(b_v < np.abs(A_v).sum(axis=1))]

@@ -55,6 +55,11 @@ class VolumeRow:
     c: float
     slack_penalty: float
 
+    def normalised(self, input_set: InputSet) -> VolumeRow:
+        """Returns the row in normalised inputs."""
+        shifted = self.c - float(self.a @ input_set.center)
+        return VolumeRow(self.a * input_set.scale, shifted, self.slack_penalty)
+
 
 @dataclass(frozen=True)
 class FilterDecision:
@@ -100,70 +105,71 @@ def choose_input(
     if not (feasible.is_finite and np.isfinite(reference).all()):
         return FilterDecision(input_set.project(held_input), FilterStatus.FAILED)
     A, b = feasible.A_v[feasible.cutting], feasible.b_v[feasible.cutting]
+    row = None if volume_row is None else volume_row.normalised(input_set)
     v_reference = np.clip(
         (reference - input_set.center) / input_set.scale,
         -_FARTHEST_REFERENCE,
         _FARTHEST_REFERENCE,
     )
-    try:
-        if volume_row is None:
-            v, slack, status = _hard(A, b, v_reference), 0.0, None
-        else:
-            a = volume_row.a * input_set.scale
-            c = volume_row.c - float(volume_row.a @ input_set.center)
-            solve = _with_penalty if fidelity == "paper" else _hard_first
-            v, slack, status = solve(A, b, a, c, volume_row.slack_penalty, v_reference)
-    except EmptySetError:
-        return _infeasible(feasible, v_reference, held_input, input_set, policy)
-    except SolverError:
-        return _failed(feasible, v_reference, held_input, input_set)
-    if v is v_reference:
+    if np.all(A @ v_reference <= b) and _holds(row, v_reference):
         return FilterDecision(reference, FilterStatus.REFERENCE)
+    slack, status = 0.0, FilterStatus.FILTERED
+    v = v_reference.clip(-1.0, 1.0)
+    # The nearest point of the bounding box is the nearest of all if the rows allow it.
+    if not (np.all(A @ v <= b) and _holds(row, v)):
+        try:
+            if row is None:
+                v = _hard(A, b, v_reference)
+            else:
+                solve = _with_penalty if fidelity == "paper" else _hard_first
+                v, slack, status = solve(A, b, row, v_reference)
+        except EmptySetError:
+            return _infeasible(feasible, v_reference, held_input, input_set, policy)
+        except SolverError:
+            return _failed(feasible, v_reference, held_input, input_set)
     u = input_set.project(input_set.center + input_set.scale * v)
-    return FilterDecision(u, status or FilterStatus.FILTERED, slack)
+    return FilterDecision(u, status, slack)
+
+
+def _holds(row: VolumeRow | None, v: Array) -> bool:
+    return row is None or bool(row.a @ v <= row.c)
 
 
 def _hard(A: Array, b: Array, reference: Array) -> Array:
     return nearest_point(A, b, reference).point
 
 
-_Solution = tuple[Array, float, FilterStatus | None]
+_Solution = tuple[Array, float, FilterStatus]
 
 
-def _hard_first(
-    A: Array, b: Array, a: Array, c: float, _: float, reference: Array
-) -> _Solution:
+def _hard_first(A: Array, b: Array, row: VolumeRow, reference: Array) -> _Solution:
     """The volume row as a constraint; relaxed only where it leaves nothing (E25)."""
-    all_A, all_b = np.vstack([A, a]), np.append(b, c)
+    all_A, all_b = np.vstack([A, row.a]), np.append(b, row.c)
     try:
-        return _hard(all_A, all_b, reference), 0.0, None
+        return _hard(all_A, all_b, reference), 0.0, FilterStatus.FILTERED
     except EmptySetError:
         v = _hard(A, b, reference)  # Empty without it too?
-    if np.any(a):
-        v = minimise_linear(a, A, b)
-        all_b[-1] = a @ v + _OPENING * (1.0 + abs(c))
+    if np.any(row.a):
+        v = minimise_linear(row.a, A, b)
+        all_b[-1] = row.a @ v + _OPENING * (1.0 + abs(row.c))
         try:
             v = _hard(all_A, all_b, reference)
         except (EmptySetError, SolverError):
             pass  # The linear program's own minimiser is a solution too.
-    return v, min(0.0, c - float(a @ v)), FilterStatus.RELAXED
+    return v, min(0.0, row.c - float(row.a @ v)), FilterStatus.RELAXED
 
 
-def _with_penalty(
-    A: Array, b: Array, a: Array, c: float, penalty: float, reference: Array
-) -> _Solution:
+def _with_penalty(A: Array, b: Array, row: VolumeRow, reference: Array) -> _Solution:
     """The volume row with the free slack delta at the cost M delta^2 (E24).
 
     In the variables (v, sqrt(M) delta) the cost is a distance again.
     """
-    root = float(np.sqrt(penalty))
-    all_A = np.block([[A, np.zeros((len(b), 1))], [a, 1.0 / root]])
-    augmented = np.append(reference, 0.0)
-    solution = _hard(all_A, np.append(b, c), augmented)
-    if solution is augmented:
-        return reference, 0.0, None
+    root = float(np.sqrt(row.slack_penalty))
+    all_A = np.block([[A, np.zeros((len(b), 1))], [row.a, 1.0 / root]])
+    solution = _hard(all_A, np.append(b, row.c), np.append(reference, 0.0))
     slack = float(solution[-1]) / root
-    return solution[:-1], slack, FilterStatus.RELAXED if slack < 0.0 else None
+    status = FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
+    return solution[:-1], slack, status
 
 
 def _infeasible(

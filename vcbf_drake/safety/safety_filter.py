@@ -306,9 +306,7 @@ class SafetyFilter(LeafSystem):
             )
         except SolverError:
             return None
-        return volume(
-            ellipsoid, feasible, self.knowledge(context), self.input_set, threshold
-        )
+        return volume(ellipsoid, feasible, self.input_set, threshold)
 
     def _calc_decision(self, context: Context) -> FilterDecision:
         reference = self._reference.Eval(context)
@@ -335,7 +333,9 @@ class SafetyFilter(LeafSystem):
             return FilterDecision(decision.input, FilterStatus.FAILED)
         return decision
 
-    def _volume_row(self, context: Context, v: Volume) -> VolumeRow:
+    def _volume_row(self, context: Context, v: Volume) -> VolumeRow | None:
+        if v.is_on_plateau and v.value >= 0.0:
+            return None  # The row would be 0 <= lambda_Vv V_v.
         drift, input_matrix = self.model.drift_and_input_matrix(
             self._state.Eval(context)
         )
@@ -344,7 +344,7 @@ class SafetyFilter(LeafSystem):
             drift,
             input_matrix,
             self.model.disturbance_matrix,
-            self.knowledge(context),
+            self.feasible_set(context).known,
             self.volume_barrier.gain,
             self.fidelity,
         )

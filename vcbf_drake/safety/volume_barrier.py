@@ -71,6 +71,12 @@ class Volume:
             bound=0.0,
         )
 
+    @property
+    def is_on_plateau(self) -> bool:
+        """Whether no barrier touches the ellipsoid, so that V_v has no gradient."""
+        moving = self.state.any() or self.time or self.estimate.any() or self.bound
+        return self.ellipsoid is not None and not moving
+
     def rate(
         self, state_rate: Array, known: DisturbanceKnowledge, disturbance: Array
     ) -> float:
@@ -93,7 +99,6 @@ class Volume:
 def volume(
     ellipsoid: Ellipsoid,
     feasible: FeasibleSet,
-    known: DisturbanceKnowledge,
     input_set: InputSet,
     threshold: float,
 ) -> Volume:
@@ -102,16 +107,15 @@ def volume(
     Args:
         ellipsoid: The largest ellipsoid of the feasible set, in normalised inputs.
         feasible: The feasible set.
-        known: What is known of the disturbance.
         input_set: The input set, for the scaling of the inputs.
         threshold: xi of (E21).
     """
-    rows, n = feasible.rows, feasible.rows.b_gradient.shape[1] - 1
+    rows, known = feasible.rows, feasible.known
+    n = rows.b_gradient.shape[1] - 1
     determinant = float(np.exp(ellipsoid.log_det))
     multipliers = determinant * ellipsoid.multipliers[feasible.num_input_rows :]
-    touching = np.flatnonzero(multipliers > 0.0)
     extended, estimate, bound = np.zeros(n + 1), np.zeros(len(known.estimate)), 0.0
-    for i in touching:
+    for i in multipliers.nonzero()[0]:
         normal = ellipsoid.shape @ feasible.A_v[feasible.num_input_rows + i]
         contact_v = ellipsoid.center + ellipsoid.shape @ normal / np.linalg.norm(normal)
         contact = input_set.center + input_set.scale * contact_v
