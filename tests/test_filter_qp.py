@@ -16,7 +16,7 @@ BOX = InputSet.box([-1.0, -2.0], [3.0, 2.0])
 ORIGIN = np.zeros(2)
 
 
-def set_of(A, b, input_set=BOX):
+def set_of(A, b, input_set=BOX, weights=None):
     """The feasible set of plain rows A u <= b, without any disturbance."""
     A, b = np.atleast_2d(np.array(A, dtype=float)), np.atleast_1d(b).astype(float)
     n, m = A.shape
@@ -30,7 +30,7 @@ def set_of(A, b, input_set=BOX):
         b_gradient=np.zeros((n, 3)),
         w_gradient=np.zeros((n, 1, 3)),
     )
-    return feasible_set(input_set, rows, DisturbanceKnowledge.constant(1, 0.0))
+    return feasible_set(input_set, rows, DisturbanceKnowledge.constant(1, 0.0), weights)
 
 
 def choose(feasible, reference, volume_row=None, **options):
@@ -123,6 +123,14 @@ def test_least_violation_is_the_minimax_violation():
         assert BOX.contains(decision.input)
         checked += 1
     assert checked > 50
+
+
+def test_weights_say_which_barrier_gives_way():
+    # u1 <= -0.5 and u1 >= 0.2 cannot both hold; the violations add up to 0.7.
+    weights = np.array([6.0, 1.0])
+    feasible = set_of([[1.0, 0.0], [-1.0, 0.0]], [-0.5, -0.2], weights=weights)
+    decision = choose(feasible, ORIGIN, policy="least_violation")
+    assert decision.input[0] == pytest.approx(-0.4, abs=1e-6)
 
 
 def test_hold_keeps_the_held_input_inside_the_input_set():

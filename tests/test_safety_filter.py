@@ -170,6 +170,10 @@ def test_an_empty_set_is_reported_with_its_rows(model):
     [
         ({"method": "magic"}, r"method: got 'magic'; allowed: cbf-qp, robust-cbf-qp"),
         ({"fidelity": "exact"}, r"fidelity: got 'exact'; allowed: corrected, paper"),
+        (
+            {"violation_weights": [1.0]},
+            r"violation_weights: got \[1.0\]; must be 2 pos",
+        ),
         ({"infeasible": "pray"}, r"infeasible: got 'pray'; allowed: stop, least_viol"),
     ],
 )

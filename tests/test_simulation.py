@@ -143,6 +143,7 @@ def test_summary_has_the_public_keys(demo):
         "scenario", "method", "fidelity", "outcome", "running_time", "reached_at",
         "infeasible_at", "collided_at", "conflict", "min_barrier", "min_volume",
         "max_abs_slack", "slack_active_fraction", "failed_ticks", "final_distance",
+        "rows_without_authority",
         "assumptions", "step_cpu_ms", "real_time_factor",
     }  # fmt: skip
     assert set(demo["dob-vcbf-qp"].summary) == keys
@@ -222,6 +223,43 @@ def test_infeasible_at_the_first_tick_ends_the_run_there():
     assert result.summary["outcome"] == "infeasible"
     assert result.summary["running_time"] == 0.0
     assert len(result.log["time"]) == 1
+
+
+def test_a_blimp_abeam_of_a_sphere_is_reported_as_without_authority():
+    """Thrust has no part towards a sphere that is abeam, at the blimp's height."""
+    start = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    abeam = [{"center": [0.0, 3.0, 0.0], "radius": 0.5}]
+    overrides = {"initial_state": start, "obstacles": abeam, "duration": 1.0}
+    summary = simulate(load_scenario(DEMO, overrides)).summary
+    assert summary["rows_without_authority"] == ["obstacle 1"]
+
+
+FIGURES = """
+import hashlib, sys
+from pathlib import Path
+from tests.test_simulation import DEMO
+from vcbf_drake import load_scenario, simulate
+from vcbf_drake.viz import write_figures
+result = simulate(load_scenario(DEMO, {"duration": 3.0}))
+for path in write_figures([result], Path(sys.argv[1])):
+    print(path.name, hashlib.sha256(path.read_bytes()).hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_figures_repeat_bit_for_bit_in_another_process(tmp_path):
+    printed = [
+        subprocess.run(
+            [sys.executable, "-c", FIGURES, str(tmp_path / seed)],
+            env=os.environ | {"PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in ("1", "2")
+    ]
+    assert printed[0] == printed[1]
+    assert "overview.png" in printed[0]
 
 
 def test_progress_is_reported_to_the_end():

@@ -54,6 +54,7 @@ def AddSafetyFilter(
     state: OutputPort | None = None,
     input_port: InputPort | str | int | None = None,
     disturbance_port: InputPort | str | int | None = None,
+    violation_weights: Sequence[float] | None = None,
     model: ControlAffineModel | None = None,
     name: str = "filter",
 ) -> AddedSafetyFilter:
@@ -80,6 +81,8 @@ def AddSafetyFilter(
             by default.
         input_port: The plant's input, where it has several.
         disturbance_port: The plant's disturbance input, where it has another name.
+        violation_weights: How much a violation of each barrier counts when not all can
+            hold, (N,), positive; ones by default.
         model: The plant's model, when it is at hand already.
         name: The filter's name; hold and observer are named after it.
 
@@ -99,6 +102,7 @@ def AddSafetyFilter(
         volume_barrier=volume_barrier,
         disturbance_bound=bounds.delta1,
         estimate_gain=observer.estimate_gain,
+        violation_weights=violation_weights,
         hold_margin=bounds.delta2 * period if fidelity == "corrected" else 0.0,
     )
     builder.AddNamedSystem(name, safety_filter)

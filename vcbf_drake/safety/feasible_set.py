@@ -53,6 +53,7 @@ class FeasibleSet:
         b_v: `b` in normalised inputs, shape (k + N,).
         rows: The barrier rows.
         known: What they take as known of the disturbance.
+        weights: How much a violation of each barrier row counts, shape (N,).
         num_input_rows: k, how many rows limit the input whatever the state.
         cutting: Indices of the rows that can matter: the input set's, and the barrier
             rows that cut its bounding box |v_j| <= 1. The others hold for every input.
@@ -64,6 +65,7 @@ class FeasibleSet:
     b_v: Array
     rows: BarrierRows
     known: DisturbanceKnowledge
+    weights: Array
     num_input_rows: int
     cutting: NDArray[np.intp]
 
@@ -80,7 +82,10 @@ def disturbance_margin(rows: BarrierRows, known: DisturbanceKnowledge) -> Array:
 
 
 def feasible_set(
-    input_set: InputSet, rows: BarrierRows, known: DisturbanceKnowledge
+    input_set: InputSet,
+    rows: BarrierRows,
+    known: DisturbanceKnowledge,
+    weights: Array | None = None,
 ) -> FeasibleSet:
     """Returns the feasible set of (E18): A u <= b + Delta b.
 
@@ -88,6 +93,8 @@ def feasible_set(
         input_set: The inputs the actuators can produce.
         rows: The barriers' rows at one state and time.
         known: What is known of the disturbance there.
+        weights: How much a violation of each barrier row counts, shape (N,); ones by
+            default.
     """
     k = len(input_set.b)
     b = rows.b + disturbance_margin(rows, known)
@@ -100,6 +107,7 @@ def feasible_set(
         b_v=np.concatenate([input_set.b_normalised, b_v]),
         rows=rows,
         known=known,
+        weights=np.ones(len(b)) if weights is None else weights,
         num_input_rows=k,
         cutting=np.concatenate(
             [np.arange(k), k + np.flatnonzero(b_v < np.abs(A_v).sum(axis=1))]

@@ -198,14 +198,14 @@ def _failed(
 def _least_violation(
     feasible: FeasibleSet, reference: Array, held_input: Array, input_set: InputSet
 ) -> Array:
-    """The input within its limits whose worst barrier violation is least.
+    """The input within its limits whose worst weighted barrier violation is least.
 
-    Among those, the one nearest to the reference.
+    min t subject to weight_i (a_i u - b_i) <= t; among those inputs, the one nearest
+    to the reference.
     """
-    k = feasible.num_input_rows
-    weight = np.zeros(len(feasible.b_v))
-    weight[k:] = 1.0
-    A = np.column_stack([feasible.A_v, -weight])
+    give = np.zeros(len(feasible.b_v))
+    give[feasible.num_input_rows :] = 1.0 / feasible.weights
+    A = np.column_stack([feasible.A_v, -give])
     no_reward = np.append(np.zeros(A.shape[1] - 1), -1.0)  # violation >= 0
     cost = np.append(np.zeros(A.shape[1] - 1), 1.0)
     try:
@@ -213,7 +213,7 @@ def _least_violation(
             cost, np.vstack([A, no_reward]), np.append(feasible.b_v, 0.0)
         )
         v, violation = solution[:-1], solution[-1]
-        relaxed = feasible.b_v + weight * (violation + _OPENING * (1.0 + violation))
+        relaxed = feasible.b_v + give * (violation + _OPENING * (1.0 + violation))
         v = _hard(feasible.A_v, relaxed, reference)
     except EmptySetError:
         pass  # The linear program's own minimiser is a solution too.

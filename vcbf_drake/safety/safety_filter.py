@@ -68,6 +68,7 @@ class SafetyFilter(LeafSystem):
         - volume
         - slack
         - barriers
+        - authority
         - status
         - feasible_set
 
@@ -94,6 +95,7 @@ class SafetyFilter(LeafSystem):
     | ``volume`` | 1 | V_v of (E21); -threshold when the set is empty, nan on failure |
     | ``slack`` | 1 | delta of (E24), at most 0; 0 unless the volume row gave way |
     | ``barriers`` | N | h_i; nan for a state-dependent input limit |
+    | ``authority`` | N | how far the inputs move each row; 0 when not at all (R33) |
     | ``status`` | 1 | a `FilterStatus` |
     | ``feasible_set`` | | A, b, ellipsoid: see `unpack_feasible_set` |
 
@@ -113,6 +115,7 @@ class SafetyFilter(LeafSystem):
         disturbance_bound: float = 0.0,
         estimate_gain: float = 0.0,
         hold_margin: float = 0.0,
+        violation_weights: Sequence[float] | None = None,
     ) -> None:
         """Declares ports and cache entries.
 
@@ -130,6 +133,8 @@ class SafetyFilter(LeafSystem):
             hold_margin: How far the disturbance can move while one input is held,
                 delta2 times the control period; added to the error bound (E39)
                 [m/s^2].
+            violation_weights: How much a violation of each barrier counts when not all
+                can hold, (N,), positive; ones by default.
 
         Raises:
             ValueError: An argument is outside what is allowed.
@@ -161,6 +166,7 @@ class SafetyFilter(LeafSystem):
         self._worst_case = disturbance_bound
         self._estimate_gain = estimate_gain
         self._hold_margin = hold_margin
+        self._weights = _checked_weights(violation_weights, len(self.barriers))
         self._ellipsoid_solver = InscribedEllipsoidSolver(input_set)
         self._declare_inputs()
         self._declare_cache_entries()
@@ -222,6 +228,12 @@ class SafetyFilter(LeafSystem):
             "barriers",
             self.barrier_set.size,
             lambda c: self.feasible_set(c).rows.value,
+            self._feasible_entry,
+        )
+        self._output(
+            "authority",
+            self.barrier_set.size,
+            lambda c: self.feasible_set(c).rows.authority(self.input_set.scale),
             self._feasible_entry,
         )
         self._output(
@@ -290,7 +302,9 @@ class SafetyFilter(LeafSystem):
 
     def _calc_feasible_set(self, context: Context) -> FeasibleSet:
         rows = self.barrier_set.rows(self._state.Eval(context), context.get_time())
-        return feasible_set(self.input_set, rows, self.knowledge(context))
+        return feasible_set(
+            self.input_set, rows, self.knowledge(context), self._weights
+        )
 
     def _calc_volume(self, context: Context) -> Volume | None:
         feasible = self.feasible_set(context)
@@ -369,6 +383,16 @@ class SafetyFilter(LeafSystem):
         eigenvalues, axes = np.linalg.eigh(scaled @ scaled.T)
         shape = (axes * np.sqrt(np.maximum(eigenvalues, 0.0))) @ axes.T
         return shape, self.input_set.center + self.input_set.scale * ellipsoid.center
+
+
+def _checked_weights(weights: Sequence[float] | None, size: int) -> Array:
+    checked = np.ones(size) if weights is None else np.array(weights, dtype=float)
+    if checked.shape != (size,) or not np.all(np.isfinite(checked) & (checked > 0.0)):
+        raise ValueError(
+            f"violation_weights: got {checked.tolist()};"
+            f" must be {size} positive, finite numbers, one a barrier"
+        )
+    return checked
 
 
 def observer_ports(num_disturbances: int) -> tuple[tuple[str, int], ...]:

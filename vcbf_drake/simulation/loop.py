@@ -219,7 +219,15 @@ def _add_logs(
     }
     for name, _ in observer_ports(loop.filter.model.num_disturbances):
         ports[name] = loop.observer.GetOutputPort(name)
-    for name in ("input", "slack", "volume", "barriers", "status", "feasible_set"):
+    for name in (
+        "input",
+        "slack",
+        "volume",
+        "barriers",
+        "authority",
+        "status",
+        "feasible_set",
+    ):
         ports[name] = loop.filter.GetOutputPort(name)
     for name, port in ports.items():
         log = LogVectorOutput(port, builder, scenario.period)

@@ -12,6 +12,9 @@ from vcbf_drake.errors import Array
 from vcbf_drake.safety import FilterStatus, SafetyFilter, emptiness_certificate
 from vcbf_drake.simulation.scenario import Scenario
 
+# A row that the whole input range moves by less than this is out of reach.
+_LEAST_AUTHORITY = 1e-6
+
 
 @dataclass(frozen=True)
 class Ending:
@@ -70,8 +73,21 @@ def summarise(
         "max_abs_slack": float(slack.max()),
         "slack_active_fraction": float(np.mean(slack > 0.0)),
         "failed_ticks": int(np.sum(log["status"] == FilterStatus.FAILED)),
+        "rows_without_authority": _without_authority(safety_filter, log),
         "final_distance": float(_distance(scenario, path[-1:])[0]),
     }
+
+
+def _without_authority(safety_filter: SafetyFilter, log: dict[str, Array]) -> list[str]:
+    """The barriers whose rows no input could move at some tick (R33), by name."""
+    lost = np.min(log["authority"], axis=0) <= _LEAST_AUTHORITY
+    return [
+        name
+        for name, is_lost in zip(
+            safety_filter.barrier_set.names, np.atleast_1d(lost), strict=True
+        )
+        if is_lost
+    ]
 
 
 def _outcome(collided_at: float | None, stopped: bool, reached_at: float | None) -> str:

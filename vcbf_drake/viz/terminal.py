@@ -109,6 +109,9 @@ def _cells(summary: Mapping[str, Any]) -> dict[str, str | Text]:
 def _remarks(summary: Mapping[str, Any]) -> Iterator[str]:
     if summary["conflict"]:
         yield f"no input satisfies {', '.join(summary['conflict'])}"
+    if summary.get("rows_without_authority"):
+        names = ", ".join(summary["rows_without_authority"])
+        yield f"no input could move the rows of {names} at some tick"
     failing = [
         each["name"] for each in summary["assumptions"] if each["holds"] is False
     ]
