@@ -21,8 +21,8 @@ from vcbf_drake.errors import Array
 class ConeProgram:
     """max (det L)^(1/P) subject to |L'a_i| + a_i d <= b_i, L lower triangular.
 
-    Built once per size. A solve overwrites every coefficient, so that its answer
-    depends on its own data only.
+    Built once per size. A solve overwrites every coefficient that differs, so that its
+    answer depends on its own data only.
     """
 
     def __init__(self, num_rows: int, num_inputs: int, tolerance: float) -> None:
@@ -48,6 +48,7 @@ class ConeProgram:
         ]
         self._F = np.zeros((num_rows, m + 1, self._k + m))
         self._g = np.zeros((num_rows, m + 1))
+        self._rows = np.full((num_rows, m + 1), np.nan)
         self._options = SolverOptions()
         for name in ("tol_gap_abs", "tol_gap_rel", "tol_feas"):
             self._options.SetOption(ClarabelSolver.id(), name, tolerance)
@@ -60,8 +61,11 @@ class ConeProgram:
         with self._lock:
             self._F[:, 0, k:], self._g[:, 0] = -A, b
             self._F[:, self._slot, self._entry] = A[:, self._row]
-            for cone, F, g in zip(self._cones, self._F, self._g, strict=True):
-                cone.UpdateCoefficients(F, g)
+            rows = np.column_stack([A, b])
+            # An update costs more than a comparison, and most rows are the box's.
+            for i in (rows != self._rows).any(axis=1).nonzero()[0]:
+                self._cones[i].UpdateCoefficients(self._F[i], self._g[i])
+            self._rows = rows
             result = self._solver.Solve(self._program, None, self._options)
         if not result.is_success():
             return None

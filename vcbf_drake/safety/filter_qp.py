@@ -106,17 +106,15 @@ def choose_input(
         return FilterDecision(input_set.project(held_input), FilterStatus.FAILED)
     A, b = feasible.A_v[feasible.cutting], feasible.b_v[feasible.cutting]
     row = None if volume_row is None else volume_row.normalised(input_set)
-    v_reference = np.clip(
-        (reference - input_set.center) / input_set.scale,
-        -_FARTHEST_REFERENCE,
-        _FARTHEST_REFERENCE,
-    )
-    if np.all(A @ v_reference <= b) and _holds(row, v_reference):
+    v_reference = (reference - input_set.center) / input_set.scale
+    if np.abs(v_reference).max() > _FARTHEST_REFERENCE:
+        v_reference = v_reference.clip(-_FARTHEST_REFERENCE, _FARTHEST_REFERENCE)
+    if (A @ v_reference <= b).all() and _holds(row, v_reference):
         return FilterDecision(reference, FilterStatus.REFERENCE)
     slack, status = 0.0, FilterStatus.FILTERED
-    v = v_reference.clip(-1.0, 1.0)
+    v = np.minimum(np.maximum(v_reference, -1.0), 1.0)
     # The nearest point of the bounding box is the nearest of all if the rows allow it.
-    if not (np.all(A @ v <= b) and _holds(row, v)):
+    if not ((A @ v <= b).all() and _holds(row, v)):
         try:
             if row is None:
                 v = _hard(A, b, v_reference)

@@ -56,19 +56,20 @@ def nearest_point(A: Array, b: Array, reference: Array) -> NearestPoint:
         EmptySetError: No point satisfies the rows; certified, not guessed.
         SolverError: No solver's answer could be verified.
     """
-    if np.all(A @ reference <= b):
+    if (A @ reference <= b).all():
         return NearestPoint(reference, np.zeros(len(b)))
     length = np.sqrt(np.einsum("ij,ij->i", A, A))
     live = length > 1e-12 * max(1.0, float(length.max(initial=0.0)))
-    if np.any(b[~live] < 0.0):
+    if (b[~live] < 0.0).any():
         _raise_if_empty(A, b)
-    rows, bounds = A[live] / length[live, None], b[live] / length[live]
+    length = length[live]
+    rows, bounds = A[live] / length[:, None], b[live] / length
     for attempt, (solver, options) in enumerate(_solvers()):
         guess = _program(*rows.shape).solve(solver, options, rows, bounds, reference)
         solution = _polish(rows, bounds, reference, guess)
         if solution is not None:
             multipliers = np.zeros(len(b))
-            multipliers[live] = solution.multipliers / length[live]
+            multipliers[live] = solution.multipliers / length
             return NearestPoint(solution.point, multipliers)
         if attempt == 0:
             _raise_if_empty(A, b)
@@ -87,7 +88,7 @@ def _polish(A: Array, b: Array, reference: Array, guess: Array) -> NearestPoint 
     Returns None when the result is not an optimum: the guess was wrong.
     """
     for touching in _TOUCHING:
-        active = np.flatnonzero(b - A @ guess < touching)
+        active = (b - A @ guess < touching).nonzero()[0]
         multipliers = np.zeros(len(b))
         multipliers[active] = _active_set(A[active], b[active], reference)
         point = reference - multipliers @ A
