@@ -231,7 +231,7 @@ def test_one_solve_a_tick_in_a_running_loop(monkeypatch):
     simulator.AdvanceTo(1.0)
     ticks = log.FindLog(simulator.get_context()).num_samples()
     assert ticks == 51
-    assert len(calls) == ticks - 1  # The barriers' last sample needs no solve.
+    assert len(calls) == ticks
 
 
 def test_add_safety_filter_takes_the_car_and_a_foreign_reference():
@@ -257,3 +257,26 @@ def test_add_safety_filter_takes_the_car_and_a_foreign_reference():
         car.GetMyContextFromRoot(simulator.get_context())
     )
     assert 3.0 < state[0] < 4.0  # Full throttle, and it stands before the wall.
+
+
+def test_policy_stop_ends_a_users_simulation_at_the_infeasible_tick():
+    builder = DiagramBuilder()
+    car = builder.AddNamedSystem("car", Car())
+    pedal = builder.AddSystem(ConstantVectorSource([0.0, 0.0]))
+    source = builder.AddSystem(DisturbanceSource([], num_disturbances=1))
+    builder.Connect(source.get_output_port(), car.GetInputPort("disturbance"))
+    AddSafetyFilter(
+        builder,
+        plant=car,
+        reference=pedal.get_output_port(),
+        barriers=[SphereObstacle([2.0, 0.0], 1.0).barrier([10.0, 3.55])],
+        input_set=InputSet.box([-1.0, -0.1], [1.0, 0.1]),
+        period=0.02,
+        bounds=source.bounds,
+    )
+    simulator = Simulator(builder.Build())
+    plant_context = car.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    plant_context.SetContinuousState([0.0, 0.0, 2.0, 0.0])  # Too fast to brake.
+    status = simulator.AdvanceTo(5.0)
+    assert "no feasible input" in status.FormatMessage()
+    assert status.return_time() < 1.0

@@ -21,7 +21,7 @@ from vcbf_drake.simulation import (
     make_loop,
     shipped_scenarios,
 )
-from vcbf_drake.simulation.monitors import CollisionMonitor
+from vcbf_drake.simulation.collision_monitor import CollisionMonitor
 
 DEMO = "blimp-multiple-obstacles"
 

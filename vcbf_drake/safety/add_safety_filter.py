@@ -17,14 +17,18 @@ from vcbf_drake.disturbances import (
 )
 from vcbf_drake.plants import ControlAffineModel
 from vcbf_drake.safety.filter_qp import InfeasiblePolicy
+from vcbf_drake.safety.infeasibility_monitor import InfeasibilityMonitor
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.methods import Fidelity, method_named
 from vcbf_drake.safety.safety_filter import SafetyFilter, observer_ports
 from vcbf_drake.safety.volume_barrier import VolumeBarrier
 
+# What the monitor of the policy ``stop`` is called, after the filter's name.
+STOP_MONITOR = "infeasibility_monitor"
+
 
 class AddedSafetyFilter(NamedTuple):
-    """The systems that `AddSafetyFilter` put into the diagram.
+    """The systems that `AddSafetyFilter` put into the diagram, the monitor aside.
 
     Attributes:
         filter: The safety filter.
@@ -62,7 +66,8 @@ def AddSafetyFilter(
 
     Adds filter, hold and observer to the builder and connects them: state and
     reference to the filter, the filter's input through the hold to the plant, state
-    and held input to the observer, the observer to the filter.
+    and held input to the observer, the observer to the filter. With the policy
+    ``stop`` it also adds a monitor that ends the simulation at an infeasible tick.
 
     Args:
         builder: Holds the plant and the controller already.
@@ -74,7 +79,8 @@ def AddSafetyFilter(
         bounds: delta1, delta2, delta3 of the disturbance.
         method: One of `vcbf_drake.safety.METHODS`.
         fidelity: ``corrected``, or ``paper`` for the equations as printed.
-        infeasible: What to apply when no input satisfies the barrier rows.
+        infeasible: When no input satisfies the barrier rows: ``stop`` the simulation,
+            apply the input of ``least_violation``, or ``hold`` the last one.
         volume_barrier: Threshold and gain of the volume barrier.
         observer: Used in place of the method's own with its default gains.
         state: The measured state; the plant's output named ``state`` or its only one
@@ -84,7 +90,7 @@ def AddSafetyFilter(
         violation_weights: How much a violation of each barrier counts when not all can
             hold, (N,), positive; ones by default.
         model: The plant's model, when it is at hand already.
-        name: The filter's name; hold and observer are named after it.
+        name: The filter's name; hold, observer and monitor are named after it.
 
     Raises:
         ModelError: The plant is not control affine or a barrier does not fit it.
@@ -125,6 +131,11 @@ def AddSafetyFilter(
             builder.Connect(
                 observer.GetOutputPort(port), safety_filter.GetInputPort(port)
             )
+    if infeasible == "stop":
+        monitor = builder.AddNamedSystem(
+            f"{name}_{STOP_MONITOR}", InfeasibilityMonitor(period)
+        )
+        builder.Connect(safety_filter.GetOutputPort("status"), monitor.get_input_port())
     return AddedSafetyFilter(safety_filter, hold, observer)
 
 

@@ -9,6 +9,7 @@ from vcbf_drake.simulation.scenario_file import (
     load_scenario,
     shipped_scenarios,
 )
+from vcbf_drake.simulation.step_time import step_cpu_time
 from vcbf_drake.simulation.validation import validate
 
 __all__ = [
@@ -22,5 +23,6 @@ __all__ = [
     "make_loop",
     "shipped_scenarios",
     "simulate",
+    "step_cpu_time",
     "validate",
 ]

@@ -37,11 +37,12 @@ from vcbf_drake.safety import (
     InfeasiblePolicy,
     observer_ports,
 )
+from vcbf_drake.simulation.collision_monitor import CollisionMonitor
 from vcbf_drake.simulation.measurement_noise import MeasurementNoise
-from vcbf_drake.simulation.monitors import CollisionMonitor, InfeasibilityMonitor
 from vcbf_drake.simulation.scenario import Scenario
 
 LOG_PREFIX = "log_"
+COLLISION_MONITOR = "collision_monitor"
 
 
 def make_loop(scenario: Scenario) -> Diagram:
@@ -86,7 +87,7 @@ def make_loop(scenario: Scenario) -> Diagram:
             loop.observer.GetOutputPort("disturbance_estimate"),
             controller.GetInputPort("disturbance_estimate"),
         )
-    _add_monitors(builder, scenario, plant, loop)
+    _add_collision_monitor(builder, plant, loop)
     _add_logs(builder, scenario, plant, source, controller, loop)
     diagram = builder.Build()
     diagram.set_name(scenario.name)
@@ -183,24 +184,14 @@ def _observer(
     )
 
 
-def _add_monitors(
-    builder: DiagramBuilder,
-    scenario: Scenario,
-    plant: LeafSystem,
-    loop: AddedSafetyFilter,
+def _add_collision_monitor(
+    builder: DiagramBuilder, plant: LeafSystem, loop: AddedSafetyFilter
 ) -> None:
-    collision = builder.AddNamedSystem(
-        "collision_monitor",
+    monitor = builder.AddNamedSystem(
+        COLLISION_MONITOR,
         CollisionMonitor(loop.filter.barrier_set, loop.filter.model.num_states),
     )
-    builder.Connect(plant.GetOutputPort("state"), collision.GetInputPort("state"))
-    if scenario.infeasible == "stop":
-        infeasibility = builder.AddNamedSystem(
-            "infeasibility_monitor", InfeasibilityMonitor(scenario.period)
-        )
-        builder.Connect(
-            loop.filter.GetOutputPort("status"), infeasibility.GetInputPort("status")
-        )
+    builder.Connect(plant.GetOutputPort("state"), monitor.GetInputPort("state"))
 
 
 def _add_logs(

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 import dataclasses
 import difflib
+import math
 from pathlib import Path
 import types
 from typing import (
@@ -84,6 +85,23 @@ def load_scenario(
 def dump_scenario(scenario: Scenario) -> str:
     """Returns the whole scenario as YAML text that loads back to the same."""
     return cast(str, yaml_dump_typed(scenario, child_name=scenario.name))
+
+
+def merge_overrides(*overrides: str | Mapping[str, Any]) -> str:
+    """Returns overrides, of which the later win, as one line of YAML text.
+
+    Args:
+        *overrides: Each as `load_scenario` takes it.
+
+    Raises:
+        ScenarioError: One is not a mapping in YAML.
+    """
+    node, *others = (_compose_overrides(each) for each in overrides)
+    for other in others:
+        node = _merge(node, other)
+    _put_on_one_line(node)
+    text: str = yaml.serialize(node, Dumper=yaml.SafeDumper, width=math.inf)
+    return text.strip()
 
 
 def did_you_mean(word: str, allowed: Iterable[str]) -> str:
@@ -205,6 +223,19 @@ def _merge(base: Node, top: Node) -> Node:
     return yaml.MappingNode(
         base.tag, list(merged.values()), base.start_mark, base.end_mark
     )
+
+
+def _put_on_one_line(node: Node) -> None:
+    if isinstance(node, yaml.MappingNode):
+        node.flow_style = True
+        for _, value in node.value:
+            _put_on_one_line(value)
+    elif isinstance(node, yaml.SequenceNode):
+        node.flow_style = True
+        for item in node.value:
+            _put_on_one_line(item)
+    elif node.style in ("|", ">"):
+        node.style = '"'
 
 
 def _locate(node: Node, path: KeyPath) -> str:

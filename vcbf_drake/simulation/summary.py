@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from vcbf_drake.errors import Array
 from vcbf_drake.safety import FilterStatus, SafetyFilter, emptiness_certificate
+from vcbf_drake.safety.add_safety_filter import STOP_MONITOR
+from vcbf_drake.simulation.loop import COLLISION_MONITOR
 from vcbf_drake.simulation.scenario import Scenario
 
 # A row that the whole input range moves by less than this is out of reach.
@@ -49,11 +51,11 @@ def summarise(
     """
     infeasible = log["status"] == FilterStatus.INFEASIBLE
     infeasible_at = _first(log["time"], infeasible)
-    collided_at = ending.time if ending.monitor == "collision_monitor" else None
+    collided_at = ending.time if ending.monitor == COLLISION_MONITOR else None
     reached_at = _first(
         path_time, _distance(scenario, path) <= scenario.arrival_tolerance
     )
-    stopped = ending.monitor == "infeasibility_monitor"
+    stopped = ending.monitor.endswith(STOP_MONITOR)
     heights = safety_filter.barrier_set.values_along(path, path_time)
     slack = np.abs(log["slack"])
     return {

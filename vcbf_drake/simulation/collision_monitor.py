@@ -1,4 +1,4 @@
-"""Systems that end a simulation, each with a sentence that says why."""
+"""The system that ends a simulation when a barrier becomes negative."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from pydrake.systems.framework import (
 )
 
 from vcbf_drake.barriers import BarrierSet
-from vcbf_drake.safety import FilterStatus
 
 
 class CollisionMonitor(LeafSystem):
@@ -54,25 +53,3 @@ class CollisionMonitor(LeafSystem):
 
     def DoGetWitnessFunctions(self, context: Context) -> list[WitnessFunction]:  # noqa: D102
         return [self._witness]
-
-
-class InfeasibilityMonitor(LeafSystem):
-    """Ends the simulation at the first tick whose barrier rows have no solution.
-
-    .. pydrake_system::
-
-        name: InfeasibilityMonitor
-        input_ports:
-        - status
-    """
-
-    def __init__(self, period: float) -> None:
-        """Declares the check, once per control period [s]."""
-        super().__init__()
-        self._status = self.DeclareVectorInputPort("status", 1)
-        self.DeclarePeriodicPublishEvent(period, 0.0, self._check)
-
-    def _check(self, context: Context) -> EventStatus:
-        if int(self._status.Eval(context)[0]) == FilterStatus.INFEASIBLE:
-            return EventStatus.ReachedTermination(self, "no feasible input")
-        return EventStatus.Succeeded()

@@ -1,0 +1,120 @@
+"""Two blimps change places while a ball rises between them.
+
+One filter holds both: its plant is a diagram of two blimps, 16 states and 6 inputs, and
+that they keep apart is one more barrier. Nothing in the filter knows about pairs.
+
+    python examples/two_blimps.py
+"""
+
+import argparse
+
+import numpy as np
+from pictures import draw
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import Demultiplexer, LogVectorOutput, Multiplexer
+
+from vcbf_drake import (
+    AddSafetyFilter,
+    Barrier,
+    Blimp,
+    BlimpController,
+    DisturbanceSource,
+    InputSet,
+    SphereObstacle,
+)
+from vcbf_drake.disturbances import Sinusoid
+from vcbf_drake.safety import FilterStatus
+
+STARTS = [[0.0, 0.0, 1.0, 0.0], [6.0, 0.1, 1.1, np.pi]]  # x, y, z [m], yaw [rad].
+TARGETS = [[6.0, 0.0, 1.0], [0.0, 0.1, 1.1]]  # [m]
+BALL = SphereObstacle([3.0, 0.1, 0.4], 0.4, velocity=[0.0, 0.0, 0.1], margin=0.3)
+APART, PERIOD = 0.8, 0.02  # Between the blimps' centres [m]; control period [s].
+GAINS = [3.0, 2.0]
+
+
+def pair():
+    """Returns two blimps as one plant: their states, inputs and winds stacked."""
+    builder = DiagramBuilder()
+    state = builder.AddSystem(Multiplexer([8, 8]))
+    split = {
+        name: builder.AddSystem(Demultiplexer([3, 3]))
+        for name in ("input", "disturbance")
+    }
+    for i in range(2):
+        blimp = builder.AddNamedSystem(f"blimp_{i}", Blimp())
+        builder.Connect(blimp.get_output_port(), state.get_input_port(i))
+        for name, each in split.items():
+            builder.Connect(each.get_output_port(i), blimp.GetInputPort(name))
+    for name, each in split.items():
+        builder.ExportInput(each.get_input_port(), name)
+    builder.ExportOutput(state.get_output_port(), "state")
+    return builder.Build()
+
+
+def apart(x, t, p):
+    """Returns h = |p_1 - p_2| - p [m]."""
+    offset = x[:3] - x[8:11]
+    return (offset @ offset) ** 0.5 - p[0]
+
+
+def main() -> None:
+    """Flies both to where the other one started."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--short", action="store_true", help="6 s only, for a check")
+    duration = 6.0 if parser.parse_args().short else 20.0
+
+    builder = DiagramBuilder()
+    plant = builder.AddNamedSystem("plant", pair())
+    breeze = [Sinusoid([0.02, 0.01, 0.0, 0.02, -0.01, 0.0], 0.6, 0.0)]
+    wind = builder.AddSystem(DisturbanceSource(breeze, duration))
+    builder.Connect(wind.get_output_port(), plant.GetInputPort("disturbance"))
+    states = builder.AddSystem(Demultiplexer([8, 8]))
+    reference = builder.AddSystem(Multiplexer([3, 3]))
+    builder.Connect(plant.get_output_port(), states.get_input_port())
+    for i, target in enumerate(TARGETS):
+        controller = builder.AddNamedSystem(f"controller_{i}", BlimpController(target))
+        builder.Connect(states.get_output_port(i), controller.GetInputPort("state"))
+        builder.Connect(controller.get_output_port(), reference.get_input_port(i))
+    most = np.tile([0.1, 0.1, 0.01], 2)
+    safety = AddSafetyFilter(
+        builder,
+        plant=plant,
+        reference=reference.get_output_port(),
+        barriers=[
+            BALL.barrier(GAINS, position=[0, 1, 2], name="ball, first"),
+            BALL.barrier(GAINS, position=[8, 9, 10], name="ball, second"),
+            Barrier(apart, GAINS, [APART], name="apart"),
+        ],
+        input_set=InputSet.box(-most, most),
+        period=PERIOD,
+        bounds=wind.bounds,
+    )
+    log = LogVectorOutput(plant.get_output_port(), builder)
+    status = LogVectorOutput(safety.filter.GetOutputPort("status"), builder, PERIOD)
+    simulator = Simulator(builder.Build())
+    context = simulator.get_mutable_context()
+    start = np.concatenate([[*each, 0.0, 0.0, 0.0, 0.0] for each in STARTS])
+    plant.GetMyMutableContextFromRoot(context).SetContinuousState(start)
+    simulator.AdvanceTo(duration)
+
+    x, time = log.FindLog(context).data().T, log.FindLog(context).sample_times()
+    h = safety.filter.barrier_set.values_along(x, time)
+    codes = status.FindLog(context).data()
+    ball = [
+        (BALL.center_at(t)[[0, 2]], BALL.radius, {"color": "#9aa5b4", "alpha": 0.4})
+        for t in np.linspace(0.0, duration, 4)
+    ]
+    paths = [x[:, [0, 2]], x[:, [8, 10]]]  # From the side.
+    draw("two_blimps", paths, ball, time, h, top=2.0, axes="xz")
+    left = [
+        np.linalg.norm(x[-1, i : i + 3] - target)
+        for i, target in zip((0, 8), TARGETS, strict=True)
+    ]
+    print(f"min h: {h.min():.5f} m; to the targets: {left[0]:.2f} m, {left[1]:.2f} m")
+    print(f"infeasible ticks: {np.sum(codes >= FilterStatus.INFEASIBLE)}")
+    print(f"volume row relaxed at {np.sum(codes == FilterStatus.RELAXED)} ticks")
+
+
+if __name__ == "__main__":
+    main()

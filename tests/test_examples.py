@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import os
+from pathlib import Path
+import re
+import subprocess
+import sys
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+def run(name: str, directory: Path) -> str:
+    """What an example prints when it runs in another directory, as a short check."""
+    done = subprocess.run(
+        [sys.executable, "-W", "error", str(ROOT / "examples" / name), "--short"],
+        cwd=directory,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "MPLCONFIGDIR": str(directory)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def number(text: str, label: str) -> float:
+    """The number that follows a label."""
+    found = re.search(rf"{label}:? (-?[\d.]+)", text)
+    assert found, f"no '{label}' in: {text}"
+    return float(found[1])
+
+
+@pytest.mark.parametrize(
+    ("name", "most"),
+    [
+        ("own_plant", 1.0),
+        ("own_barrier", 4.41),
+        ("quadrotor_slalom", 0.1),
+        ("two_blimps", 0.2),
+    ],
+)
+def test_example_stays_safe_and_leaves_a_picture(name, most, tmp_path):
+    text = run(f"{name}.py", tmp_path)
+    assert 0.0 < number(text, "min h") < most
+    assert number(text, "infeasible ticks") == 0
+    if name == "quadrotor_slalom":
+        assert number(text, "least rotor force") > 0.0
+        assert 0.0 < number(text, "median") <= number(text, "p99")
+    picture = tmp_path / "out" / "examples" / f"{name}.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_smallest_loop_keeps_its_distance(tmp_path):
+    text = run("smallest_loop.py", tmp_path)
+    assert number(text, "least distance to the sphere") > 0.0
+
+
+def test_search_reports_on_every_course(tmp_path):
+    assert run("search_layouts.py", tmp_path).startswith("2 courses")
+
+
+def test_gallery_lists_every_example_and_its_pictures_exist():
+    gallery = (ROOT / "examples" / "README.md").read_text()
+    programs = {path.name for path in (ROOT / "examples").glob("*.py")}
+    assert set(re.findall(r"\]\((\w+\.py)\)", gallery)) == programs
+    for image in re.findall(r"!\[[^]]+\]\(([^)]+)\)", gallery):
+        assert (ROOT / "examples" / image).is_file()
