@@ -14,6 +14,7 @@ from vcbf_drake.barriers import (
     StateInputLimit,
     row_functions,
 )
+from vcbf_drake.errors import ModelError
 from vcbf_drake.plants import (
     Blimp,
     BlimpParameters,
@@ -356,3 +357,10 @@ def test_parameters_may_also_be_written_into_the_function(
     rows = BarrierSet(car, [Barrier(wall, (3.0, 2.0))]).rows(np.zeros(4), 0.0)
     assert rows.value == [3.0]
     assert rows.b == pytest.approx([6.0])
+
+
+def test_a_function_without_derivatives_is_refused_with_its_name() -> None:
+    model = ControlAffineModel.from_system(Blimp())
+    kinked = Barrier(lambda x, t, p: abs(x[0]) - 1.0, [4.0, 3.0], name="kinked")
+    with pytest.raises(ModelError, match=r"barrier 'kinked': .*without abs"):
+        BarrierSet(model, [kinked])

@@ -3,14 +3,28 @@
 from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.barrier_rows import BarrierRows
 from vcbf_drake.barriers.barrier_set import BarrierSet
+from vcbf_drake.barriers.box_obstacle import BoxObstacle
+from vcbf_drake.barriers.capsule_obstacle import CapsuleObstacle
+from vcbf_drake.barriers.ellipsoid_obstacle import EllipsoidObstacle
+from vcbf_drake.barriers.geofence import Geofence
+from vcbf_drake.barriers.half_space import HalfSpace
 from vcbf_drake.barriers.input_limits import StateInputLimit, ackermann_limit
 from vcbf_drake.barriers.obstacles import SphereObstacle
+from vcbf_drake.barriers.pair_distance import PairDistance
+from vcbf_drake.barriers.state_limit import StateLimit
 
 __all__ = [
     "Barrier",
     "BarrierRows",
     "BarrierSet",
+    "BoxObstacle",
+    "CapsuleObstacle",
+    "EllipsoidObstacle",
+    "Geofence",
+    "HalfSpace",
+    "PairDistance",
     "SphereObstacle",
     "StateInputLimit",
+    "StateLimit",
     "ackermann_limit",
 ]

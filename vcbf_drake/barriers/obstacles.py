@@ -9,7 +9,9 @@ import numpy as np
 from pydrake.symbolic import Expression
 
 from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
-from vcbf_drake.barriers.finite_vector import finite_vector
+from vcbf_drake.barriers.local_frame import LocalFrame
+from vcbf_drake.barriers.moving_point import MovingPoint
+from vcbf_drake.barriers.position_states import position_states
 from vcbf_drake.errors import Array
 from vcbf_drake.plants.compiled import Expressions
 
@@ -48,15 +50,7 @@ class SphereObstacle:
                 size, nothing to stay clear of (R = 0), an unknown form, or a number
                 that is not finite.
         """
-        size = len(finite_vector(self.center, "obstacle: center"))
-        if size not in (2, 3):
-            raise ValueError(f"obstacle: center must have 2 or 3 numbers, got {size}")
-        velocity = finite_vector(self._velocity, "obstacle: velocity")
-        if len(velocity) != size:
-            raise ValueError(
-                f"obstacle: velocity must have {size} numbers like center,"
-                f" got {len(velocity)}"
-            )
+        MovingPoint.of(self.center, self.velocity, "obstacle")
         sizes = np.array([self.radius, self.margin], dtype=float)
         if not (np.isfinite(sizes).all() and sizes.min() >= 0.0 < sizes.sum()):
             raise ValueError(
@@ -75,7 +69,7 @@ class SphereObstacle:
 
     def center_at(self, t: float | Array) -> Array:
         """Returns the centre at time t [s], shape (k,); for times (T,), (T, k) [m]."""
-        return np.asarray(self.center) + np.multiply.outer(t, self._velocity)
+        return self._center.at(t)
 
     def clearance(self, position: Array, t: float | Array) -> float | Array:
         """Returns the signed distance from the obstacle's own surface [m].
@@ -104,37 +98,24 @@ class SphereObstacle:
         Raises:
             ValueError: `position` has not one index per dimension, or bad gains.
         """
-        indices = list(range(len(self.center)) if position is None else position)
-        if len(indices) != len(self.center):
-            raise ValueError(
-                f"barrier '{name}': position must name {len(self.center)} states,"
-                f" got {indices}"
-            )
-        velocity = self._velocity
-        moves = bool(velocity.any())
-        parameters = [
-            *self.center,
-            *(velocity if moves else ()),
-            self.safety_distance,
-        ]
-        return Barrier(_sphere(self.form, indices, moves), gains, parameters, name)
+        frame = LocalFrame(self._center)
+        states = position_states(position, frame.center.size, name)
+        parameters = [*frame.parameters, self.safety_distance]
+        return Barrier(_sphere(self.form, states, frame), gains, parameters, name)
 
     @property
-    def _velocity(self) -> Array:
-        given = () if self.velocity is None else self.velocity
-        return np.asarray(given if len(given) else np.zeros(len(self.center)), float)
+    def _center(self) -> MovingPoint:
+        return MovingPoint.of(self.center, self.velocity, "obstacle")
 
 
-def _sphere(form: str, position: list[int], moves: bool) -> BarrierFunction:
-    """Returns h(x, t, p) with p = (center, velocity if it moves, R)."""
-    k = len(position)
+def _sphere(form: str, position: list[int], frame: LocalFrame) -> BarrierFunction:
+    """Returns h(x, t, p) with p = (frame, R)."""
 
     def h(x: Expressions, t: Expression, p: Expressions) -> Expression:
-        center = p[:k] + p[k : 2 * k] * t if moves else p[:k]
-        offset = x[position] - center
+        offset, (clear,) = frame.coordinates(x[position], t, p)
         if form == "squared":
-            return offset @ offset - p[-1] ** 2
+            return offset @ offset - clear**2
         # A power differentiates to much shorter expressions than sqrt() does.
-        return (offset @ offset) ** 0.5 - p[-1]
+        return (offset @ offset) ** 0.5 - clear
 
     return h

@@ -58,9 +58,15 @@ def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctio
         raise ModelError(
             f"function(x, t, p) must return one scalar expression, got shape {h.shape}"
         )
-    derivatives = _derive(symbols.formula([h.item()]), barrier.relative_degree)
-    check_relative_degree(derivatives, barrier.parameters)
-    row, value = _compile_barrier(derivatives)
+    try:
+        derivatives = _derive(symbols.formula([h.item()]), barrier.relative_degree)
+        check_relative_degree(derivatives, barrier.parameters)
+        row, value = _compile_barrier(derivatives)
+    except RuntimeError as error:  # pydrake's word for what has no derivative.
+        raise ModelError(
+            "function(x, t, p) cannot be differentiated as often as needed: write it"
+            f" without abs and without the root of a square ({error})"
+        ) from error
     constants = (*barrier.gains.tolist(), *barrier.decay_rates.tolist(), *parameters)
     return RowFunctions(row, constants, value, parameters, barrier.relative_degree)
 
