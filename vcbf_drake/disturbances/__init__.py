@@ -2,7 +2,7 @@
 
 from vcbf_drake.disturbances.bounds import Condition, DisturbanceBounds, ErrorBound
 from vcbf_drake.disturbances.linear_observer import LinearDisturbanceObserver
-from vcbf_drake.disturbances.observer import DisturbanceObserver
+from vcbf_drake.disturbances.observer import DisturbanceObserver, observer_ports
 from vcbf_drake.disturbances.rise_certificate import RiseGains
 from vcbf_drake.disturbances.rise_observer import RiseObserver
 from vcbf_drake.disturbances.source import (
@@ -28,4 +28,5 @@ __all__ = [
     "RiseObserver",
     "Sinusoid",
     "SmoothStep",
+    "observer_ports",
 ]

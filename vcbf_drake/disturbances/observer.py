@@ -23,6 +23,16 @@ if TYPE_CHECKING:
     from vcbf_drake.plants import ControlAffineModel
 
 
+def observer_ports(num_disturbances: int) -> tuple[tuple[str, int], ...]:
+    """Returns name and size of the ports that carry an observer's knowledge."""
+    return (
+        ("disturbance_estimate", num_disturbances),
+        ("estimate_rate", num_disturbances),
+        ("error_bound", 1),
+        ("error_bound_rate", 1),
+    )
+
+
 class DisturbanceObserver(LeafSystem):
     """Estimates d in ``xdot = f(x) + g(x) u + E d`` from sampled states.
 
@@ -107,11 +117,14 @@ class DisturbanceObserver(LeafSystem):
         self._posterior = self._declare_posterior()
         estimated = {self._posterior.ticket()}
         clocked = {self.time_ticket(), self.xd_ticket()}
-        for name, size, calc, needs in (
-            ("disturbance_estimate", q, self._calc_estimate, estimated),
-            ("estimate_rate", q, self._calc_estimate_rate, estimated),
-            ("error_bound", 1, self._calc_error_bound, clocked),
-            ("error_bound_rate", 1, self._calc_error_bound_rate, clocked),
+        calculations = (
+            (self._calc_estimate, estimated),
+            (self._calc_estimate_rate, estimated),
+            (self._calc_error_bound, clocked),
+            (self._calc_error_bound_rate, clocked),
+        )
+        for (name, size), (calc, needs) in zip(
+            observer_ports(q), calculations, strict=True
         ):
             self.DeclareVectorOutputPort(name, size, calc, needs)
 

@@ -21,7 +21,7 @@ from vcbf_drake.safety.polytope import (
     chebyshev_ball,
     emptiness_certificate,
 )
-from vcbf_drake.safety.safety_filter import SafetyFilter, observer_ports
+from vcbf_drake.safety.safety_filter import SafetyFilter
 from vcbf_drake.safety.volume_barrier import Volume, VolumeBarrier
 
 __all__ = [
@@ -49,6 +49,5 @@ __all__ = [
     "chebyshev_ball",
     "emptiness_certificate",
     "inscribed_ellipsoid",
-    "observer_ports",
     "unpack_feasible_set",
 ]

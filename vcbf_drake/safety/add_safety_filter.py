@@ -14,13 +14,14 @@ from vcbf_drake.disturbances import (
     DisturbanceObserver,
     LinearDisturbanceObserver,
     RiseObserver,
+    observer_ports,
 )
 from vcbf_drake.plants import ControlAffineModel
 from vcbf_drake.safety.filter_qp import InfeasiblePolicy
 from vcbf_drake.safety.infeasibility_monitor import InfeasibilityMonitor
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.methods import Fidelity, method_named
-from vcbf_drake.safety.safety_filter import SafetyFilter, observer_ports
+from vcbf_drake.safety.safety_filter import SafetyFilter
 from vcbf_drake.safety.volume_barrier import VolumeBarrier
 
 # What the monitor of the policy ``stop`` is called, after the filter's name.

@@ -18,9 +18,9 @@ from pydrake.systems.framework import (
 )
 
 from vcbf_drake.barriers import Barrier, BarrierSet, StateInputLimit
+from vcbf_drake.disturbances import observer_ports
 from vcbf_drake.errors import Array, EmptySetError, SolverError
 from vcbf_drake.plants import ControlAffineModel
-from vcbf_drake.safety.ellipsoid import Ellipsoid
 from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver
 from vcbf_drake.safety.feasible_set import (
     DisturbanceKnowledge,
@@ -373,16 +373,12 @@ class SafetyFilter(LeafSystem):
         m = self.model.num_inputs
         shape, center = np.full((m, m), np.nan), np.full(m, np.nan)
         if v is not None and v.ellipsoid is not None:
-            shape, center = self._in_physical_inputs(v.ellipsoid)
+            shape, center = v.ellipsoid.image(
+                self.input_set.scale, self.input_set.center
+            )
         return pack_feasible_set(
             PackedFeasibleSet(feasible.A, feasible.b, shape, center)
         )
-
-    def _in_physical_inputs(self, ellipsoid: Ellipsoid) -> tuple[Array, Array]:
-        scaled = self.input_set.scale[:, None] * ellipsoid.shape
-        eigenvalues, axes = np.linalg.eigh(scaled @ scaled.T)
-        shape = (axes * np.sqrt(np.maximum(eigenvalues, 0.0))) @ axes.T
-        return shape, self.input_set.center + self.input_set.scale * ellipsoid.center
 
 
 def _checked_weights(weights: Sequence[float] | None, size: int) -> Array:
@@ -393,13 +389,3 @@ def _checked_weights(weights: Sequence[float] | None, size: int) -> Array:
             f" must be {size} positive, finite numbers, one a barrier"
         )
     return checked
-
-
-def observer_ports(num_disturbances: int) -> tuple[tuple[str, int], ...]:
-    """Returns name and size of the ports that carry an observer's knowledge."""
-    return (
-        ("disturbance_estimate", num_disturbances),
-        ("estimate_rate", num_disturbances),
-        ("error_bound", 1),
-        ("error_bound_rate", 1),
-    )

@@ -27,6 +27,7 @@ from vcbf_drake.disturbances import (
     LinearDisturbanceObserver,
     RiseGains,
     RiseObserver,
+    observer_ports,
 )
 from vcbf_drake.plants import Blimp, BlimpParameters, Car, ControlAffineModel
 from vcbf_drake.safety import (
@@ -35,7 +36,6 @@ from vcbf_drake.safety import (
     AddSafetyFilter,
     Fidelity,
     InfeasiblePolicy,
-    observer_ports,
 )
 from vcbf_drake.simulation.collision_monitor import CollisionMonitor
 from vcbf_drake.simulation.measurement_noise import MeasurementNoise
