@@ -116,7 +116,7 @@ def test_help_imports_nothing_heavy() -> None:
         "heavy = {'pydrake', 'numpy', 'matplotlib', 'sympy', 'scipy'}\n"
         "print(sorted(heavy & set(sys.modules)))\n"
     )
-    for arguments in (["--help"], ["run", "--help"]):
+    for arguments in (["--help"], ["run", "--help"], ["monte-carlo", "--help"]):
         done = subprocess.run(
             [sys.executable, "-c", script, *arguments],
             capture_output=True,
@@ -126,7 +126,7 @@ def test_help_imports_nothing_heavy() -> None:
         assert done.stdout.splitlines()[-1] == "[]"
 
 
-@pytest.mark.parametrize("command", ["list", "run", "compare", "check"])
+@pytest.mark.parametrize("command", ["list", "run", "compare", "check", "monte-carlo"])
 def test_help_lists_commands(command: str) -> None:
     assert command in invoke("--help").output
     assert invoke(command, "--help").exit_code == 0

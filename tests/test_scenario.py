@@ -15,6 +15,7 @@ from vcbf_drake.simulation.scenario import Obstacle, Scenario, TurnLimit
 from vcbf_drake.simulation.scenario_file import (
     dump_scenario,
     load_scenario,
+    merge_overrides,
     shipped_scenarios,
 )
 from vcbf_drake.simulation.validation import InvalidFieldError, validate
@@ -231,6 +232,26 @@ def test_overrides_as_mapping_say_the_same() -> None:
     }
     name = "blimp-single-obstacle"
     assert load_scenario(name, text) == load_scenario(name, mapping)
+
+
+def test_merged_overrides_are_one_line_that_says_the_same(everything: Path) -> None:
+    expected = load_scenario(everything)
+    lines = dump_scenario(expected).splitlines()[1:]
+    body = "\n".join(line.removeprefix("  ") for line in lines)
+    description = "description: |\n  two\n  lines\n"
+    numbers = {"observer": {"alpha": 0.1 + 0.2}, "arrival_tolerance": 1e-6}
+    text = merge_overrides(body, description, numbers)
+    assert "\n" not in text
+    expected.description = "two\nlines\n"
+    expected.observer.alpha, expected.arrival_tolerance = 0.1 + 0.2, 1e-6
+    merged = load_scenario("blimp-multiple-obstacles", text)
+    assert dump_scenario(merged) == dump_scenario(expected)
+
+
+def test_merged_overrides_keep_how_values_are_written() -> None:
+    assert merge_overrides("{}") == "{}"
+    text = merge_overrides("{name: '5'}", "{duration: 1e1, turn_limit: null}")
+    assert text == "{name: '5', duration: 1e1, turn_limit: null}"
 
 
 def test_override_can_rename() -> None:

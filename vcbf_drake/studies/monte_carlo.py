@@ -1,0 +1,114 @@
+"""run_study: many trials, one line of a file each, however often it is interrupted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, as_completed
+import json
+import os
+from pathlib import Path
+
+from vcbf_drake.errors import ScenarioError
+from vcbf_drake.studies.trial import Record, Trial, error_record, run_trial
+from vcbf_drake.studies.worker_processes import run_in_processes
+
+
+def run_study(
+    trials: Sequence[Trial],
+    path: str | Path,
+    executor: Executor | None = None,
+    workers: int = 1,
+    progress: Callable[[float], None] | None = None,
+) -> list[Record]:
+    """Runs the trials that a file has no record of, and returns the records of all.
+
+    Each record is a line of JSON, written when its trial ends. A study that was killed
+    goes on where it was; a last line that was cut short is dropped. The finished file
+    lists the records in the order of the trials, whoever ran them and when.
+
+    Args:
+        trials: The trials, each different from the others.
+        path: The file; it is made if it is missing.
+        executor: What runs the trials, for example Dask's; it stays open. By default
+            `workers` processes; one worker is this process.
+        workers: How many processes, when there is no executor. The calling script
+            needs an ``if __name__ == "__main__"`` guard when there are several.
+        progress: Called after each trial with the fraction that is done.
+
+    Raises:
+        ScenarioError: The file holds something else than records of these trials.
+        BrokenExecutor: The executor given broke; what is done is in the file.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    wanted = {_key(trial.identity): trial for trial in trials}
+    records = {_key(record): record for record in _read(path, wanted)}
+    _write(path, records.values())
+    missing = [trial for key, trial in wanted.items() if key not in records]
+    with path.open("a", encoding="utf-8", newline="\n") as file:
+        for record in _run(missing, executor, workers):
+            file.write(_line(record))
+            file.flush()
+            records[_key(record)] = record
+            if progress is not None:
+                progress(len(records) / len(wanted))
+    ordered = [records[key] for key in wanted]
+    _write(path, ordered)
+    return ordered
+
+
+def _run(
+    trials: Sequence[Trial], executor: Executor | None, workers: int
+) -> Iterator[Record]:
+    if executor is not None:
+        return _run_with(executor, trials)
+    if workers == 1:
+        return map(run_trial, trials)
+    return run_in_processes(trials, workers)
+
+
+def _run_with(executor: Executor, trials: Sequence[Trial]) -> Iterator[Record]:
+    futures = {executor.submit(run_trial, trial): trial for trial in trials}
+    for future in as_completed(futures):
+        try:
+            yield future.result()
+        except (BrokenExecutor, CancelledError):
+            raise
+        except Exception as error:  # A trial's own errors are in its record already.
+            yield error_record(futures[future], f"{type(error).__name__}: {error}")
+
+
+def _key(identity: Record) -> str:
+    names = ("scenario", "overrides", "variation", "seed", "index", "method")
+    return json.dumps([identity[name] for name in names])
+
+
+def _read(path: Path, wanted: dict[str, Trial]) -> Iterator[Record]:
+    """Yields the records of the file's whole lines."""
+    content = path.read_bytes() if path.exists() else b""
+    # What follows the last line break was cut short; it may be JSON all the same.
+    for number, line in enumerate(content.split(b"\n")[:-1], start=1):
+        try:
+            record = json.loads(line)
+            known = _key(record) in wanted
+        except (ValueError, KeyError, TypeError):
+            raise ScenarioError(f"{path}:{number}: not the record of a trial") from None
+        if not known:
+            raise ScenarioError(
+                f"{path}:{number}: the record of another study (index"
+                f" {record['index']}, {record['method']}, seed {record['seed']},"
+                f" {record['variation']}, {record['scenario']}"
+                f" {record['overrides']}); use another file"
+            )
+        yield record
+
+
+def _write(path: Path, records: Iterable[Record]) -> None:
+    """Writes the whole file, or leaves it as it was."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary.write_bytes("".join(map(_line, records)).encode())
+    os.replace(temporary, path)
+
+
+def _line(record: Record) -> str:
+    return json.dumps(record, allow_nan=False) + "\n"

@@ -1,0 +1,142 @@
+"""What a study says: running times with their uncertainty, and pairs compared."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from vcbf_drake.studies.trial import Record, Trial
+
+Interval = tuple[float, float]
+_Pair = tuple[Trial, Record, Record]
+
+_BLOCKS, _BLOCK = 100, 100  # Resamples, in blocks that fit in memory.
+_CONFIDENCE = 0.95
+
+
+def summarise_study(trials: Sequence[Trial], records: Sequence[Record]) -> Record:
+    """Compares the methods of a study, every one with the first.
+
+    Args:
+        trials: The trials, those of one method differing by their index.
+        records: Their records, in the same order.
+
+    Returns:
+        A dict that JSON can hold:
+        ``methods``: for each method its ``trials``, its ``outcomes`` with their counts,
+        its ``mean_running_time`` [s] and the 95 % confidence ``interval`` of that.
+        ``comparisons``: for each method but the first, over the pairs in which neither
+        trial crashed, the ``mean_difference`` of the running times [s], positive when
+        the method ran longer, its ``interval``, and in how many pairs it did
+        ``better``, the ``same`` or ``worse``: first who collides, then who runs
+        shorter, then who does not arrive. ``worse_trials`` lists the last with the
+        commands that run them again.
+        ``errors``: the trials that crashed, with those commands.
+    """
+    methods = list(dict.fromkeys(trial.method for trial in trials))
+    return {
+        "methods": {name: _summarise_method(name, records) for name in methods},
+        "comparisons": [
+            _compare(methods[0], name, trials, records) for name in methods[1:]
+        ],
+        "errors": [
+            {
+                "index": trial.index,
+                "method": trial.method,
+                "error": record["error"],
+                "replay": trial.command(),
+            }
+            for trial, record in zip(trials, records, strict=True)
+            if record["error"] is not None
+        ],
+    }
+
+
+def mean_interval(values: Sequence[float]) -> Interval | None:
+    """Returns the 95 % confidence interval of a mean, by a seeded bootstrap.
+
+    Percentiles of resampled means assume no distribution; running times pile up at the
+    run's duration. Few or equal values make the interval too short. None for fewer
+    than two values.
+    """
+    if len(values) < 2:
+        return None
+    generator = np.random.default_rng(0)
+    sample = np.array(values)
+    means = [
+        sample[generator.integers(len(sample), size=(_BLOCK, len(sample)))].mean(axis=1)
+        for _ in range(_BLOCKS)
+    ]
+    tail = 50.0 * (1.0 - _CONFIDENCE)
+    low, high = np.percentile(means, [tail, 100.0 - tail])
+    return float(low), float(high)
+
+
+def _summarise_method(method: str, records: Sequence[Record]) -> Record:
+    own = [record for record in records if record["method"] == method]
+    times = [r["running_time"] for r in own if r["error"] is None]
+    return {
+        "trials": len(own),
+        "outcomes": dict(sorted(Counter(r["outcome"] for r in own).items())),
+        "mean_running_time": _mean(times),
+        "interval": mean_interval(times),
+    }
+
+
+def _compare(
+    baseline: str, method: str, trials: Sequence[Trial], records: Sequence[Record]
+) -> Record:
+    pairs = list(_pairs(baseline, method, trials, records))
+    differences = [own["running_time"] - base["running_time"] for _, own, base in pairs]
+    merits = [(_merit(own), _merit(base)) for _, own, base in pairs]
+    worse = [
+        pair for pair, (own, base) in zip(pairs, merits, strict=True) if own < base
+    ]
+    return {
+        "method": method,
+        "baseline": baseline,
+        "pairs": len(pairs),
+        "mean_difference": _mean(differences),
+        "interval": mean_interval(differences),
+        "better": sum(own > base for own, base in merits),
+        "same": sum(own == base for own, base in merits),
+        "worse": len(worse),
+        "worse_trials": [_worse_trial(pair) for pair in worse],
+    }
+
+
+def _pairs(
+    baseline: str, method: str, trials: Sequence[Trial], records: Sequence[Record]
+) -> Iterator[_Pair]:
+    """The trials of a method that ended, each with its record and the baseline's."""
+    bases = {r["index"]: r for r in records if r["method"] == baseline}
+    for trial, record in zip(trials, records, strict=True):
+        base = bases.get(trial.index)
+        if trial.method != method or base is None:
+            continue
+        if record["error"] is None and base["error"] is None:
+            yield trial, record, base
+
+
+def _merit(record: Record) -> tuple[bool, float, bool]:
+    outcome = record["outcome"]
+    return outcome != "collision", record["running_time"], outcome == "reached"
+
+
+def _worse_trial(pair: _Pair) -> dict[str, Any]:
+    trial, own, base = pair
+    return {
+        "index": trial.index,
+        "outcome": own["outcome"],
+        "running_time": own["running_time"],
+        "baseline_outcome": base["outcome"],
+        "baseline_running_time": base["running_time"],
+        "replay": trial.command(),
+    }
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if values else None
