@@ -126,7 +126,9 @@ def test_help_imports_nothing_heavy() -> None:
         assert done.stdout.splitlines()[-1] == "[]"
 
 
-@pytest.mark.parametrize("command", ["list", "run", "compare", "check", "monte-carlo"])
+@pytest.mark.parametrize(
+    "command", ["list", "run", "compare", "check", "diagram", "monte-carlo"]
+)
 def test_help_lists_commands(command: str) -> None:
     assert command in invoke("--help").output
     assert invoke(command, "--help").exit_code == 0
@@ -367,3 +369,10 @@ def test_checks_shipped_scenario() -> None:
     listed = json.loads(invoke("check", "car-avoidance", "--json").output)
     assert all(each["holds"] is not False for each in listed)
     assert all(each["name"] and each["statement"] for each in listed)
+
+
+def test_diagram_writes_the_loop_and_the_filter(tmp_path: Path) -> None:
+    done = invoke("diagram", "car-avoidance", "--out", str(tmp_path / "drawn"))
+    assert done.exit_code == 0
+    names = {path.name for path in (tmp_path / "drawn").iterdir()}
+    assert {"car-avoidance.dot", "safety-filter.dot"} <= names

@@ -217,6 +217,28 @@ def check(
         print_assumptions(chosen, assumptions)
 
 
+@app.command()
+def diagram(
+    scenario: ScenarioArgument,
+    method: MethodOption = None,
+    override: OverrideOption = None,
+    out: Annotated[Path | None, _out_option("out/SCENARIO-diagram")] = None,
+) -> None:
+    """Draw the block diagrams of the loop and of its filter, as DOT and SVG."""
+    from vcbf_drake.simulation.loop import make_loop
+    from vcbf_drake.viz.diagram import write_diagram
+    from vcbf_drake.viz.filter_diagram import write_filter_diagram
+
+    chosen = _load(scenario, override, method)
+    directory = out or Path("out") / f"{chosen.name}-diagram"
+    with _whole_or_not_at_all(directory) as staging:
+        loop = make_loop(chosen)
+        write_diagram(loop, staging, chosen.name)
+        safety_filter = loop.GetSubsystemByName("filter")
+        write_filter_diagram(safety_filter, staging, "safety-filter")
+    typer.echo(f"written to {directory}")
+
+
 @app.command("monte-carlo")
 def monte_carlo(
     scenario: ScenarioArgument,
