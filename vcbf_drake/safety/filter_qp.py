@@ -7,6 +7,7 @@ from enum import IntEnum
 from typing import Literal
 
 import numpy as np
+from numpy.linalg import LinAlgError
 
 from vcbf_drake.errors import Array, EmptySetError, SolverError
 from vcbf_drake.safety.feasible_set import FeasibleSet
@@ -106,6 +107,8 @@ def choose_input(
         return FilterDecision(input_set.project(held_input), FilterStatus.FAILED)
     A, b = feasible.A_v[feasible.cutting], feasible.b_v[feasible.cutting]
     row = None if volume_row is None else volume_row.normalised(input_set)
+    if row is not None and row.c >= np.abs(row.a).sum():
+        row = None  # It holds on the whole bounding box.
     v_reference = (reference - input_set.center) / input_set.scale
     if np.abs(v_reference).max() > _FARTHEST_REFERENCE:
         v_reference = v_reference.clip(-_FARTHEST_REFERENCE, _FARTHEST_REFERENCE)
@@ -123,7 +126,7 @@ def choose_input(
                 v, slack, status = solve(A, b, row, v_reference)
         except EmptySetError:
             return _infeasible(feasible, v_reference, held_input, input_set, policy)
-        except SolverError:
+        except (SolverError, LinAlgError):
             return _failed(feasible, v_reference, held_input, input_set)
     u = input_set.project(input_set.center + input_set.scale * v)
     return FilterDecision(u, status, slack)
@@ -177,8 +180,15 @@ def _infeasible(
     input_set: InputSet,
     policy: InfeasiblePolicy,
 ) -> FilterDecision:
-    certificate = emptiness_certificate(feasible.A_v, feasible.b_v)
-    conflict = () if certificate is None else tuple(int(i) for i in certificate.rows)
+    cutting = feasible.cutting
+    try:
+        certificate = emptiness_certificate(
+            feasible.A_v[cutting], feasible.b_v[cutting]
+        )
+    except SolverError:
+        return _failed(feasible, reference, held_input, input_set)
+    rows = () if certificate is None else cutting[certificate.rows]
+    conflict = tuple(int(row) for row in rows)
     if policy == "hold":
         u = input_set.project(held_input)
     else:
@@ -201,20 +211,22 @@ def _least_violation(
     min t subject to weight_i (a_i u - b_i) <= t; among those inputs, the one nearest
     to the reference.
     """
+    A, b = feasible.A_v[feasible.cutting], feasible.b_v[feasible.cutting]
     give = np.zeros(len(feasible.b_v))
     give[feasible.num_input_rows :] = 1.0 / feasible.weights
-    A = np.column_stack([feasible.A_v, -give])
-    no_reward = np.append(np.zeros(A.shape[1] - 1), -1.0)  # violation >= 0
-    cost = np.append(np.zeros(A.shape[1] - 1), 1.0)
+    give = give[feasible.cutting]
+    with_violation = np.column_stack([A, -give])
+    no_reward = np.append(np.zeros(A.shape[1]), -1.0)  # violation >= 0
+    cost = np.append(np.zeros(A.shape[1]), 1.0)
     try:
         solution = minimise_linear(
-            cost, np.vstack([A, no_reward]), np.append(feasible.b_v, 0.0)
+            cost, np.vstack([with_violation, no_reward]), np.append(b, 0.0)
         )
         v, violation = solution[:-1], solution[-1]
-        relaxed = feasible.b_v + give * (violation + _OPENING * (1.0 + violation))
-        v = _hard(feasible.A_v, relaxed, reference)
+        relaxed = b + give * (violation + _OPENING * (1.0 + violation))
+        v = _hard(A, relaxed, reference)
     except EmptySetError:
         pass  # The linear program's own minimiser is a solution too.
-    except SolverError:
+    except (SolverError, LinAlgError):
         return input_set.project(held_input)
     return input_set.project(input_set.center + input_set.scale * v)

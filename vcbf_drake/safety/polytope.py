@@ -20,6 +20,8 @@ from vcbf_drake.errors import Array, SolverError, UnboundedSetError
 _FEASIBILITY_TOLERANCE = 1e-9
 # Multipliers of rows of unit length, scaled to sum 1, balance when |A'y| is below this.
 _BALANCE_TOLERANCE = 1e-12
+# A row further away than this holds everywhere, or nowhere [units of u].
+FARTHEST = 1e20
 # The scale of the program's cost: the solver's tolerance on multipliers is absolute.
 _SHARPNESS = 1e4
 # How far one linear program may move the centre, in units of its frame.
@@ -177,16 +179,19 @@ class UnitRows:
         length: The length |a_i| each of them had, shape (k,).
         index: Where each of them stood among the rows as given, shape (k,).
         given: A and b as given, shapes (n, m) and (n,).
-        conflict: Index of a row 0 u <= b_i < 0, or None.
+        conflict: Index of a row 0 u <= b_i < 0, or as good as that, or None.
     """
 
     def __init__(self, A: ArrayLike, b: ArrayLike) -> None:
         self.given = A, b = checked_rows(A, b)
-        length = np.linalg.norm(A, axis=1)
+        # By the largest entry first: squares of tiny entries would vanish.
+        largest = np.abs(A).max(axis=1)
+        scale = np.where(largest > 0.0, largest, 1.0)
+        length = largest * np.linalg.norm(A / scale[:, None], axis=1)
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
             distance = b / length
-        # A row so short that its distance overflows has no direction to speak of.
-        blank = ~np.isfinite(distance)
+        # A row so short, for its right-hand side, has no direction to speak of.
+        blank = ~(np.abs(distance) < FARTHEST)
         conflicts = np.flatnonzero(blank & (b < 0.0))
         self.conflict = int(conflicts[0]) if len(conflicts) else None
         self.index = np.flatnonzero(~blank)

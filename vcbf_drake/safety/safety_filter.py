@@ -318,7 +318,7 @@ class SafetyFilter(LeafSystem):
             return Volume.vanished(
                 self.model.num_states, self.model.num_disturbances, threshold
             )
-        except SolverError:
+        except (SolverError, np.linalg.LinAlgError):
             return None
         return volume(ellipsoid, feasible, self.input_set, threshold)
 
