@@ -10,7 +10,6 @@ from vcbf_drake.safety import (
     DisturbanceKnowledge,
     FilterStatus,
     InputSet,
-    chebyshev_ball,
 )
 from vcbf_drake.safety.feasible_set import feasible_set
 from vcbf_drake.safety.filter_qp import INFEASIBLE_POLICIES, VolumeRow, choose_input
@@ -89,9 +88,7 @@ def test_nothing_illegal_leaves(situation, input_set, fidelity, policy):
 @given(situations(tame), st.sampled_from([BOX, TRIANGLE]))
 def test_the_status_is_true(situation, input_set):
     feasible, decision = decide(situation, input_set, "corrected", "least_violation")
-    if decision.status == FilterStatus.FAILED:  # Allowed on slivers only, and said so.
-        assert abs(chebyshev_ball(feasible.A_v, feasible.b_v)[1]) < 1e-5
-        return
+    assert decision.status != FilterStatus.FAILED
     v = (decision.input - input_set.center) / input_set.scale
     # A row that no input can move (R33) is reported as such, not kept to its own size.
     length = np.maximum(np.linalg.norm(feasible.A_v, axis=1), 1e-6)

@@ -114,7 +114,7 @@ def _active_set(A: Array, b: Array, reference: Array) -> Array:
     iterations, which end after finitely many.
     """
     gram, violation = A @ A.T, A @ reference - b
-    y = _restricted_minimiser(gram, violation, np.ones(len(b), dtype=bool))
+    y = _restricted_minimiser(A, violation, np.ones(len(b), dtype=bool))
     residual = np.abs(gram @ y - violation).max(initial=0.0)
     if y.min(initial=0.0) >= 0.0 and residual <= 1e-12 * (
         1.0 + np.abs(b).max(initial=0.0)
@@ -127,27 +127,31 @@ def _active_set(A: Array, b: Array, reference: Array) -> Array:
         if active.all() or gradient.max() <= 1e-12:
             break
         active[np.argmax(gradient)] = True
-        target = _restricted_minimiser(gram, violation, active)
+        target = _restricted_minimiser(A, violation, active)
         while target.min() < 0.0:  # Walk towards the target; drop what blocks.
             falling = active & (target <= 0.0)
             step = np.min(y[falling] / (y[falling] - target[falling]))
             y = y + step * (target - y)
             active &= ~(falling & (y <= 1e-14))
             y[~active] = 0.0
-            target = _restricted_minimiser(gram, violation, active)
+            target = _restricted_minimiser(A, violation, active)
         y = target
     return y
 
 
-def _restricted_minimiser(gram: Array, violation: Array, active: Array) -> Array:
+def _restricted_minimiser(A: Array, violation: Array, active: Array) -> Array:
+    """The minimiser with y = 0 off the active rows: A A'y = violation on them.
+
+    Solved as A s = violation, A'y = s: A A' would square how nearly parallel rows are.
+    """
     y = np.zeros(len(violation))
     index = active.nonzero()[0]
     if len(index) == 1:
-        y[index] = violation[index] / gram[index, index]
+        y[index] = violation[index] / (A[index[0]] @ A[index[0]])
     elif len(index) > 1:
-        y[index] = np.linalg.lstsq(
-            gram[index[:, None], index], violation[index], rcond=1e-11
-        )[0]
+        rows = A[index]
+        step = np.linalg.lstsq(rows, violation[index], rcond=1e-12)[0]
+        y[index] = np.linalg.lstsq(rows.T, step, rcond=1e-12)[0]
     return y
 
 
