@@ -135,7 +135,9 @@ def test_help_lists_commands(command: str) -> None:
 
 
 def test_version(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vcbf_drake.cli.version", lambda name: f"{name} 1.2.3")
+    monkeypatch.setattr(
+        "vcbf_drake.cli.application.version", lambda name: f"{name} 1.2.3"
+    )
     shown = invoke("--version")
     assert (shown.exit_code, shown.output) == (0, "vcbf-drake 1.2.3\n")
 

@@ -1,0 +1,31 @@
+"""vcbf-drake: the command line.
+
+Only typer and rich are imported here, so that ``--help`` answers at once; each command
+imports what it needs. A command is a plain function; this list is their order.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from vcbf_drake.cli.application import app
+from vcbf_drake.cli.monte_carlo import monte_carlo
+from vcbf_drake.cli.simulations import check, compare, diagram, list_scenarios, run
+
+_COMMANDS: dict[str, Callable[..., Any]] = {
+    "list": list_scenarios,
+    "run": run,
+    "compare": compare,
+    "check": check,
+    "diagram": diagram,
+    "monte-carlo": monte_carlo,
+}
+
+for _name, _command in _COMMANDS.items():
+    app.command(_name)(_command)
+
+__all__ = ["app", "main"]
+
+
+def main() -> None:
+    """Runs the command line."""
+    app()

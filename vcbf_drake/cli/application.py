@@ -1,0 +1,95 @@
+"""The command line's application: one-line errors, exit statuses, global options."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+import sys
+import traceback
+from typing import Annotated, Any, cast
+
+import typer
+from typer.core import TyperGroup
+
+_FAILED, _BAD_USAGE = 1, 2
+
+
+# Click's class, wherever the installed typer keeps it.
+_UsageError = cast(type[Exception], typer.BadParameter.__base__)
+
+
+class OneLineGroup(TyperGroup):
+    """Commands whose errors are one line on stderr and an exit status.
+
+    Status 2 is bad usage or a bad scenario, 1 anything else. The option
+    ``--traceback`` shows where an error comes from.
+    """
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        """Runs the command line and exits."""
+        kwargs["standalone_mode"] = False
+        try:
+            sys.exit(super().main(*args, **kwargs))
+        except _UsageError as error:
+            _complain(error.format_message())  # type: ignore[attr-defined]
+            sys.exit(_BAD_USAGE)
+        except typer.Abort:
+            _complain("interrupted")
+            sys.exit(_FAILED)
+        except Exception as error:
+            from vcbf_drake.errors import ScenarioError
+
+            if isinstance(error, ScenarioError):
+                _complain(str(error))
+                sys.exit(_BAD_USAGE)
+            kind = type(error).__name__
+            _complain(f"{kind}: {error} (vcbf-drake --traceback ... shows where)")
+            sys.exit(_FAILED)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Runs the command; with ``--traceback``, shows where it failed."""
+        try:
+            return super().invoke(ctx)
+        except (_UsageError, typer.Exit):
+            raise
+        except Exception:
+            if ctx.params["show_traceback"]:
+                traceback.print_exc()
+            raise
+
+
+def _complain(message: str) -> None:
+    typer.echo(f"vcbf-drake: {' '.join(message.split())}", err=True)
+
+
+app = typer.Typer(
+    cls=OneLineGroup,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(version("vcbf-drake"))
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    show_version: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            callback=_show_version,
+            is_eager=True,
+            help="Show the version and exit.",
+        ),
+    ] = False,
+    show_traceback: Annotated[
+        bool,
+        typer.Option(
+            "--traceback", help="Show where an error comes from (before COMMAND)."
+        ),
+    ] = False,
+) -> None:
+    """Safety filters for Drake whose QP stays feasible under disturbances."""

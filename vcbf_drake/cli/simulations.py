@@ -1,0 +1,152 @@
+"""The commands about single runs: list, run, compare, check, diagram."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vcbf_drake.cli.options import (
+    MethodOption,
+    OverrideOption,
+    ScenarioArgument,
+    load,
+    out_option,
+)
+from vcbf_drake.cli.outputs import plain_json, whole_or_not_at_all
+
+if TYPE_CHECKING:
+    from vcbf_drake.simulation.result import Result
+    from vcbf_drake.simulation.scenario import Scenario
+
+
+def list_scenarios() -> None:
+    """List the shipped scenarios."""
+    from vcbf_drake.simulation.scenario_file import load_scenario, shipped_scenarios
+    from vcbf_drake.viz.terminal import print_scenarios
+
+    print_scenarios([load_scenario(name) for name in shipped_scenarios()])
+
+
+def run(
+    scenario: ScenarioArgument,
+    method: MethodOption = None,
+    override: OverrideOption = None,
+    out: Annotated[Path | None, out_option("out/SCENARIO-METHOD")] = None,
+    replay: Annotated[
+        bool, typer.Option("--replay/--no-replay", help="Write a Meshcat replay.")
+    ] = True,
+    figures: Annotated[
+        bool, typer.Option("--figures/--no-figures", help="Write the figures.")
+    ] = True,
+) -> None:
+    """Simulate one scenario: results, figures, a replay and a summary."""
+    chosen = load(scenario, override, method)
+    directory = out or Path("out") / f"{chosen.name}-{chosen.method}"
+    with whole_or_not_at_all(directory) as staging:
+        results = _simulate([chosen])
+        results[0].save(staging)
+        _write_pictures(results, staging, replay=replay, figures=figures)
+    _report(results, directory)
+
+
+def compare(
+    scenario: ScenarioArgument,
+    methods: Annotated[
+        str | None,
+        typer.Option(metavar="M,M,...", help="Safety filters; by default all."),
+    ] = None,
+    override: OverrideOption = None,
+    out: Annotated[Path | None, out_option("out/SCENARIO")] = None,
+) -> None:
+    """Simulate one scenario under several methods: one replay, one set of figures."""
+    from vcbf_drake.safety.methods import METHODS
+
+    names = list(METHODS) if methods is None else methods.split(",")
+    chosen = [load(scenario, override, name.strip()) for name in dict.fromkeys(names)]
+    directory = out or Path("out") / chosen[0].name
+    with whole_or_not_at_all(directory) as staging:
+        results = _simulate(chosen)
+        for result in results:
+            result.save(staging / result.scenario.method)
+        _write_pictures(results, staging)
+    _report(results, directory)
+
+
+def check(
+    scenario: ScenarioArgument,
+    method: MethodOption = None,
+    override: OverrideOption = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print JSON instead of a table.")
+    ] = False,
+) -> None:
+    """List the theorems' hypotheses with their numbers, before anything moves."""
+    from vcbf_drake.simulation.run import check_assumptions
+    from vcbf_drake.viz.terminal import print_assumptions
+
+    chosen = load(scenario, override, method)
+    assumptions = check_assumptions(chosen)
+    if as_json:
+        plain = [plain_json(dataclasses.asdict(each)) for each in assumptions]
+        typer.echo(json.dumps(plain, indent=2))
+    else:
+        print_assumptions(chosen, assumptions)
+
+
+def diagram(
+    scenario: ScenarioArgument,
+    method: MethodOption = None,
+    override: OverrideOption = None,
+    out: Annotated[Path | None, out_option("out/SCENARIO-diagram")] = None,
+) -> None:
+    """Draw the block diagrams of the loop and of its filter, as DOT and SVG."""
+    from vcbf_drake.simulation.loop import make_loop
+    from vcbf_drake.viz.diagram import write_diagram
+    from vcbf_drake.viz.filter_diagram import write_filter_diagram
+
+    chosen = load(scenario, override, method)
+    directory = out or Path("out") / f"{chosen.name}-diagram"
+    with whole_or_not_at_all(directory) as staging:
+        loop = make_loop(chosen)
+        write_diagram(loop, staging, chosen.name)
+        safety_filter = loop.GetSubsystemByName("filter")
+        write_filter_diagram(safety_filter, staging, "safety-filter")
+    typer.echo(f"written to {directory}")
+
+
+def _simulate(scenarios: list[Scenario]) -> list[Result]:
+    from vcbf_drake.simulation.run import simulate
+    from vcbf_drake.viz.terminal import progress_bar
+
+    def simulate_one(scenario: Scenario) -> Result:
+        task = bar.add_task(scenario.method, total=1.0)
+        return simulate(scenario, lambda done: bar.update(task, completed=done))
+
+    with progress_bar() as bar:
+        return [simulate_one(scenario) for scenario in scenarios]
+
+
+def _write_pictures(
+    results: list[Result], directory: Path, replay: bool = True, figures: bool = True
+) -> None:
+    if figures:
+        from vcbf_drake.viz.figures import write_figures
+
+        write_figures(results, directory)
+    if replay:
+        logging.getLogger("drake").setLevel(logging.WARNING)  # Meshcat says its port.
+        from vcbf_drake.viz.replay import write_replay
+
+        write_replay(results, directory / "replay.html")
+
+
+def _report(results: list[Result], directory: Path) -> None:
+    from vcbf_drake.viz.terminal import print_summaries
+
+    print_summaries([result.summary for result in results])
+    typer.echo(f"written to {directory}")
