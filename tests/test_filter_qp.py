@@ -34,7 +34,7 @@ def set_of(A, b, input_set=BOX, weights=None):
 
 
 def choose(feasible, reference, volume_row=None, **options):
-    settings = {"fidelity": "corrected", "policy": "stop", "held_input": ORIGIN}
+    settings = {"exact_slack": True, "policy": "stop", "held_input": ORIGIN}
     settings |= options
     return choose_input(
         feasible,
@@ -42,7 +42,7 @@ def choose(feasible, reference, volume_row=None, **options):
         np.array(reference, dtype=float),
         settings["held_input"],
         BOX,
-        settings["fidelity"],
+        settings["exact_slack"],
         settings["policy"],
     )
 
@@ -80,7 +80,7 @@ def test_paper_penalty_leaves_the_slack_that_its_optimality_conditions_say():
     """Delta = -mu / (2 M) whenever the row is active (R35): never exactly zero."""
     penalty, feasible = 50.0, set_of([0.0, 1.0], 1.0)
     row = VolumeRow(a=np.array([1.0, 0.0]), c=-0.5, slack_penalty=penalty)
-    decision = choose(feasible, [0.0, 0.0], row, fidelity="paper")
+    decision = choose(feasible, [0.0, 0.0], row, exact_slack=False)
     # In v = (u - center) / 2: min (v1 + 1/2)^2 + M d^2, 2 v1 + 1 + d <= -1/2.
     # With s = 2 v1 + 1: min s^2 / 4 + M d^2, s + d = -1/2.
     expected = -0.5 * (1.0 / 4.0) / (1.0 / 4.0 + penalty)
@@ -98,8 +98,8 @@ def test_infeasible_rows_are_named():
 def test_infeasible_stays_infeasible_with_a_volume_row_in_the_qp():
     feasible = set_of([[1.0, 0.0], [-1.0, 0.0]], [-0.5, 0.2])
     vanished = VolumeRow(a=np.zeros(2), c=-0.06, slack_penalty=1e3)
-    for fidelity in ("corrected", "paper"):
-        decision = choose(feasible, [0.0, 0.0], vanished, fidelity=fidelity)
+    for exact_slack in (True, False):
+        decision = choose(feasible, [0.0, 0.0], vanished, exact_slack=exact_slack)
         assert decision.status == FilterStatus.INFEASIBLE
 
 

@@ -71,6 +71,7 @@ OneOfEverything:
     slack_penalty: 10.0
   method: vcbf-qp
   fidelity: paper
+  corrections: {exact_slack: true}
   infeasible: hold
   initial_state: [0.0, 0.0, 0.1, 0.2]
   target: [5.0, 0.0]

@@ -136,7 +136,7 @@ def test_plateau_has_no_gradient(blimp):
         model.disturbance_matrix,
         known,
         gain=3.0,
-        fidelity="corrected",
+        total_derivative=True,
     )
     assert not a.any()
     assert c == pytest.approx(3.0 * exact.value)
@@ -150,7 +150,7 @@ def test_volume_row_is_the_worst_case_of_the_total_derivative(blimp):
         exact = evaluate(barriers, state, time, known)
         drift, g = model.drift_and_input_matrix(state)
         a, c = volume_row(
-            exact, drift, g, model.disturbance_matrix, known, 3.0, "corrected"
+            exact, drift, g, model.disturbance_matrix, known, 3.0, total_derivative=True
         )
         u = rng.uniform(-0.05, 0.05, 3)
         errors = rng.normal(size=(4000, 3))

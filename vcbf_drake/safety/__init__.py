@@ -2,6 +2,7 @@
 
 from vcbf_drake.safety.add_safety_filter import AddedSafetyFilter, AddSafetyFilter
 from vcbf_drake.safety.assumptions import Assumption, assumptions
+from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
 from vcbf_drake.safety.ellipsoid import Ellipsoid, inscribed_ellipsoid
 from vcbf_drake.safety.feasible_set import DisturbanceKnowledge, FeasibleSet
 from vcbf_drake.safety.filter_qp import (
@@ -11,7 +12,7 @@ from vcbf_drake.safety.filter_qp import (
     InfeasiblePolicy,
 )
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.methods import FIDELITIES, METHODS, Fidelity, Method
+from vcbf_drake.safety.methods import METHODS, Method
 from vcbf_drake.safety.packed_feasible_set import (
     PackedFeasibleSet,
     unpack_feasible_set,
@@ -31,6 +32,7 @@ __all__ = [
     "AddSafetyFilter",
     "AddedSafetyFilter",
     "Assumption",
+    "Corrections",
     "DisturbanceKnowledge",
     "Ellipsoid",
     "Emptiness",

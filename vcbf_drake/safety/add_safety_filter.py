@@ -17,10 +17,11 @@ from vcbf_drake.disturbances import (
     observer_ports,
 )
 from vcbf_drake.plants import ControlAffineModel
+from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
 from vcbf_drake.safety.filter_qp import InfeasiblePolicy
 from vcbf_drake.safety.infeasibility_monitor import InfeasibilityMonitor
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.methods import Fidelity, method_named
+from vcbf_drake.safety.methods import method_named
 from vcbf_drake.safety.safety_filter import SafetyFilter
 from vcbf_drake.safety.volume_barrier import VolumeBarrier
 
@@ -53,6 +54,7 @@ def AddSafetyFilter(
     bounds: DisturbanceBounds,
     method: str = "dob-vcbf-qp",
     fidelity: Fidelity = "corrected",
+    corrections: Corrections | None = None,
     infeasible: InfeasiblePolicy = "stop",
     volume_barrier: VolumeBarrier | None = None,
     observer: DisturbanceObserver | None = None,
@@ -80,6 +82,7 @@ def AddSafetyFilter(
         bounds: delta1, delta2, delta3 of the disturbance.
         method: One of `vcbf_drake.safety.METHODS`.
         fidelity: ``corrected``, or ``paper`` for the equations as printed.
+        corrections: The errata to apply, in place of those of the fidelity.
         infeasible: When no input satisfies the barrier rows: ``stop`` the simulation,
             apply the input of ``least_violation``, or ``hold`` the last one.
         volume_barrier: Threshold and gain of the volume barrier.
@@ -99,18 +102,20 @@ def AddSafetyFilter(
     """
     model = model or ControlAffineModel.from_system(plant, input_port, disturbance_port)
     observer = observer or _default_observer(method, model, period, bounds)
+    applied = corrections or FIDELITIES[fidelity]
     safety_filter = SafetyFilter(
         model,
         barriers,
         input_set,
         method=method,
         fidelity=fidelity,
+        corrections=corrections,
         infeasible=infeasible,
         volume_barrier=volume_barrier,
         disturbance_bound=bounds.delta1,
         estimate_gain=observer.estimate_gain,
         violation_weights=violation_weights,
-        hold_margin=bounds.delta2 * period if fidelity == "corrected" else 0.0,
+        hold_margin=bounds.delta2 * period if applied.error_floor else 0.0,
     )
     builder.AddNamedSystem(name, safety_filter)
     hold = builder.AddNamedSystem(

@@ -13,7 +13,6 @@ from vcbf_drake.errors import Array, EmptySetError, SolverError
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.linear_program import minimise_linear
-from vcbf_drake.safety.methods import Fidelity
 from vcbf_drake.safety.nearest_point import nearest_point
 from vcbf_drake.safety.polytope import emptiness_certificate
 
@@ -49,7 +48,7 @@ class VolumeRow:
     Attributes:
         a: Shape (m,).
         c: The right-hand side.
-        slack_penalty: M of (E24), for fidelity ``paper``.
+        slack_penalty: M of (E24), for the inexact slack.
     """
 
     a: Array
@@ -85,14 +84,14 @@ def choose_input(
     reference: Array,
     held_input: Array,
     input_set: InputSet,
-    fidelity: Fidelity,
+    exact_slack: bool,
     policy: InfeasiblePolicy,
 ) -> FilterDecision:
     """Returns the feasible input nearest to the reference, (E19) or (E24), (E25).
 
-    Fidelity ``corrected`` keeps the volume row hard and relaxes it, by as little as
-    possible, only when no input satisfies it together with the other rows; ``paper``
-    adds the printed penalty M delta^2.
+    With the exact slack the volume row is hard and gives way, by as little as possible,
+    only when no input satisfies it together with the other rows; without, it has the
+    printed penalty M delta^2.
 
     Args:
         feasible: Input limits and barrier rows.
@@ -100,7 +99,7 @@ def choose_input(
         reference: The controller's input, shape (m,).
         held_input: The input applied now, shape (m,); for the fallbacks.
         input_set: The inputs the actuators can produce.
-        fidelity: How the volume row may give way.
+        exact_slack: How the volume row may give way.
         policy: What to apply when the barrier rows have no solution.
     """
     if not (feasible.is_finite and np.isfinite(reference).all()):
@@ -122,7 +121,7 @@ def choose_input(
             if row is None:
                 v = _hard(A, b, v_reference)
             else:
-                solve = _with_penalty if fidelity == "paper" else _hard_first
+                solve = _hard_first if exact_slack else _with_penalty
                 v, slack, status = solve(A, b, row, v_reference)
         except EmptySetError:
             return _infeasible(feasible, v_reference, held_input, input_set, policy)

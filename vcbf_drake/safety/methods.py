@@ -7,9 +7,6 @@ from typing import Literal
 
 DisturbanceHandling = Literal["ignored", "worst_case", "estimated"]
 ObserverKind = Literal["rise", "linear"]
-Fidelity = Literal["corrected", "paper"]
-
-FIDELITIES: tuple[Fidelity, ...] = ("corrected", "paper")
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from vcbf_drake.barriers import Barrier, BarrierSet, StateInputLimit
 from vcbf_drake.disturbances import observer_ports
 from vcbf_drake.errors import Array, EmptySetError, SolverError
 from vcbf_drake.plants import ControlAffineModel
+from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
 from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver
 from vcbf_drake.safety.feasible_set import (
     DisturbanceKnowledge,
@@ -36,7 +37,7 @@ from vcbf_drake.safety.filter_qp import (
     choose_input,
 )
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.methods import FIDELITIES, Fidelity, method_named
+from vcbf_drake.safety.methods import method_named
 from vcbf_drake.safety.packed_feasible_set import (
     PackedFeasibleSet,
     pack_feasible_set,
@@ -110,6 +111,7 @@ class SafetyFilter(LeafSystem):
         *,
         method: str = "dob-vcbf-qp",
         fidelity: Fidelity = "corrected",
+        corrections: Corrections | None = None,
         infeasible: InfeasiblePolicy = "stop",
         volume_barrier: VolumeBarrier | None = None,
         disturbance_bound: float = 0.0,
@@ -125,6 +127,7 @@ class SafetyFilter(LeafSystem):
             input_set: What the actuators can do.
             method: One of `vcbf_drake.safety.METHODS`.
             fidelity: ``corrected``, or ``paper`` for the equations as printed.
+            corrections: The errata to apply, in place of those of the fidelity.
             infeasible: What to apply when no input satisfies the barrier rows.
             volume_barrier: Threshold and gain of the volume barrier.
             disturbance_bound: delta1, for the methods that take the worst case
@@ -161,7 +164,7 @@ class SafetyFilter(LeafSystem):
         self.barrier_set = BarrierSet(model, barriers)
         self.input_set = input_set
         self.volume_barrier = volume_barrier or VolumeBarrier()
-        self.fidelity: Fidelity = fidelity
+        self.corrections = corrections or FIDELITIES[fidelity]
         self.infeasible: InfeasiblePolicy = infeasible
         self._worst_case = disturbance_bound
         self._estimate_gain = estimate_gain
@@ -340,7 +343,7 @@ class SafetyFilter(LeafSystem):
             reference,
             held,
             self.input_set,
-            self.fidelity,
+            self.corrections.exact_slack,
             self.infeasible,
         )
         if failed:
@@ -360,7 +363,7 @@ class SafetyFilter(LeafSystem):
             self.model.disturbance_matrix,
             self.feasible_set(context).known,
             self.volume_barrier.gain,
-            self.fidelity,
+            self.corrections.total_derivative,
         )
         return VolumeRow(a, c, self.volume_barrier.slack_penalty)
 

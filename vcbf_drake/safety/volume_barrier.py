@@ -10,7 +10,6 @@ from vcbf_drake.errors import Array
 from vcbf_drake.safety.ellipsoid import Ellipsoid
 from vcbf_drake.safety.feasible_set import DisturbanceKnowledge, FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.methods import Fidelity
 
 
 @dataclass
@@ -23,7 +22,7 @@ class VolumeBarrier:
     Attributes:
         threshold: xi, the part of the free volume that must remain.
         gain: lambda_Vv, how fast V_v may decrease towards zero [1/s].
-        slack_penalty: M, the weight of the squared slack; fidelity ``paper`` only.
+        slack_penalty: M, the weight of the squared slack; unused with the exact slack.
     """
 
     threshold: float = 0.02
@@ -147,12 +146,12 @@ def volume_row(
     disturbance_matrix: Array,
     known: DisturbanceKnowledge,
     gain: float,
-    fidelity: Fidelity,
+    total_derivative: bool,
 ) -> tuple[Array, float]:
     """Returns the row a and the number c of the volume barrier's condition a u <= c.
 
-    Fidelity ``corrected`` is the total derivative (E28); ``paper`` leaves out that the
-    estimate moves, as printed (E23), (E24).
+    The total derivative is (E28); without it the row leaves out that the estimate
+    moves, as printed (E23), (E24).
 
     Args:
         volume: V_v and its derivatives.
@@ -161,7 +160,7 @@ def volume_row(
         disturbance_matrix: E, shape (n, q).
         known: What is known of the disturbance.
         gain: lambda_Vv [1/s].
-        fidelity: Which derivative.
+        total_derivative: Which derivative.
     """
     along_disturbance = volume.state @ disturbance_matrix
     along_error = along_disturbance
@@ -171,7 +170,7 @@ def volume_row(
         + volume.bound * known.bound_rate
         + along_disturbance @ known.estimate
     )
-    if fidelity == "corrected":
+    if total_derivative:
         known_rate += volume.estimate @ known.rate
         along_error = along_disturbance + known.gain * volume.estimate
     worst = float(np.linalg.norm(along_error)) * known.bound

@@ -34,7 +34,6 @@ from vcbf_drake.safety import (
     METHODS,
     AddedSafetyFilter,
     AddSafetyFilter,
-    Fidelity,
     InfeasiblePolicy,
 )
 from vcbf_drake.simulation.collision_monitor import CollisionMonitor
@@ -75,7 +74,7 @@ def make_loop(scenario: Scenario) -> Diagram:
         period=scenario.period,
         bounds=source.bounds,
         method=scenario.method,
-        fidelity=cast(Fidelity, scenario.fidelity),
+        corrections=scenario.applied_corrections,
         infeasible=cast(InfeasiblePolicy, scenario.infeasible),
         volume_barrier=scenario.volume,
         observer=_observer(scenario, model, source),
@@ -180,7 +179,7 @@ def _observer(
         step=settings.step,
         boundary_layer=settings.boundary_layer,
         noise=measurement_noise(scenario, model),
-        floor=scenario.fidelity == "corrected",
+        floor=scenario.applied_corrections.error_floor,
     )
 
 

@@ -7,7 +7,7 @@ fields themselves.
 # No `from __future__ import annotations`: pydrake.common.yaml needs evaluated types.
 
 from dataclasses import dataclass, field, fields
-from typing import get_type_hints
+from typing import cast, get_type_hints
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from vcbf_drake.disturbances.source import (
 )
 from vcbf_drake.plants.blimp import BlimpParameters
 from vcbf_drake.plants.car import CarParameters
+from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.volume_barrier import VolumeBarrier
 
@@ -167,6 +168,8 @@ class Scenario:
     method: str = "dob-vcbf-qp"
     # "corrected", or "paper" for the equations as published.
     fidelity: str = "corrected"
+    # Just these errata applied, in place of all ("corrected") or none ("paper").
+    corrections: Corrections | None = None
     # What to do when no input is safe: "stop" the run, apply the input of
     # "least_violation", or "hold" the last one.
     infeasible: str = "stop"
@@ -184,3 +187,8 @@ class Scenario:
     integrator: Integrator = field(default_factory=Integrator)
     # Noise on the measured state.
     noise: MeasurementNoise = field(default_factory=MeasurementNoise)
+
+    @property
+    def applied_corrections(self) -> Corrections:
+        """The errata of the published method that the run applies."""
+        return self.corrections or FIDELITIES[cast(Fidelity, self.fidelity)]

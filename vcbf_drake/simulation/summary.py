@@ -61,7 +61,7 @@ def summarise(
     return {
         "scenario": scenario.name,
         "method": scenario.method,
-        "fidelity": scenario.fidelity,
+        "fidelity": scenario.fidelity if scenario.corrections is None else "custom",
         "outcome": _outcome(collided_at, stopped, reached_at),
         "running_time": min(
             t for t in (infeasible_at, collided_at, ending.time) if t is not None

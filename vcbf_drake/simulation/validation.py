@@ -16,8 +16,9 @@ from vcbf_drake.control.car_controller import CarControllerParameters
 from vcbf_drake.errors import ScenarioError, VcbfError
 from vcbf_drake.plants.blimp import BlimpParameters
 from vcbf_drake.plants.car import CarParameters
+from vcbf_drake.safety.corrections import FIDELITIES
 from vcbf_drake.safety.filter_qp import INFEASIBLE_POLICIES
-from vcbf_drake.safety.methods import FIDELITIES, METHODS
+from vcbf_drake.safety.methods import METHODS
 from vcbf_drake.safety.volume_barrier import VolumeBarrier
 from vcbf_drake.simulation.scenario import (
     BarrierGains,

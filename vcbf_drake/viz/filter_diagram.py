@@ -162,7 +162,7 @@ def _steps(safety_filter: SafetyFilter) -> dict[str, tuple[str, ...]]:
             "volume": ("inscribed ellipsoid (E20)", "for the log only"),
             "decision": ("3  nearest input, QP (E19)",),
         }
-    label = "E28" if safety_filter.fidelity == "corrected" else "E24"
+    label = "E28" if safety_filter.corrections.total_derivative else "E24"
     label = label if method.disturbance == "estimated" else "E22"
     return {
         "feasible set": rows,

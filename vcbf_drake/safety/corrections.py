@@ -1,0 +1,33 @@
+"""Corrections: which errata of the published method a filter applies."""
+
+# pydrake.common.yaml assigns the fields, so the class is not frozen, and it needs
+# evaluated types, so there is no `from __future__ import annotations`.
+
+from dataclasses import dataclass
+from typing import Literal
+
+Fidelity = Literal["corrected", "paper"]
+
+
+@dataclass
+class Corrections:
+    """The errata of the published method, each on or off.
+
+    Attributes:
+        exact_slack: The volume row gives way only where it must (E25); off, it has the
+            printed penalty M delta^2 (E24).
+        total_derivative: The volume row counts that the estimate moves (E28); off, it
+            is the printed derivative (E23).
+        error_floor: The error bound is the certified one of sampled time (E39), with
+            the margin of the hold; off, it is the printed one (E13), which tends to 0.
+    """
+
+    exact_slack: bool = False
+    total_derivative: bool = False
+    error_floor: bool = False
+
+
+FIDELITIES: dict[Fidelity, Corrections] = {
+    "corrected": Corrections(True, True, True),
+    "paper": Corrections(),
+}
