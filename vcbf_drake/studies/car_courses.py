@@ -20,7 +20,7 @@ CAR_COURSE_RANGES: dict[str, tuple[float, float]] = {
     "disc radius [m]": (0.3, 0.5),
     "gate width [m]": (0.2, 0.8),
     "gate along the way [m]": (1.3, 3.7),
-    "gate beside the way [m]": (-0.4, 0.4),
+    "gate beside the way [m]": (-0.6, 0.6),
     "gate turned by [rad]": (-0.5, 0.5),
     "other disc along the way [m]": (1.0, 4.0),
     "other disc beside the way [m]": (-1.2, 1.2),
@@ -32,7 +32,8 @@ BARRIER_GAINS = ((4.0, 3.0), (6.0, 8.0), (10.0, 3.55))  # K of (E4)
 Disc = tuple[float, float, float]  # x, y, radius [m]
 
 _WAY = ((0.0, 0.0), (5.0, 0.0))  # where the scenario starts and where it ends [m]
-_CLEARANCE = 0.6  # at least, from both to the surface of a disc [m]
+_CLEARANCE = 0.6  # from both to the surface of a disc, at least [m]
+_NARROWEST = 0.2  # between the surfaces of two discs, at least [m]
 
 
 def car_course(seed: int) -> dict[str, Any]:
@@ -49,9 +50,9 @@ def car_course(seed: int) -> dict[str, Any]:
     force, turn_rate = draw("force limit [N]"), draw("turn rate limit [rad/s]")
     push = round(draw("push over force limit") * force / CarParameters().mass, 3)
     gains = BARRIER_GAINS[draw.index(len(BARRIER_GAINS))]
-    discs = _gate(draw) + [
-        _other_disc(draw) for _ in range(OTHER_DISCS[draw.index(len(OTHER_DISCS))])
-    ]
+    discs = _gate(draw)
+    for _ in range(OTHER_DISCS[draw.index(len(OTHER_DISCS))]):
+        discs.append(_other_disc(draw, discs))
     return {
         "name": f"car-course-{seed}",
         "input_set": {"lower": [-force, -turn_rate], "upper": [force, turn_rate]},
@@ -91,18 +92,21 @@ def _gate(draw: _Draw) -> list[Disc]:
             return discs
 
 
-def _other_disc(draw: _Draw) -> Disc:
-    """A disc anywhere about the way, clear of its ends; it may touch others."""
+def _other_disc(draw: _Draw, discs: list[Disc]) -> Disc:
+    """A disc anywhere about the way, clear of its ends and of the discs so far."""
     while True:
         disc = (
             draw("other disc along the way [m]"),
             draw("other disc beside the way [m]"),
             draw("disc radius [m]"),
         )
-        if _is_clear(disc):
+        if _is_clear(disc) and all(_gap(disc, other) >= _NARROWEST for other in discs):
             return disc
 
 
 def _is_clear(disc: Disc) -> bool:
-    x, y, radius = disc
-    return all(math.dist((x, y), end) >= radius + _CLEARANCE for end in _WAY)
+    return all(_gap(disc, (x, y, 0.0)) >= _CLEARANCE for x, y in _WAY)
+
+
+def _gap(disc: Disc, other: Disc) -> float:
+    return math.dist(disc[:2], other[:2]) - disc[2] - other[2]
