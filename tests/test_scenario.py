@@ -20,7 +20,12 @@ from vcbf_drake.simulation.scenario_file import (
 )
 from vcbf_drake.simulation.validation import InvalidFieldError, validate
 
-SHIPPED = ("blimp-multiple-obstacles", "blimp-single-obstacle", "car-avoidance")
+SHIPPED = (
+    "blimp-multiple-obstacles",
+    "blimp-single-obstacle",
+    "car-avoidance",
+    "car-sensitivity",
+)
 DIRECTORY = Path(load_scenario.__code__.co_filename).parent / "scenarios"
 
 ONE_OF_EVERYTHING = """\
