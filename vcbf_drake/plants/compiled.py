@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.symbolic import Expression, Variable
+
+from vcbf_drake.plants.code_cache import cache_key, load_code, store_code
+from vcbf_drake.plants.generated_code import function_of
 
 Expressions: TypeAlias = NDArray[np.object_]
 CompiledFunction: TypeAlias = Callable[..., list[float]]
@@ -23,7 +27,8 @@ def compile_expressions(
     The function takes one positional ``float`` per argument and returns the values
     of the expressions, in order, as a flat list: ``values = function(*x.tolist())``.
     Common subexpressions are computed once. The generated code is the same in every
-    process, whatever PYTHONHASHSEED is, so its results are too, bit for bit.
+    process, whatever PYTHONHASHSEED is, so its results are too, bit for bit. It is kept
+    on disk (see `code_cache`).
 
     A singular point is the caller's to handle: the function raises what Python's own
     float arithmetic raises there, ZeroDivisionError (1 / 0), ValueError (sqrt(-1)) or
@@ -40,17 +45,37 @@ def compile_expressions(
         NotImplementedError: An expression has no counterpart in plain Python (an
             uninterpreted function, for example).
     """
-    from vcbf_drake.plants.float_code import float_function  # SymPy's import is slow.
-
     variables = list(arguments)
     flat = [
         e if isinstance(e, Expression) else Expression(e)
         for e in np.asarray(expressions, dtype=object).flat
     ]
     _require_known(variables, flat, name)
-    function: CompiledFunction = float_function(variables, flat)
-    function.__name__ = name
+    function: CompiledFunction = function_of(
+        _code(*_by_position(variables, flat)), name
+    )
     return function
+
+
+def _by_position(
+    variables: list[Variable], expressions: list[Expression]
+) -> tuple[list[Variable], list[Expression]]:
+    """The same, in variables named by position: then text says what is meant."""
+    arguments = [Variable(f"a{i}") for i in range(len(variables))]
+    renamed = {v: Expression(a) for v, a in zip(variables, arguments, strict=True)}
+    return arguments, [e.Substitute(renamed) for e in expressions]
+
+
+def _code(arguments: list[Variable], expressions: list[Expression]) -> str:
+    generator = Path(__file__).with_name("float_code.py").read_text(encoding="utf-8")
+    key = cache_key(generator, str(len(arguments)), *map(str, expressions))
+    code = load_code(key)
+    if code is None:
+        from vcbf_drake.plants.float_code import float_code  # SymPy's import is slow.
+
+        code = float_code(arguments, expressions)
+        store_code(key, code)
+    return code
 
 
 def _require_known(

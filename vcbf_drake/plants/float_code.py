@@ -1,28 +1,26 @@
 """Plain Python code of symbolic expressions, written by SymPy.
 
 A module of its own for SymPy's sake, which takes long to import: it is imported only
-when something is compiled.
+when code is written that no earlier run has left on disk.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+import inspect
 
 from pydrake.symbolic import Expression, Variable, to_sympy
 import sympy
 from sympy.printing.pycode import PythonCodePrinter
 
 
-def float_function(
-    variables: Sequence[Variable], expressions: Sequence[Expression]
-) -> Any:
-    """The function of plain floats that returns the expressions' values as a list."""
+def float_code(variables: Sequence[Variable], expressions: Sequence[Expression]) -> str:
+    """The code of the function of floats that returns the expressions' values."""
     # Symbols named by position: to_sympy's own would sort by a process-wide count.
     symbols = [sympy.Symbol(f"a{i}") for i in range(len(variables))]
     memo = {v.get_id(): s for v, s in zip(variables, symbols, strict=True)}
     converted = [to_sympy(e, memo=memo) for e in expressions]
-    return sympy.lambdify(
+    function = sympy.lambdify(
         symbols,
         [sympy.Float(e) if e.is_Integer else e for e in converted],
         modules="math",
@@ -30,6 +28,7 @@ def float_function(
         cse=True,
         docstring_limit=0,
     )
+    return inspect.getsource(function)
 
 
 class _FloatCodePrinter(PythonCodePrinter):
