@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.metadata import version
 import sys
 import traceback
 from typing import Annotated, Any, cast
@@ -70,6 +69,8 @@ app = typer.Typer(
 
 def _show_version(wanted: bool) -> None:
     if wanted:
+        from importlib.metadata import version
+
         typer.echo(version("vcbf-drake"))
         raise typer.Exit
 

@@ -5,6 +5,7 @@
 from collections.abc import Sequence
 import copy
 from dataclasses import dataclass, field
+import sys
 from typing import Any
 
 import numpy as np
@@ -107,7 +108,10 @@ def _blimp_state_rate(
     ]
 
 
-@TemplateSystem.define("Blimp_")  # type: ignore[untyped-decorator]
+# Told its scope, Drake need not look for it by inspecting the stack, which is slow.
+@TemplateSystem.define(  # type: ignore[untyped-decorator]
+    "Blimp_", scope=sys.modules[__name__]
+)
 def Blimp_(T: type) -> type:
     """Makes the class Blimp_[T] for the scalar type T."""
 

@@ -4,6 +4,7 @@
 
 import copy
 from dataclasses import dataclass
+import sys
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,10 @@ class CarParameters:
         check_parameter("CarParameters.mass", self.mass)
 
 
-@TemplateSystem.define("Car_")  # type: ignore[untyped-decorator]
+# Told its scope, Drake need not look for it by inspecting the stack, which is slow.
+@TemplateSystem.define(  # type: ignore[untyped-decorator]
+    "Car_", scope=sys.modules[__name__]
+)
 def Car_(T: type) -> type:
     """Makes the class Car_[T] for the scalar type T."""
 
