@@ -7,6 +7,7 @@ from functools import lru_cache
 from threading import Lock
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.solvers import (
     ClarabelSolver,
     MathematicalProgram,
@@ -64,16 +65,15 @@ def nearest_point(A: Array, b: Array, reference: Array) -> NearestPoint:
         _raise_if_empty(A, b)
     length = length[live]
     rows, bounds = A[live] / length[:, None], b[live] / length
-    for attempt, (solver, options) in enumerate(_solvers()):
-        guess = _program(*rows.shape).solve(solver, options, rows, bounds, reference)
-        solution = _polish(rows, bounds, reference, guess)
-        if solution is not None:
-            multipliers = np.zeros(len(b))
-            multipliers[live] = solution.multipliers / length
-            return NearestPoint(solution.point, multipliers)
-        if attempt == 0:
-            _raise_if_empty(A, b)
-    raise SolverError("no solver's answer to the QP could be verified", A, b)
+    solution = _on_rows(slice(None), rows, bounds, reference)
+    if solution is None:
+        _raise_if_empty(A, b)
+        solution = _solved(rows, bounds, reference)
+    if solution is None:
+        raise SolverError("no solver's answer to the QP could be verified", A, b)
+    multipliers = np.zeros(len(b))
+    multipliers[live] = solution.multipliers / length
+    return NearestPoint(solution.point, multipliers)
 
 
 def _raise_if_empty(A: Array, b: Array) -> None:
@@ -82,19 +82,31 @@ def _raise_if_empty(A: Array, b: Array) -> None:
         raise EmptySetError(A, b, certificate.inradius)
 
 
-def _polish(A: Array, b: Array, reference: Array, guess: Array) -> NearestPoint | None:
-    """Solves the optimality conditions exactly on the rows that the guess touches.
-
-    Returns None when the result is not an optimum: the guess was wrong.
-    """
-    for touching in _TOUCHING:
-        active = (b - A @ guess < touching).nonzero()[0]
-        multipliers = np.zeros(len(b))
-        multipliers[active] = _active_set(A[active], b[active], reference)
-        point = reference - multipliers @ A
-        if _is_optimal(A, b, point, multipliers):
-            return NearestPoint(point, multipliers)
+def _solved(A: Array, b: Array, reference: Array) -> NearestPoint | None:
+    """Lets one solver after another propose which rows the nearest point touches."""
+    for solver, options in _solvers():
+        guess = _program(*A.shape).solve(solver, options, A, b, reference)
+        for touching in _TOUCHING:
+            near = (b - A @ guess < touching).nonzero()[0]
+            solution = _on_rows(near, A, b, reference)
+            if solution is not None:
+                return solution
     return None
+
+
+def _on_rows(
+    rows: NDArray[np.intp] | slice, A: Array, b: Array, reference: Array
+) -> NearestPoint | None:
+    """Solves the optimality conditions on some rows, and verifies them on all.
+
+    Returns None when the result is not an optimum: another row matters too.
+    """
+    multipliers = np.zeros(len(b))
+    multipliers[rows] = _active_set(A[rows], b[rows], reference)
+    point = reference - multipliers @ A
+    if not _is_optimal(A, b, point, multipliers):
+        return None
+    return NearestPoint(point, multipliers)
 
 
 def _is_optimal(A: Array, b: Array, point: Array, multipliers: Array) -> bool:
@@ -110,23 +122,20 @@ def _is_optimal(A: Array, b: Array, point: Array, multipliers: Array) -> bool:
 def _active_set(A: Array, b: Array, reference: Array) -> Array:
     """Returns the y >= 0 that minimises 1/2 |A'y|^2 - y'(A reference - b).
 
-    The dual of the projection, for a few rows, by Lawson and Hanson's active-set
-    iterations, which end after finitely many.
+    The dual of the projection, by Lawson and Hanson's active-set iterations: the row
+    that is violated most joins, rows that would push leave. They end after finitely
+    many when the rows have a common point; a limit ends them when they have none.
     """
-    gram, violation = A @ A.T, A @ reference - b
-    y = _restricted_minimiser(A, violation, np.ones(len(b), dtype=bool))
-    residual = np.abs(gram @ y - violation).max(initial=0.0)
-    if y.min(initial=0.0) >= 0.0 and residual <= 1e-12 * (
-        1.0 + np.abs(b).max(initial=0.0)
-    ):
-        return y  # Every row is active: the usual case.
-    y = np.zeros(len(b))
-    active = np.zeros(len(b), dtype=bool)
-    for _ in range(10 * len(b)):
-        gradient = np.where(active, -np.inf, violation - gram @ y)
-        if active.all() or gradient.max() <= 1e-12:
+    violation = A @ reference - b
+    tolerance = 1e-12 * (1.0 + float(np.abs(violation).max(initial=0.0)))
+    y, active = np.zeros(len(b)), np.zeros(len(b), dtype=bool)
+    for _ in range(3 * len(b)):
+        excess = violation - A @ (y @ A)
+        excess[active] = -np.inf
+        worst = excess.argmax()
+        if excess[worst] <= tolerance:
             break
-        active[np.argmax(gradient)] = True
+        active[worst] = True
         target = _restricted_minimiser(A, violation, active)
         while target.min() < 0.0:  # Walk towards the target; drop what blocks.
             falling = active & (target <= 0.0)
