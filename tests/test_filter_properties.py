@@ -44,9 +44,8 @@ def situations(draw, entries):
         A=A,
         b=b,
         w=np.zeros((n, 1)),
-        A_gradient=np.zeros((n, 3, 3)),
-        b_gradient=np.zeros((n, 3)),
-        w_gradient=np.zeros((n, 1, 3)),
+        num_states=2,
+        gradients=lambda rows: np.zeros((len(rows), 3 + 2, 3)),
     )
     row = None
     if draw(st.booleans()):

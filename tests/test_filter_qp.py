@@ -26,9 +26,8 @@ def set_of(A, b, input_set=BOX, weights=None):
         A=A,
         b=b,
         w=np.zeros((n, 1)),
-        A_gradient=np.zeros((n, m, 3)),
-        b_gradient=np.zeros((n, 3)),
-        w_gradient=np.zeros((n, 1, 3)),
+        num_states=2,
+        gradients=lambda rows: np.zeros((len(rows), m + 2, 3)),
     )
     return feasible_set(input_set, rows, DisturbanceKnowledge.constant(1, 0.0), weights)
 

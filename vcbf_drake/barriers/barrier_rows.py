@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,9 @@ from vcbf_drake.errors import Array
 class BarrierRows:
     """N rows ``A u <= b + w d`` and their derivatives by xbar = [x; t], read-only.
 
+    Few rows touch the ellipsoid at a time, and most of a row's numbers are its
+    derivatives: they are evaluated when they are asked for.
+
     Rows of a barrier are (E7), (E17); rows of a limit on the input have w = 0 and no
     value. A row is not finite where its barrier is singular.
 
@@ -24,9 +29,9 @@ class BarrierRows:
         A: -L_g L_f^(r-1) h, shape (N, m).
         b: K' eta + L_f^r h, shape (N,).
         w: E' grad_x L_f^(r-1) h, shape (N, q).
-        A_gradient: Shape (N, m, n + 1).
-        b_gradient: Shape (N, n + 1).
-        w_gradient: Shape (N, q, n + 1).
+        num_states: n.
+        gradients: ``gradients(rows)`` returns the derivatives of the entries [A, b, w]
+            of the rows with these indices, shape (len(rows), m + 1 + q, n + 1).
     """
 
     value: Array
@@ -34,9 +39,27 @@ class BarrierRows:
     A: Array
     b: Array
     w: Array
-    A_gradient: Array
-    b_gradient: Array
-    w_gradient: Array
+    num_states: int
+    gradients: Callable[[Sequence[int]], Array]
+
+    @cached_property
+    def _all_gradients(self) -> Array:
+        return self.gradients(range(len(self.b)))
+
+    @property
+    def A_gradient(self) -> Array:
+        """The derivatives of A, shape (N, m, n + 1)."""
+        return self._all_gradients[:, : self.A.shape[1]]
+
+    @property
+    def b_gradient(self) -> Array:
+        """The derivatives of b, shape (N, n + 1)."""
+        return self._all_gradients[:, self.A.shape[1]]
+
+    @property
+    def w_gradient(self) -> Array:
+        """The derivatives of w, shape (N, q, n + 1)."""
+        return self._all_gradients[:, self.A.shape[1] + 1 :]
 
     def authority(self, scale: Array) -> Array:
         """Returns how far the input moves each row, |A diag(scale)|, shape (N,).

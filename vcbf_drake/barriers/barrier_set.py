@@ -53,9 +53,8 @@ class BarrierSet:
         self._num_inputs = model.num_inputs
         self._num_entries = model.num_inputs + 1 + model.num_disturbances
         self._functions = [_functions(model, barrier) for barrier in barriers]
-        self._gradient_end = self._num_entries * (model.num_states + 2)
         degrees = [functions.relative_degree for functions in self._functions]
-        start = self._gradient_end
+        start = self._num_entries
         self._chains = [(i, slice(start, start + r)) for i, r in enumerate(degrees)]
         self._width = start + max(degrees, default=0) + 1
 
@@ -79,18 +78,30 @@ class BarrierSet:
         ]
         numbers = np.array(lists, dtype=float).reshape(self.size, self._width)
         numbers.flags.writeable = False
-        m, e, g = self._num_inputs, self._num_entries, self._gradient_end
-        gradient = numbers[:, e:g].reshape(self.size, e, self._num_states + 1)
+        m, e = self._num_inputs, self._num_entries
         return BarrierRows(
-            value=numbers[:, g],
+            value=numbers[:, e],
             chain=tuple([numbers[chain] for chain in self._chains]),
             A=numbers[:, :m],
             b=numbers[:, m],
             w=numbers[:, m + 1 : e],
-            A_gradient=gradient[:, :m],
-            b_gradient=gradient[:, m],
-            w_gradient=gradient[:, m + 1 :],
+            num_states=self._num_states,
+            gradients=lambda rows: self._gradients(point, numbers, rows),
         )
+
+    def _gradients(
+        self, point: list[float], numbers: Array, rows: Sequence[int]
+    ) -> Array:
+        """Returns the derivatives of some rows' entries at one point [x; t]."""
+        shape = len(rows), self._num_entries, self._num_states + 1
+        lists = []
+        for each in map(self._functions.__getitem__, rows):
+            arguments = (*point, *each.constants)
+            lists.append(_evaluate(each.gradient, arguments, shape[1] * shape[2]))
+        gradients = np.array(lists, dtype=float).reshape(shape)
+        gradients[np.isnan(numbers[rows, 0])] = np.nan
+        gradients.flags.writeable = False
+        return gradients
 
     def values(self, x: Array, t: float) -> Array:
         """Returns every h(x, t), shape (N,); nan for a limit or at a singular point.

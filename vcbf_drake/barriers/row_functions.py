@@ -29,8 +29,9 @@ class RowFunctions:
 
     Attributes:
         row: ``row(*x, t, *constants)`` returns a flat list: the entries [A, b, w]
-            (m + 1 + q), their derivatives by [x; t] in C order, then for a barrier
-            phi^0, ..., phi^(r-1).
+            (m + 1 + q), then for a barrier phi^0, ..., phi^(r-1).
+        gradient: ``gradient(*x, t, *constants)`` returns the entries' derivatives by
+            [x; t] in C order.
         constants: What follows x and t: gains, decay rates and parameters.
         value: ``value(*x, t, *parameters)`` returns [h]; [] for a limit.
         parameters: What follows x and t there.
@@ -38,6 +39,7 @@ class RowFunctions:
     """
 
     row: CompiledFunction
+    gradient: CompiledFunction
     constants: tuple[float, ...]
     value: CompiledFunction
     parameters: tuple[float, ...]
@@ -61,14 +63,16 @@ def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctio
     try:
         derivatives = _derive(symbols.formula([h.item()]), barrier.relative_degree)
         check_relative_degree(derivatives, barrier.parameters)
-        row, value = _compile_barrier(derivatives)
+        row, gradient, value = _compile_barrier(derivatives)
     except RuntimeError as error:  # pydrake's word for what has no derivative.
         raise ModelError(
             "function(x, t, p) cannot be differentiated as often as needed: write it"
             f" without abs and without the root of a square ({error})"
         ) from error
     constants = (*barrier.gains.tolist(), *barrier.decay_rates.tolist(), *parameters)
-    return RowFunctions(row, constants, value, parameters, barrier.relative_degree)
+    return RowFunctions(
+        row, gradient, constants, value, parameters, barrier.relative_degree
+    )
 
 
 def limit_functions(model: ControlAffineModel, limit: StateInputLimit) -> RowFunctions:
@@ -87,8 +91,8 @@ def limit_functions(model: ControlAffineModel, limit: StateInputLimit) -> RowFun
             f" scalar bound, got {'no pair' if shapes is None else shapes}"
         )
     row, bound = result
-    compiled = _compile_limit(symbols.formula([*row, bound]))
-    return RowFunctions(compiled, parameters, _no_value, parameters, 0)
+    compiled, gradient = _compile_limit(symbols.formula([*row, bound]))
+    return RowFunctions(compiled, gradient, parameters, _no_value, parameters, 0)
 
 
 @lru_cache(maxsize=64)
@@ -100,34 +104,38 @@ def _derive(formula: Formula, order: int) -> LieDerivatives:
 @lru_cache(maxsize=64)
 def _compile_barrier(
     derivatives: LieDerivatives,
-) -> tuple[CompiledFunction, CompiledFunction]:
-    """Returns `row` and `value` of RowFunctions, for any gains and parameters."""
+) -> tuple[CompiledFunction, CompiledFunction, CompiledFunction]:
+    """Returns `row`, `gradient`, `value` of RowFunctions, for any gains, parameters."""
     symbols = derivatives.symbols
     gains = MakeVectorVariable(derivatives.order, "k")
     decay_rates = MakeVectorVariable(derivatives.order, "lambda")
-    outputs = [
-        *_with_gradient(derivatives.row(gains), symbols),
-        *derivatives.chain(decay_rates),
-    ]
+    entries = derivatives.row(gains)
     state_and_time = [*symbols.model.state, symbols.time]
-    constants = [*gains, *decay_rates, *symbols.parameters]
-    row = _compile([*state_and_time, *constants], outputs, "barrier_row")
+    arguments = [*state_and_time, *gains, *decay_rates, *symbols.parameters]
+    outputs = [*entries, *derivatives.chain(decay_rates)]
+    row = _compile(arguments, outputs, "barrier_row")
+    gradient = _compile(arguments, _gradient(entries, symbols), "barrier_gradient")
     value = _compile(symbols.variables, derivatives.expressions[:1], "barrier_value")
-    return row, value
+    return row, gradient, value
 
 
 @lru_cache(maxsize=64)
-def _compile_limit(formula: Formula) -> CompiledFunction:
+def _compile_limit(formula: Formula) -> tuple[CompiledFunction, CompiledFunction]:
+    """Returns `row` and `gradient` of RowFunctions."""
     symbols = formula.symbols
     no_disturbance = as_expressions(np.zeros(symbols.model.num_disturbances))
     entries = np.append(formula.expressions, no_disturbance)
-    return _compile(symbols.variables, _with_gradient(entries, symbols), "limit_row")
+    gradient = _gradient(entries, symbols)
+    return (
+        _compile(symbols.variables, entries, "limit_row"),
+        _compile(symbols.variables, gradient, "limit_gradient"),
+    )
 
 
-def _with_gradient(entries: Expressions, symbols: Symbols) -> list[Expression]:
-    """Returns the entries, then their derivatives by xbar = [x; t] in C order."""
+def _gradient(entries: Expressions, symbols: Symbols) -> list[Expression]:
+    """Returns the entries' derivatives by xbar = [x; t], in C order."""
     xbar = np.append(symbols.model.state, symbols.time)
-    return [*entries, *Jacobian(entries, xbar).flat]
+    return list(Jacobian(entries, xbar).flat)
 
 
 def _compile(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 
 import numpy as np
 
@@ -109,26 +110,25 @@ def volume(
         input_set: The input set, for the scaling of the inputs.
         threshold: xi of (E21).
     """
-    rows, known = feasible.rows, feasible.known
-    n = rows.b_gradient.shape[1] - 1
-    determinant = float(np.exp(ellipsoid.log_det))
-    multipliers = determinant * ellipsoid.multipliers[feasible.num_input_rows :]
+    rows, known, k = feasible.rows, feasible.known, feasible.num_input_rows
+    n = rows.num_states
+    determinant = math.exp(ellipsoid.log_det)
+    touching = ellipsoid.multipliers[k:].nonzero()[0].tolist()
     extended, estimate, bound = np.zeros(n + 1), np.zeros(len(known.estimate)), 0.0
-    for i in multipliers.nonzero()[0]:
-        normal = ellipsoid.shape @ feasible.A_v[feasible.num_input_rows + i]
-        contact_v = ellipsoid.center + ellipsoid.shape @ normal / np.linalg.norm(normal)
-        contact = input_set.center + input_set.scale * contact_v
-        w_norm = float(np.linalg.norm(rows.w[i]))
-        margin_direction = known.estimate.copy()
+    for i, gradient in zip(touching, rows.gradients(touching), strict=True):
+        normal = ellipsoid.shape @ feasible.A_v[k + i]
+        reach = ellipsoid.shape @ normal / math.sqrt(normal @ normal)
+        contact = input_set.center + input_set.scale * (ellipsoid.center + reach)
+        w, margin = rows.w[i], known.estimate
+        w_norm = math.sqrt(w @ w)
         if w_norm > 0.0:
-            margin_direction -= known.bound * rows.w[i] / w_norm
-        extended += multipliers[i] * (
-            rows.b_gradient[i]
-            + margin_direction @ rows.w_gradient[i]
-            - contact @ rows.A_gradient[i]
-        )
-        estimate += multipliers[i] * rows.w[i]
-        bound -= multipliers[i] * w_norm
+            margin = margin - known.bound / w_norm * w
+        # d(b + Lambda - A u) at the contact u, from the gradients of [A, b, w].
+        change = np.concatenate([-contact, (1.0,), margin]) @ gradient
+        multiplier = determinant * float(ellipsoid.multipliers[k + i])
+        extended += multiplier * change
+        estimate += multiplier * w
+        bound -= multiplier * w_norm
     return Volume(
         value=determinant - threshold,
         ellipsoid=ellipsoid,
