@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import ExitStack, contextmanager
 import json
 import os
 from pathlib import Path
@@ -37,6 +40,12 @@ def monte_carlo(
         int | None,
         typer.Option(min=1, show_default="one a processor", help="Processes."),
     ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="A Dask cluster instead, e.g. tcp://host:8786."
+        ),
+    ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with what DIR holds.")
     ] = False,
@@ -47,6 +56,8 @@ def monte_carlo(
     from vcbf_drake.viz.running_time_figure import write_running_times
     from vcbf_drake.viz.study_table import print_study
 
+    if scheduler is not None and workers is not None:
+        raise typer.BadParameter("--scheduler and --workers exclude each other")
     names = list(dict.fromkeys(name.strip() for name in methods.split(",")))
     chosen = [load(scenario, override, name) for name in names]
     directory = out or Path("out") / f"{chosen[0].name}-case-{case}"
@@ -58,7 +69,11 @@ def monte_carlo(
         for index in range(trials)
         for name in names
     ]
-    records = _run_study(plan, path, workers or os.cpu_count() or 1)
+    if scheduler is None:
+        records = _run_study(plan, path, workers=workers or os.cpu_count() or 1)
+    else:
+        with _cluster(scheduler) as executor:
+            records = _run_study(plan, path, executor)
     summary = summarise_study(plan, records)
     with whole_or_not_at_all(directory) as staging:
         text = json.dumps(summary, indent=2) + "\n"
@@ -68,7 +83,21 @@ def monte_carlo(
     typer.echo(f"written to {directory}")
 
 
-def _run_study(trials: list[Trial], path: Path, workers: int) -> list[Record]:
+@contextmanager
+def _cluster(address: str) -> Iterator[Executor]:
+    from vcbf_drake.studies.dask_cluster import dask_executor
+
+    with ExitStack() as stack:
+        try:
+            executor = stack.enter_context(dask_executor(address))
+        except (ImportError, OSError, RuntimeError) as error:
+            raise typer.BadParameter(f"--scheduler: {error}") from error
+        yield executor
+
+
+def _run_study(
+    trials: list[Trial], path: Path, executor: Executor | None = None, workers: int = 1
+) -> list[Record]:
     from vcbf_drake.studies import run_study
     from vcbf_drake.viz.terminal import progress_bar
 
@@ -77,4 +106,4 @@ def _run_study(trials: list[Trial], path: Path, workers: int) -> list[Record]:
 
     with progress_bar() as bar:
         task = bar.add_task(f"{len(trials)} runs", total=1.0)
-        return run_study(trials, path, workers=workers, progress=show)
+        return run_study(trials, path, executor, workers, show)

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, as_completed
+from concurrent.futures import BrokenExecutor, Executor, Future
+from itertools import islice
 import json
 import os
 from pathlib import Path
+from queue import SimpleQueue
 
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.studies.trial import Record, Trial, error_record, run_trial
 from vcbf_drake.studies.worker_processes import run_in_processes
+
+# More would only wait in the executor's memory.
+_MOST_SUBMITTED = 10_000
 
 
 def run_study(
@@ -67,15 +72,54 @@ def _run(
     return run_in_processes(trials, workers)
 
 
-def _run_with(executor: Executor, trials: Sequence[Trial]) -> Iterator[Record]:
-    futures = {executor.submit(run_trial, trial): trial for trial in trials}
-    for future in as_completed(futures):
-        try:
+def _run_with(executor: Executor, trials: Iterable[Trial]) -> Iterator[Record]:
+    """Yields the records of trials as they end, whatever becomes of the workers.
+
+    A trial's own errors are in its record, so a failure is the executor's: its worker
+    died, with this trial or with one beside it. Those trials are run again, each alone;
+    the one that fails again is recorded so.
+    """
+    lost = []
+    for trial, future in _submit(executor, trials, _MOST_SUBMITTED):
+        if _failure(future) is None:
             yield future.result()
-        except (BrokenExecutor, CancelledError):
-            raise
-        except Exception as error:  # A trial's own errors are in its record already.
-            yield error_record(futures[future], f"{type(error).__name__}: {error}")
+        else:
+            lost.append(trial)
+    for trial, future in _submit(executor, lost, 1):
+        error = _failure(future)
+        if error is None:
+            yield future.result()
+        else:
+            yield error_record(trial, f"{type(error).__name__}: {error}")
+
+
+def _failure(future: Future[Record]) -> BaseException | None:
+    """Why a trial has no record; raises when none will get one any more."""
+    error = future.exception()  # Raises CancelledError.
+    if isinstance(error, BrokenExecutor):
+        raise error
+    return error
+
+
+def _submit(
+    executor: Executor, trials: Iterable[Trial], most: int
+) -> Iterator[tuple[Trial, Future[Record]]]:
+    """Yields trials with their futures as these end, `most` of them under way."""
+    waiting, running = iter(trials), dict[Future[Record], Trial]()
+    ended: SimpleQueue[Future[Record]] = SimpleQueue()
+    try:
+        while True:
+            for trial in islice(waiting, most - len(running)):
+                future = executor.submit(run_trial, trial)
+                running[future] = trial
+                future.add_done_callback(ended.put)
+            if not running:
+                return
+            future = ended.get()
+            yield running.pop(future), future
+    finally:
+        for future in running:
+            future.cancel()
 
 
 def _key(identity: Record) -> str:
