@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from vcbf_drake.cli.application import app
+from vcbf_drake.cli.bench import bench
 from vcbf_drake.cli.monte_carlo import monte_carlo
 from vcbf_drake.cli.simulations import check, compare, diagram, list_scenarios, run
 
@@ -18,6 +19,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "check": check,
     "diagram": diagram,
     "monte-carlo": monte_carlo,
+    "bench": bench,
 }
 
 for _name, _command in _COMMANDS.items():

@@ -217,4 +217,7 @@ def _jax() -> Any:
     import jax
     import jax.numpy
 
+    jax.config.update(
+        "jax_enable_x64", True
+    )  # Should somebody have imported it before.
     return jax
