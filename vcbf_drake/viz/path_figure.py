@@ -34,7 +34,7 @@ def path_figure(runs: Sequence[Run]) -> Any:
     Returns:
         The ``matplotlib.figure.Figure``.
     """
-    low, high = _extent(runs)
+    low, high = path_extent(runs)
     x, y, z = high - low
     scale = 0.86 * PAGE_WIDTH / x
     if geometry_of(runs[-1].result).dimensions == 2:
@@ -77,9 +77,26 @@ def draw_plane(axes: Any, runs: Sequence[Run], plane: tuple[int, int]) -> None:
     target = geometry.point(scenario.target)[pair]
     axes.plot(*start, "o", ms=5, color=START, zorder=4)
     axes.plot(*target, "*", ms=11, mfc=TARGET, mec="white", zorder=4)
-    low, high = (corner[pair] for corner in _extent(runs))
+    low, high = (corner[pair] for corner in path_extent(runs))
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     axes.set(xlabel=NAMES[plane[0]], ylabel=NAMES[plane[1]])
+
+
+def path_extent(runs: Sequence[Run]) -> tuple[Array, Array]:
+    """The corners of the space that holds paths and obstacles, shape (3,) each [m].
+
+    Args:
+        runs: The runs.
+    """
+    geometry, scenario = geometry_of(runs[-1].result), runs[-1].result.scenario
+    points = [geometry.position(run.result.log["state"]) for run in runs]
+    points.append(geometry.point(scenario.target)[None])
+    for sphere in spheres_of(runs[-1].result):
+        reach = np.array([[-sphere.reach], [sphere.reach]])
+        points.append(sphere.center + reach)
+    low, high = np.vstack(points).min(axis=0), np.vstack(points).max(axis=0)
+    room = 0.03 * float((high - low).max())
+    return low - room, high + room
 
 
 def _draw_views(figure: Any, runs: Sequence[Run], cells: list[Any]) -> None:
@@ -102,18 +119,6 @@ def _draw_disc(axes: Any, sphere: Sphere, pair: list[int], end: float) -> None:
         add_circle(axes, center, sphere.reach, fc=OBSTACLE, alpha=0.3, lw=0)
     style: Style = dict(fc=OBSTACLE, alpha=0.75, ec=MUTED, lw=0.6, zorder=2)
     add_circle(axes, center, sphere.radius, **style)
-
-
-def _extent(runs: Sequence[Run]) -> tuple[Array, Array]:
-    geometry, scenario = geometry_of(runs[-1].result), runs[-1].result.scenario
-    points = [geometry.position(run.result.log["state"]) for run in runs]
-    points.append(geometry.point(scenario.target)[None])
-    for sphere in spheres_of(runs[-1].result):
-        reach = np.array([[-sphere.reach], [sphere.reach]])
-        points.append(sphere.center + reach)
-    low, high = np.vstack(points).min(axis=0), np.vstack(points).max(axis=0)
-    room = 0.03 * float((high - low).max())
-    return low - room, high + room
 
 
 def _legend_above(axes: Any) -> None:

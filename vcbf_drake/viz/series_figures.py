@@ -72,7 +72,7 @@ def slack_figure(runs: Sequence[Run]) -> Any:
 
 
 def disturbance_figure(runs: Sequence[Run]) -> Any:
-    """The last run's disturbance, its estimate and the certified error band.
+    """The last run's disturbance with its estimate, and the error under its bound.
 
     Args:
         runs: The runs.
@@ -82,11 +82,12 @@ def disturbance_figure(runs: Sequence[Run]) -> Any:
     """
     run = runs[-1]
     log, names = run.result.log, geometry_of(run.result).disturbances
-    figure = new_figure(PAGE_WIDTH, 0.6 + 1.25 * len(names))
-    panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    figure = new_figure(PAGE_WIDTH, 0.6 + 1.15 * (len(names) + 1))
+    panels = figure.subplots(len(names) + 1, 1, sharex=True)
+    draw_estimate_error(panels[-1], run)
     room = 0.9 * np.ptp(log["disturbance"], axis=0).max()
     room = room or 4.0 * float(np.median(log["error_bound"])) or 1.0
-    for channel, (axes, name) in enumerate(zip(panels, names, strict=True)):
+    for channel, (axes, name) in enumerate(zip(panels[:-1], names, strict=True)):
         true = log["disturbance"][:, channel]
         estimate = log["disturbance_estimate"][:, channel]
         low, high = estimate - log["error_bound"], estimate + log["error_bound"]
@@ -101,7 +102,6 @@ def disturbance_figure(runs: Sequence[Run]) -> Any:
         # The bound starts at delta1; what there is to see comes later.
         middle = 0.5 * (true.max() + true.min())
         axes.set_ylim(middle - room, middle + room)
-    panels[-1].set_xlabel("time [s]")
     _legend_above(panels[0])
     return figure
 
@@ -155,6 +155,22 @@ def draw_barriers(axes: Any, runs: Sequence[Run], every: bool = False) -> None:
     axes.set(xlabel="time [s]", ylabel=BARRIER_LABEL[form])
 
 
+def draw_estimate_error(axes: Any, run: Run) -> None:
+    """Draws a run's error of the disturbance estimate and its bound, in decades."""
+    log = run.result.log
+    error = np.linalg.norm(log["disturbance"] - log["disturbance_estimate"], axis=1)
+    bound = log["error_bound"]
+    low = 0.3 * float(min(np.median(error), bound.min()))
+    axes.fill_between(run.time, bound, low, color=BAND, lw=0)
+    axes.plot(run.time, bound, color=MUTED, lw=0.8)
+    axes.plot(run.time, error, **run.line(lw=1.0, label="error of the estimate"))
+    axes.set_yscale("log")
+    if low > 0.0:
+        axes.set_ylim(low, 2.0 * float(max(error.max(), bound.max())))
+    _time_axis(axes)
+    axes.set(xlabel="time [s]", ylabel=r"$\Vert d - \hat d \Vert$, $\varepsilon$")
+
+
 def draw_volume(axes: Any, runs: Sequence[Run]) -> None:
     """Draws the volume barrier of every run."""
     for run in runs:
@@ -169,7 +185,7 @@ def _mark_failures(axes: Any, runs: Sequence[Run], series: Sequence[Any]) -> Non
     """A cross where a run failed, on the last value its curve has until then."""
     from matplotlib.patheffects import withStroke
 
-    height = 0.0  # Of the words over their cross [points].
+    height = -8.0  # Of the words from their cross [points]: where no curve should be.
     for run, values in zip(runs, series, strict=True):
         if run.failure is None:
             continue
@@ -182,19 +198,19 @@ def _mark_failures(axes: Any, runs: Sequence[Run], series: Sequence[Any]) -> Non
         axes.annotate(
             f"{run.failure.kind} {run.failure.time:.1f} s",
             place,
-            xytext=(8, height),
+            xytext=(7, height),
             textcoords="offset points",
             color=run.color,
             fontsize=7.5,
             va="center",
             path_effects=[withStroke(linewidth=2.5, foreground="white")],
         )
-        height += 10.0
+        height = max(height, -2.0) + 10.0
 
 
 def _shade_below_zero(axes: Any, words: str) -> None:
     low, high = axes.get_ylim()
-    low = min(low, -0.09 * (high - low))
+    low = min(low, -0.13 * (high - low))
     axes.axhspan(low, 0.0, color=ALARM, alpha=0.07, lw=0)
     axes.axhline(0.0, color=ALARM, lw=0.8)
     axes.set_ylim(low, high)
