@@ -8,7 +8,9 @@ from matplotlib.patches import Circle
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
 
 
-def draw(name, paths, discs, time, h, top=1.0, unit="m", axes="xy"):
+def draw(
+    name, paths, discs, time, h, top=1.0, unit="m", axes="xy", shapes=(), tall=False
+):
     """Writes out/examples/NAME.png and returns its path.
 
     Args:
@@ -20,11 +22,17 @@ def draw(name, paths, discs, time, h, top=1.0, unit="m", axes="xy"):
         top: The largest h that is shown.
         unit: The unit of h.
         axes: The names of the two coordinates that are shown.
+        shapes: More patches of matplotlib's to show.
+        tall: Whether the paths go beside the barriers, not above them.
     """
     figure = Figure(figsize=(7.0, 4.4), layout="constrained")
-    above, below = figure.subplots(2, height_ratios=[2, 1])
+    above, below = (
+        figure.subplots(1, 2) if tall else figure.subplots(2, height_ratios=[2, 1])
+    )
     for center, radius, style in discs:
         above.add_patch(Circle(center[:2], radius, **{"lw": 0.8, **style}))
+    for shape in shapes:
+        above.add_patch(shape)
     for xy, color in zip(paths, COLORS, strict=False):
         above.plot(*xy.T, color=color)
         above.plot(*xy[0], "o", color=color, mfc="white")

@@ -35,6 +35,7 @@ def number(text: str, label: str) -> float:
 @pytest.mark.parametrize(
     ("name", "most"),
     [
+        ("arm_beside_wall", 0.2),
         ("own_plant", 1.0),
         ("own_barrier", 4.41),
         ("quadrotor_slalom", 0.1),

@@ -11,7 +11,11 @@ from pydrake.symbolic import Expression
 from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
 from vcbf_drake.barriers.local_frame import LocalFrame
 from vcbf_drake.barriers.moving_point import MovingPoint
-from vcbf_drake.barriers.position_states import position_states
+from vcbf_drake.barriers.position import (
+    Position,
+    PositionFunction,
+    position_function,
+)
 from vcbf_drake.barriers.rotation import rotation_matrix
 from vcbf_drake.barriers.smooth_excess import smooth_excess
 from vcbf_drake.errors import Array
@@ -81,42 +85,43 @@ class BoxObstacle:
     def barrier(
         self,
         gains: Sequence[float] | Array,
-        position: Sequence[int] | None = None,
+        position: Position | None = None,
         name: str = "box",
     ) -> Barrier:
         """Returns the barrier that keeps clear of the box.
 
         Args:
             gains: K of (E4); their number is the relative degree.
-            position: Which states are the position; by default the first k.
+            position: Which states are the position, or a function from the symbolic
+                state x to it; by default the first k states.
             name: What error messages and logs call it.
 
         Raises:
-            ValueError: `position` has not one index per dimension, or bad gains.
+            ValueError: `position` has not one index a dimension, or bad gains.
         """
         center, R = self._center, self.rotation
         axes = None if R is None else rotation_matrix(R, center.size, "box").T
         frame = LocalFrame(center, axes)
-        states = position_states(position, center.size, name)
+        at = position_function(position, center.size, name)
         parameters = [
             *frame.parameters,
             *self.half_widths,
             self.smoothing,
             self.gap + self.margin,
         ]
-        return Barrier(_box(states, frame), gains, parameters, name)
+        return Barrier(_box(at, frame), gains, parameters, name)
 
     @property
     def _center(self) -> MovingPoint:
         return MovingPoint.of(self.center, self.velocity, "box")
 
 
-def _box(position: list[int], frame: LocalFrame) -> BarrierFunction:
+def _box(position: PositionFunction, frame: LocalFrame) -> BarrierFunction:
     """Returns h(x, t, p) with p = (frame, a, e, gap + margin)."""
-    k = len(position)
+    k = frame.center.size
 
     def h(x: Expressions, t: Expression, p: Expressions) -> Expression:
-        z, p = frame.coordinates(x[position], t, p)
+        z, p = frame.coordinates(position(x), t, p)
         half_widths, (smoothing, clear) = p[:k], p[k:]
         s = smooth_excess(z, half_widths, smoothing)
         return (s @ s) ** 0.5 - clear

@@ -12,7 +12,11 @@ from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
 from vcbf_drake.barriers.finite_vector import finite_vector
 from vcbf_drake.barriers.local_frame import LocalFrame
 from vcbf_drake.barriers.moving_point import MovingPoint
-from vcbf_drake.barriers.position_states import position_states
+from vcbf_drake.barriers.position import (
+    Position,
+    PositionFunction,
+    position_function,
+)
 from vcbf_drake.barriers.smooth_excess import smooth_excess
 from vcbf_drake.errors import Array
 from vcbf_drake.plants.compiled import Expressions
@@ -89,28 +93,29 @@ class CapsuleObstacle:
     def barrier(
         self,
         gains: Sequence[float] | Array,
-        position: Sequence[int] | None = None,
+        position: Position | None = None,
         name: str = "capsule",
     ) -> Barrier:
         """Returns the barrier that keeps clear of the capsule.
 
         Args:
             gains: K of (E4); their number is the relative degree.
-            position: Which states are the position; by default the first k.
+            position: Which states are the position, or a function from the symbolic
+                state x to it; by default the first k states.
             name: What error messages and logs call it.
 
         Raises:
-            ValueError: `position` has not one index per dimension, or bad gains.
+            ValueError: `position` has not one index a dimension, or bad gains.
         """
         frame = LocalFrame(self._center, _axes_along(np.subtract(self.end, self.start)))
-        states = position_states(position, frame.center.size, name)
+        at = position_function(position, frame.center.size, name)
         parameters = [
             *frame.parameters,
             self.half_length,
             self.smoothing,
             self.gap + self.radius + self.margin,
         ]
-        return Barrier(_capsule(states, frame), gains, parameters, name)
+        return Barrier(_capsule(at, frame), gains, parameters, name)
 
     @property
     def _center(self) -> MovingPoint:
@@ -124,11 +129,11 @@ def _axes_along(direction: Array) -> Array:
     return rows
 
 
-def _capsule(position: list[int], frame: LocalFrame) -> BarrierFunction:
+def _capsule(position: PositionFunction, frame: LocalFrame) -> BarrierFunction:
     """Returns h(x, t, p) with p = (frame, a, e, gap + radius + margin)."""
 
     def h(x: Expressions, t: Expression, p: Expressions) -> Expression:
-        (z, *y), (half_length, smoothing, clear) = frame.coordinates(x[position], t, p)
+        (z, *y), (half_length, smoothing, clear) = frame.coordinates(position(x), t, p)
         s = smooth_excess(z, half_length, smoothing)
         return (np.dot(y, y) + s**2) ** 0.5 - clear
 

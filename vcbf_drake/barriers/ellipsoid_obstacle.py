@@ -11,7 +11,11 @@ from pydrake.symbolic import Expression
 from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
 from vcbf_drake.barriers.local_frame import LocalFrame
 from vcbf_drake.barriers.moving_point import MovingPoint
-from vcbf_drake.barriers.position_states import position_states
+from vcbf_drake.barriers.position import (
+    Position,
+    PositionFunction,
+    position_function,
+)
 from vcbf_drake.barriers.rotation import rotation_matrix
 from vcbf_drake.errors import Array
 from vcbf_drake.plants.compiled import Expressions
@@ -72,23 +76,24 @@ class EllipsoidObstacle:
     def barrier(
         self,
         gains: Sequence[float] | Array,
-        position: Sequence[int] | None = None,
+        position: Position | None = None,
         name: str = "ellipsoid",
     ) -> Barrier:
         """Returns the barrier that keeps clear of the ellipsoid.
 
         Args:
             gains: K of (E4); their number is the relative degree.
-            position: Which states are the position; by default the first k.
+            position: Which states are the position, or a function from the symbolic
+                state x to it; by default the first k states.
             name: What error messages and logs call it.
 
         Raises:
-            ValueError: `position` has not one index per dimension, or bad gains.
+            ValueError: `position` has not one index a dimension, or bad gains.
         """
         frame = LocalFrame(self._center, (self._axes / self.semi_axes).T)
-        states = position_states(position, frame.center.size, name)
+        at = position_function(position, frame.center.size, name)
         parameters = [*frame.parameters, min(self.semi_axes), self.margin]
-        return Barrier(_ellipsoid(states, frame), gains, parameters, name)
+        return Barrier(_ellipsoid(at, frame), gains, parameters, name)
 
     @property
     def _center(self) -> MovingPoint:
@@ -99,12 +104,12 @@ class EllipsoidObstacle:
         return rotation_matrix(self.rotation, self._center.size, "ellipsoid")
 
 
-def _ellipsoid(position: list[int], frame: LocalFrame) -> BarrierFunction:
+def _ellipsoid(position: PositionFunction, frame: LocalFrame) -> BarrierFunction:
     """Returns h(x, t, p) with p = (frame, min(a), margin)."""
 
     def h(x: Expressions, t: Expression, p: Expressions) -> Expression:
         # The frame is scaled by the semi-axes, so |z|^2 = (p - c)' Q (p - c).
-        z, (shortest, margin) = frame.coordinates(x[position], t, p)
+        z, (shortest, margin) = frame.coordinates(position(x), t, p)
         return shortest * ((z @ z) ** 0.5 - 1.0) - margin
 
     return h

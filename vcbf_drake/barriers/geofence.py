@@ -9,6 +9,7 @@ import numpy as np
 
 from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.half_space import HalfSpace
+from vcbf_drake.barriers.position import Position
 from vcbf_drake.errors import Array
 from vcbf_drake.plants.parameters import check_parameter
 
@@ -74,18 +75,19 @@ class Geofence:
     def barriers(
         self,
         gains: Sequence[float] | Array,
-        position: Sequence[int] | None = None,
+        position: Position | None = None,
         name: str = "geofence",
     ) -> list[Barrier]:
         """Returns one barrier a side.
 
         Args:
             gains: K of (E4); their number is the relative degree.
-            position: Which states are the position; by default the first k.
+            position: Which states are the position, or a function from the symbolic
+                state x to it; by default the first k states.
             name: What error messages and logs call it; the side is added.
 
         Raises:
-            ValueError: `position` has not one index per dimension, or bad gains.
+            ValueError: `position` has not one index a dimension, or bad gains.
         """
         return [
             half_space.barrier(gains, position, f"{name} ({side})")

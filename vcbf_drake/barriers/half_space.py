@@ -10,7 +10,11 @@ from pydrake.symbolic import Expression
 
 from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
 from vcbf_drake.barriers.finite_vector import finite_vector
-from vcbf_drake.barriers.position_states import position_states
+from vcbf_drake.barriers.position import (
+    Position,
+    PositionFunction,
+    position_function,
+)
 from vcbf_drake.errors import Array
 from vcbf_drake.plants.compiled import Expressions
 from vcbf_drake.plants.parameters import check_parameter
@@ -56,30 +60,31 @@ class HalfSpace:
     def barrier(
         self,
         gains: Sequence[float] | Array,
-        position: Sequence[int] | None = None,
+        position: Position | None = None,
         name: str = "half-space",
     ) -> Barrier:
         """Returns the barrier that keeps the position in the half-space.
 
         Args:
             gains: K of (E4); their number is the relative degree.
-            position: Which states are the position; by default the first k.
+            position: Which states are the position, or a function from the symbolic
+                state x to it; by default the first k states.
             name: What error messages and logs call it.
 
         Raises:
-            ValueError: `position` has not one index per dimension, or bad gains.
+            ValueError: `position` has not one index a dimension, or bad gains.
         """
         normal = np.asarray(self.normal, dtype=float)
         length = np.linalg.norm(normal)
         parameters = [*(normal / length), self.offset / length + self.margin]
-        states = position_states(position, len(normal), name)
-        return Barrier(_half_space(states), gains, parameters, name)
+        at = position_function(position, len(normal), name)
+        return Barrier(_half_space(at), gains, parameters, name)
 
 
-def _half_space(position: list[int]) -> BarrierFunction:
+def _half_space(position: PositionFunction) -> BarrierFunction:
     """Returns h(x, t, p) with p = (n, offset + margin)."""
 
     def h(x: Expressions, t: Expression, p: Expressions) -> Expression:
-        return p[:-1] @ x[position] - p[-1]
+        return p[:-1] @ position(x) - p[-1]
 
     return h

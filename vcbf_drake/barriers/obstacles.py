@@ -11,7 +11,11 @@ from pydrake.symbolic import Expression
 from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
 from vcbf_drake.barriers.local_frame import LocalFrame
 from vcbf_drake.barriers.moving_point import MovingPoint
-from vcbf_drake.barriers.position_states import position_states
+from vcbf_drake.barriers.position import (
+    Position,
+    PositionFunction,
+    position_function,
+)
 from vcbf_drake.errors import Array
 from vcbf_drake.plants.compiled import Expressions
 
@@ -85,34 +89,37 @@ class SphereObstacle:
     def barrier(
         self,
         gains: Sequence[float] | Array,
-        position: Sequence[int] | None = None,
+        position: Position | None = None,
         name: str = "obstacle",
     ) -> Barrier:
         """Returns the barrier that keeps R clear of the centre.
 
         Args:
             gains: K of (E4); their number is the relative degree.
-            position: Which states are the position; by default the first k.
+            position: Which states are the position, or a function from the symbolic
+                state x to it; by default the first k states.
             name: What error messages and logs call it.
 
         Raises:
-            ValueError: `position` has not one index per dimension, or bad gains.
+            ValueError: `position` has not one index a dimension, or bad gains.
         """
         frame = LocalFrame(self._center)
-        states = position_states(position, frame.center.size, name)
+        at = position_function(position, frame.center.size, name)
         parameters = [*frame.parameters, self.safety_distance]
-        return Barrier(_sphere(self.form, states, frame), gains, parameters, name)
+        return Barrier(_sphere(self.form, at, frame), gains, parameters, name)
 
     @property
     def _center(self) -> MovingPoint:
         return MovingPoint.of(self.center, self.velocity, "obstacle")
 
 
-def _sphere(form: str, position: list[int], frame: LocalFrame) -> BarrierFunction:
+def _sphere(
+    form: str, position: PositionFunction, frame: LocalFrame
+) -> BarrierFunction:
     """Returns h(x, t, p) with p = (frame, R)."""
 
     def h(x: Expressions, t: Expression, p: Expressions) -> Expression:
-        offset, (clear,) = frame.coordinates(x[position], t, p)
+        offset, (clear,) = frame.coordinates(position(x), t, p)
         if form == "squared":
             return offset @ offset - clear**2
         # A power differentiates to much shorter expressions than sqrt() does.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pydrake.symbolic import Expression
 
 from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
-from vcbf_drake.barriers.position_states import position_states
+from vcbf_drake.barriers.position import PositionFunction, position_function
 from vcbf_drake.errors import Array
 from vcbf_drake.plants.compiled import Expressions
 from vcbf_drake.plants.parameters import check_parameter
@@ -58,18 +58,20 @@ class PairDistance:
             ValueError: The two positions are not of one size, or the same, or bad
                 gains.
         """
-        p = position_states(first, len(first), name)
-        q = position_states(second, len(first), name)
-        if p == q:
-            raise ValueError(f"barrier '{name}': first and second are both {p}")
+        p = position_function(first, len(first), name)
+        q = position_function(second, len(first), name)
+        if list(first) == list(second):
+            raise ValueError(
+                f"barrier '{name}': first and second are both {list(first)}"
+            )
         return Barrier(_pair(p, q), gains, [self.distance], name)
 
 
-def _pair(first: list[int], second: list[int]) -> BarrierFunction:
+def _pair(first: PositionFunction, second: PositionFunction) -> BarrierFunction:
     """Returns h(x, t, p) with p = (D,)."""
 
     def h(x: Expressions, t: Expression, p: Expressions) -> Expression:
-        offset = x[first] - x[second]
+        offset = first(x) - second(x)
         return (offset @ offset) ** 0.5 - p[0]
 
     return h

@@ -10,6 +10,7 @@ from vcbf_drake.plants.blimp import (
 from vcbf_drake.plants.car import Car, Car_, CarInput, CarParameters, CarState
 from vcbf_drake.plants.compiled import compile_expressions
 from vcbf_drake.plants.control_affine import ControlAffineModel
+from vcbf_drake.plants.point_position import point_position
 
 __all__ = [
     "Blimp",
@@ -24,4 +25,5 @@ __all__ = [
     "Car_",
     "ControlAffineModel",
     "compile_expressions",
+    "point_position",
 ]

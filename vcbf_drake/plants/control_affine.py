@@ -31,6 +31,7 @@ class ControlAffineModel:
         disturbance_matrix: E, shape (n, q), constant, of full column rank.
         state_names: What the states are called; None for x0, x1, ...
         name: What the model is called in messages.
+        effort_limits: Where the plant itself clamps its inputs; None for nowhere.
 
     Attributes:
         num_states: n.
@@ -42,6 +43,8 @@ class ControlAffineModel:
         disturbance_matrix: E, shape (n, q).
         state_names: What the states are called, n names.
         name: What the model is called in messages.
+        effort_limits: How large |u_j| may be, shape (m,): beyond it the plant clamps
+            its input (a MultibodyPlant does) and is not this model. Infinite for most.
 
     Raises:
         ModelError: E does not have full column rank.
@@ -56,6 +59,7 @@ class ControlAffineModel:
         disturbance_matrix: Array,
         state_names: Sequence[str] | None = None,
         name: str = "model",
+        effort_limits: Array | None = None,
     ) -> None:
         n, m, q = len(state), input_matrix.shape[-1], disturbance_matrix.shape[-1]
         shapes = drift.shape, input_matrix.shape, disturbance_matrix.shape
@@ -76,6 +80,9 @@ class ControlAffineModel:
         self.disturbance_matrix = disturbance_matrix
         self.state_names = tuple(state_names or (f"x{i}" for i in range(n)))
         self.name = name
+        self.effort_limits = (
+            np.full(m, np.inf) if effort_limits is None else effort_limits
+        )
         self._f_and_g = compile_expressions(
             state, [*drift, *input_matrix.flat], name=f"{name}, f and g"
         )
@@ -115,6 +122,7 @@ class ControlAffineModel:
             disturbance_matrix=_constant_matrix(parts[:, 1 + m :], dynamics),
             state_names=dynamics.state_names,
             name=dynamics.name,
+            effort_limits=dynamics.effort_limits,
         )
 
     def drift(self, x: Array) -> Array:

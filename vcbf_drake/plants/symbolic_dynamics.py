@@ -9,7 +9,7 @@ import numpy as np
 from pydrake.symbolic import Expression, Jacobian, Variable
 from pydrake.systems.framework import InputPort, PortDataType
 
-from vcbf_drake.errors import ModelError
+from vcbf_drake.errors import Array, ModelError
 from vcbf_drake.plants.compiled import Expressions
 
 # pydrake's classes carry no types that a checker can use.
@@ -31,6 +31,7 @@ class SymbolicDynamics:
         disturbance: The variables d, shape (q,).
         mass_matrix: M, shape (n, n), expressions over x.
         force: F, shape (n,), expressions over x, u and d.
+        effort_limits: How large each input may be, shape (m,); infinite for most.
     """
 
     name: str
@@ -40,6 +41,7 @@ class SymbolicDynamics:
     disturbance: Expressions
     mass_matrix: Expressions
     force: Expressions
+    effort_limits: Array
 
 
 def symbolic_dynamics(
@@ -95,7 +97,8 @@ def symbolic_dynamics(
     inertial = [r + f for r, f in zip(residual, force, strict=True)]
     mass_matrix = Jacobian(inertial, rate)
     _require_time_invariant(force, mass_matrix, time, state_names, name)
-    return SymbolicDynamics(name, state_names, x, u, d, mass_matrix, force)
+    limits = _effort_limits(system, input_)
+    return SymbolicDynamics(name, state_names, x, u, d, mass_matrix, force, limits)
 
 
 def _disturbance_port(system: System, name: str, choice: PortChoice) -> Port:
@@ -163,15 +166,42 @@ def _list_ports(system: System) -> str:
 
 def _to_symbolic(system: System, name: str) -> System:
     try:
-        return system.ToSymbolic()
+        symbolic = system.ToSymbolic()
     except RuntimeError as error:
         raise ModelError(f"{name}: it does not convert to symbolic: {error}") from error
+    for actuator in _actuators(symbolic):
+        actuator.set_effort_limit(np.inf)  # A clamped input is not affine.
+    return symbolic
+
+
+def _actuators(system: System) -> list[Any]:
+    """The joint actuators of a MultibodyPlant; none of any other System."""
+    if not hasattr(system, "GetJointActuatorIndices"):
+        return []
+    return [system.get_joint_actuator(i) for i in system.GetJointActuatorIndices()]
+
+
+def _effort_limits(system: System, port: Port) -> Array:
+    """How large each input may be before a MultibodyPlant clamps it, shape (m,)."""
+    actuators = _actuators(system)
+    if actuators and port is not system.get_actuation_input_port():
+        actuators = [
+            each
+            for each in actuators
+            if port is system.get_actuation_input_port(each.model_instance())
+        ]
+    limits = [each.effort_limit() for each in actuators]
+    return np.array(limits or [np.inf] * port.size())
 
 
 def _default_context(system: System, name: str) -> Context:
     context = system.CreateDefaultContext()
     if context.num_discrete_state_groups() or context.num_abstract_states():
-        raise ModelError(f"{name}: it has discrete or abstract state")
+        raise ModelError(
+            f"{name}: it has discrete or abstract state; derive the model from its"
+            " continuous twin (of a MultibodyPlant, the one with time_step=0) and give"
+            " that as model"
+        )
     if not context.num_continuous_states():
         raise ModelError(f"{name}: it has no continuous state")
     return context

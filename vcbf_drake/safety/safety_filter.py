@@ -159,6 +159,7 @@ class SafetyFilter(LeafSystem):
                 f"input_set: has {input_set.num_inputs} inputs;"
                 f" the model has {model.num_inputs}"
             )
+        _check_effort_limits(model, input_set)
         self.model = model
         self.barriers = tuple(barriers)
         self.barrier_set = BarrierSet(model, barriers)
@@ -382,6 +383,16 @@ class SafetyFilter(LeafSystem):
         return pack_feasible_set(
             PackedFeasibleSet(feasible.A, feasible.b, shape, center)
         )
+
+
+def _check_effort_limits(model: ControlAffineModel, input_set: InputSet) -> None:
+    reach = np.abs(input_set.center) + input_set.scale
+    for j, (most, limit) in enumerate(zip(reach, model.effort_limits, strict=True)):
+        if most > limit:
+            raise ValueError(
+                f"input_set: input {j} reaches {most:g}, but {model.name} clamps it at"
+                f" its effort limit {limit:g}"
+            )
 
 
 def _checked_weights(weights: Sequence[float] | None, size: int) -> Array:
