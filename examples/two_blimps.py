@@ -1,7 +1,8 @@
-"""Two blimps change places while a ball rises between them.
+"""Two blimps change places while a ball that they have to see first rises between them.
 
 One filter holds both: its plant is a diagram of two blimps, 16 states and 6 inputs, and
-that they keep apart is one more barrier. Nothing in the filter knows about pairs.
+that they keep apart is one more barrier. Nobody told the filter about the ball: what a
+sensor sees comes through its port `obstacles`.
 
     python examples/two_blimps.py
 """
@@ -11,26 +12,59 @@ import argparse
 import numpy as np
 from pictures import draw
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Demultiplexer, LogVectorOutput, Multiplexer
 
 from vcbf_drake import (
     AddSafetyFilter,
-    Barrier,
     Blimp,
     BlimpController,
     DisturbanceSource,
     InputSet,
-    SphereObstacle,
 )
+from vcbf_drake.barriers import PairDistance, PerceivedSpheres
 from vcbf_drake.disturbances import Sinusoid
 from vcbf_drake.safety import FilterStatus
 
 STARTS = [[0.0, 0.0, 1.0, 0.0], [6.0, 0.1, 1.1, np.pi]]  # x, y, z [m], yaw [rad].
 TARGETS = [[6.0, 0.0, 1.0], [0.0, 0.1, 1.1]]  # [m]
-BALL = SphereObstacle([3.0, 0.1, 0.4], 0.4, velocity=[0.0, 0.0, 0.1], margin=0.3)
+FIRST, SECOND = (0, 1, 2), (8, 9, 10)  # Which states are their positions.
+# Perception may report up to two spheres at a time; both blimps keep 0.3 m from each.
+SPHERES = PerceivedSpheres(capacity=2, margin=0.3)
+BALL, RANGE = 0.4, 2.5  # The ball's radius, how far the blimps can see [m].
 APART, PERIOD = 0.8, 0.02  # Between the blimps' centres [m]; control period [s].
 GAINS = [3.0, 2.0]
+
+
+def ball(t):
+    """Returns where the ball is at time t: it rises and sways."""
+    return np.array([3.0 + 0.3 * np.sin(0.4 * t), 0.1, 0.4 + 0.1 * t])
+
+
+def ball_velocity(t):
+    """Returns how fast it moves; the filter takes it to go on like that."""
+    return np.array([0.12 * np.cos(0.4 * t), 0.0, 0.1])
+
+
+class Perception(LeafSystem):
+    """Sees the ball from either blimp, when it is near enough."""
+
+    def __init__(self):
+        super().__init__()
+        self._state = self.DeclareVectorInputPort("state", 16)
+        self.DeclareVectorOutputPort("obstacles", SPHERES.size, self._calc_obstacles)
+
+    def _calc_obstacles(self, context, output):
+        x, t = self._state.Eval(context), context.get_time()
+        away = [np.linalg.norm(x[[*blimp]] - ball(t)) for blimp in (FIRST, SECOND)]
+        seen = [t] if min(away) < RANGE else []
+        output.SetFromVector(
+            SPHERES.pack(
+                [ball(t) for t in seen],
+                [ball_velocity(t) for t in seen],
+                [BALL for _ in seen],
+            )
+        )
 
 
 def pair():
@@ -52,12 +86,6 @@ def pair():
     return builder.Build()
 
 
-def apart(x, t, p):
-    """Returns h = |p_1 - p_2| - p [m]."""
-    offset = x[:3] - x[8:11]
-    return (offset @ offset) ** 0.5 - p[0]
-
-
 def main() -> None:
     """Flies both to where the other one started."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -76,16 +104,19 @@ def main() -> None:
         controller = builder.AddNamedSystem(f"controller_{i}", BlimpController(target))
         builder.Connect(states.get_output_port(i), controller.GetInputPort("state"))
         builder.Connect(controller.get_output_port(), reference.get_input_port(i))
+    perception = builder.AddNamedSystem("perception", Perception())
+    builder.Connect(plant.get_output_port(), perception.get_input_port())
     most = np.tile([0.1, 0.1, 0.01], 2)
     safety = AddSafetyFilter(
         builder,
         plant=plant,
         reference=reference.get_output_port(),
         barriers=[
-            BALL.barrier(GAINS, position=[0, 1, 2], name="ball, first"),
-            BALL.barrier(GAINS, position=[8, 9, 10], name="ball, second"),
-            Barrier(apart, GAINS, [APART], name="apart"),
+            PairDistance(APART).barrier(GAINS, FIRST, SECOND),
+            *SPHERES.barriers(GAINS, position=FIRST, name="first sees"),
+            *SPHERES.barriers(GAINS, position=SECOND, name="second sees"),
         ],
+        obstacles=perception.get_output_port(),
         input_set=InputSet.box(-most, most),
         period=PERIOD,
         bounds=wind.bounds,
@@ -99,14 +130,17 @@ def main() -> None:
     simulator.AdvanceTo(duration)
 
     x, time = log.FindLog(context).data().T, log.FindLog(context).sample_times()
-    h = safety.filter.barrier_set.values_along(x, time)
+    centers = np.array([ball(t) for t in time])
+    gaps = [np.linalg.norm(x[:, each] - centers, axis=1) for each in (FIRST, SECOND)]
+    pair_gap = np.linalg.norm(x[:, FIRST] - x[:, SECOND], axis=1)
+    h = np.column_stack([pair_gap - APART, *(gap - BALL - 0.3 for gap in gaps)])
     codes = status.FindLog(context).data()
-    ball = [
-        (BALL.center_at(t)[[0, 2]], BALL.radius, {"color": "#9aa5b4", "alpha": 0.4})
+    discs = [
+        (ball(t)[[0, 2]], BALL, {"color": "#9aa5b4", "alpha": 0.4})
         for t in np.linspace(0.0, duration, 4)
     ]
     paths = [x[:, [0, 2]], x[:, [8, 10]]]  # From the side.
-    draw("two_blimps", paths, ball, time, h, top=2.0, axes="xz")
+    draw("two_blimps", paths, discs, time, h, top=2.0, axes="xz")
     left = [
         np.linalg.norm(x[-1, i : i + 3] - target)
         for i, target in zip((0, 8), TARGETS, strict=True)

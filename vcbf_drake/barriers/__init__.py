@@ -11,6 +11,7 @@ from vcbf_drake.barriers.half_space import HalfSpace
 from vcbf_drake.barriers.input_limits import StateInputLimit, ackermann_limit
 from vcbf_drake.barriers.obstacles import SphereObstacle
 from vcbf_drake.barriers.pair_distance import PairDistance
+from vcbf_drake.barriers.perceived_spheres import PerceivedSpheres
 from vcbf_drake.barriers.state_limit import StateLimit
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "Geofence",
     "HalfSpace",
     "PairDistance",
+    "PerceivedSpheres",
     "SphereObstacle",
     "StateInputLimit",
     "StateLimit",

@@ -10,10 +10,12 @@ import numpy as np
 from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.barrier_rows import BarrierRows
 from vcbf_drake.barriers.input_limits import StateInputLimit
+from vcbf_drake.barriers.perceived_spheres import PerceivedBarrier
 from vcbf_drake.barriers.row_functions import (
     RowFunctions,
     barrier_functions,
     limit_functions,
+    no_row,
 )
 from vcbf_drake.errors import Array, ModelError
 from vcbf_drake.plants.compiled import CompiledFunction
@@ -25,6 +27,7 @@ class BarrierSet:
 
     Attributes:
         names: Their names, N of them.
+        obstacles_size: How many numbers describe the perceived obstacles.
     """
 
     def __init__(
@@ -41,6 +44,7 @@ class BarrierSet:
                 the disturbance enters it at another derivative than its gains say; the
                 message names the barrier.
             TypeError: One of them is neither a barrier nor a limit.
+            ValueError: Perceived obstacles of different capacities or dimensions.
         """
         for barrier in barriers:
             if not isinstance(barrier, Barrier | StateInputLimit):
@@ -53,6 +57,13 @@ class BarrierSet:
         self._num_inputs = model.num_inputs
         self._num_entries = model.num_inputs + 1 + model.num_disturbances
         self._functions = [_functions(model, barrier) for barrier in barriers]
+        self._perceived = [
+            (i, barrier)
+            for i, barrier in enumerate(barriers)
+            if isinstance(barrier, PerceivedBarrier)
+        ]
+        self.obstacles_size = _obstacles_size([each for _, each in self._perceived])
+        self._no_row = no_row(model)
         degrees = [functions.relative_degree for functions in self._functions]
         start = self._num_entries
         self._chains = [(i, slice(start, start + r)) for i, r in enumerate(degrees)]
@@ -63,18 +74,24 @@ class BarrierSet:
         """The number N of rows."""
         return len(self._functions)
 
-    def rows(self, x: Array, t: float) -> BarrierRows:
+    def rows(self, x: Array, t: float, obstacles: Array | None = None) -> BarrierRows:
         """Returns every row at one state x (n,) and time t [s].
 
-        A row is nan where its barrier is singular, as at the centre of an obstacle.
+        A row is nan where its barrier is singular, as at the centre of an obstacle. An
+        empty slot's row is 0 u <= 1, its h nan.
+
+        Args:
+            x: The state, shape (n,).
+            t: The time [s].
+            obstacles: What is perceived then, shape (obstacles_size,).
 
         Raises:
-            ValueError: x has another shape.
+            ValueError: x or obstacles has another shape.
         """
-        point = self._point(x, t)
+        point, functions = self._point(x, t), self._functions_at(t, obstacles)
         lists = [
             _evaluate(each.row, (*point, *each.constants), self._width)
-            for each in self._functions
+            for each in functions
         ]
         numbers = np.array(lists, dtype=float).reshape(self.size, self._width)
         numbers.flags.writeable = False
@@ -86,16 +103,20 @@ class BarrierSet:
             b=numbers[:, m],
             w=numbers[:, m + 1 : e],
             num_states=self._num_states,
-            gradients=lambda rows: self._gradients(point, numbers, rows),
+            gradients=lambda rows: self._gradients(functions, point, numbers, rows),
         )
 
     def _gradients(
-        self, point: list[float], numbers: Array, rows: Sequence[int]
+        self,
+        functions: Sequence[RowFunctions],
+        point: list[float],
+        numbers: Array,
+        rows: Sequence[int],
     ) -> Array:
         """Returns the derivatives of some rows' entries at one point [x; t]."""
         shape = len(rows), self._num_entries, self._num_states + 1
         lists = []
-        for each in map(self._functions.__getitem__, rows):
+        for each in map(functions.__getitem__, rows):
             arguments = (*point, *each.constants)
             lists.append(_evaluate(each.gradient, arguments, shape[1] * shape[2]))
         gradients = np.array(lists, dtype=float).reshape(shape)
@@ -103,23 +124,31 @@ class BarrierSet:
         gradients.flags.writeable = False
         return gradients
 
-    def values(self, x: Array, t: float) -> Array:
-        """Returns every h(x, t), shape (N,); nan for a limit or at a singular point.
+    def values(self, x: Array, t: float, obstacles: Array | None = None) -> Array:
+        """Returns every h(x, t), shape (N,).
+
+        It is nan for a limit, at a singular point and in an empty slot.
+
+        Args:
+            x: The state, shape (n,).
+            t: The time [s].
+            obstacles: What is perceived then, shape (obstacles_size,).
 
         Raises:
-            ValueError: x has another shape.
+            ValueError: x or obstacles has another shape.
         """
-        return np.array(self._values(self._point(x, t)), dtype=float)
+        return np.array(self._values(self._point(x, t), obstacles), dtype=float)
 
-    def values_along(self, x: Array, t: Array) -> Array:
+    def values_along(self, x: Array, t: Array, obstacles: Array | None = None) -> Array:
         """Returns every h along a trajectory, shape (T, N).
 
         Args:
             x: The states, shape (T, n).
             t: The times, shape (T,) [s].
+            obstacles: What is perceived at those times, shape (T, obstacles_size).
 
         Raises:
-            ValueError: x or t has another shape.
+            ValueError: x, t or obstacles has another shape.
         """
         x, t = np.asarray(x, dtype=float), np.asarray(t, dtype=float)
         if t.ndim != 1 or x.shape != (len(t), self._num_states):
@@ -128,7 +157,11 @@ class BarrierSet:
                 f" got shapes {x.shape} and {t.shape}"
             )
         points = np.column_stack([x, t]).tolist()
-        values = [self._values(point) for point in points]
+        perceived = [None] * len(t) if obstacles is None else obstacles
+        values = [
+            self._values(point, seen)
+            for point, seen in zip(points, perceived, strict=True)
+        ]
         return np.array(values, dtype=float).reshape(len(t), self.size)
 
     def _point(self, x: Array, t: float) -> list[float]:
@@ -140,12 +173,31 @@ class BarrierSet:
             )
         return [*x.tolist(), float(t)]
 
-    def _values(self, point: list[float]) -> list[float]:
+    def _values(self, point: list[float], obstacles: Array | None) -> list[float]:
         """Returns every h at one point [x; t]."""
         return [
             _evaluate(each.value, (*point, *each.parameters), 1)[0]
-            for each in self._functions
+            for each in self._functions_at(point[-1], obstacles)
         ]
+
+    def _functions_at(self, t: float, obstacles: Array | None) -> list[RowFunctions]:
+        """Returns the functions with the perceived obstacles' parameters."""
+        if not self._perceived:
+            return self._functions
+        if obstacles is None or obstacles.shape != (self.obstacles_size,):
+            raise ValueError(
+                f"obstacles: expected shape ({self.obstacles_size},), got"
+                f" {None if obstacles is None else obstacles.shape}"
+            )
+        functions = self._functions.copy()
+        for i, barrier in self._perceived:
+            parameters = barrier.parameters_at(obstacles, t)
+            functions[i] = (
+                self._no_row
+                if parameters is None
+                else functions[i].with_parameters(parameters)
+            )
+        return functions
 
 
 # pydrake's expressions set the floating-point flag "invalid" in exact arithmetic.
@@ -160,6 +212,16 @@ def _functions(
     except ModelError as error:
         kind = "barrier" if isinstance(barrier, Barrier) else "limit"
         raise ModelError(f"{kind} '{barrier.name}': {error}") from error
+
+
+def _obstacles_size(perceived: Sequence[PerceivedBarrier]) -> int:
+    ports = {(b.spheres.size, b.spheres.dimensions) for b in perceived}
+    if len(ports) > 1:
+        raise ValueError(
+            "perceived obstacles come by one port: their capacity and dimensions must"
+            " be the same in every PerceivedSpheres"
+        )
+    return max(ports, default=(0, 0))[0]
 
 
 def _evaluate(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -44,6 +44,20 @@ class RowFunctions:
     value: CompiledFunction
     parameters: tuple[float, ...]
     relative_degree: int
+
+    def with_parameters(self, parameters: tuple[float, ...]) -> RowFunctions:
+        """Returns the same barrier's functions with other parameters."""
+        gains_and_rates = self.constants[: 2 * self.relative_degree]
+        constants = (*gains_and_rates, *parameters)
+        return replace(self, constants=constants, parameters=parameters)
+
+
+def no_row(model: ControlAffineModel) -> RowFunctions:
+    """Returns the functions of a row that every input satisfies, 0 u <= 1."""
+    m, q = model.num_inputs, model.num_disturbances
+    row = [0.0] * m + [1.0] + [0.0] * q
+    gradient = [0.0] * (len(row) * (model.num_states + 1))
+    return RowFunctions(lambda *_: row, lambda *_: gradient, (), _no_value, (), 0)
 
 
 def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctions:

@@ -59,6 +59,7 @@ def AddSafetyFilter(
     volume_barrier: VolumeBarrier | None = None,
     observer: DisturbanceObserver | None = None,
     state: OutputPort | None = None,
+    obstacles: OutputPort | None = None,
     input_port: InputPort | str | int | None = None,
     disturbance_port: InputPort | str | int | None = None,
     violation_weights: Sequence[float] | None = None,
@@ -89,6 +90,8 @@ def AddSafetyFilter(
         observer: Used in place of the method's own with its default gains.
         state: The measured state; the plant's output named ``state`` or its only one
             by default.
+        obstacles: What is perceived, where there are `PerceivedSpheres` among the
+            barriers; None leaves the filter's port ``obstacles`` to connect.
         input_port: The plant's input, where it has several.
         disturbance_port: The plant's disturbance input, where it has another name.
         violation_weights: How much a violation of each barrier counts when not all can
@@ -124,6 +127,8 @@ def AddSafetyFilter(
     builder.AddNamedSystem(f"{name}_observer", observer)
     if state is None:
         state = _state_output(plant)
+    if obstacles is not None:
+        builder.Connect(obstacles, _obstacles_port(safety_filter))
     held = hold.get_output_port()
     builder.Connect(state, safety_filter.GetInputPort("state"))
     builder.Connect(reference, safety_filter.GetInputPort("reference"))
@@ -151,6 +156,12 @@ def _default_observer(
     if method_named(method).observer == "linear":
         return LinearDisturbanceObserver(model, period, bounds)
     return RiseObserver(model, period, bounds)
+
+
+def _obstacles_port(safety_filter: SafetyFilter) -> InputPort:
+    if not safety_filter.HasInputPort("obstacles"):
+        raise ValueError("obstacles: none of the barriers is of PerceivedSpheres")
+    return safety_filter.GetInputPort("obstacles")
 
 
 def _state_output(plant: System) -> OutputPort:

@@ -64,6 +64,7 @@ class SafetyFilter(LeafSystem):
         - error_bound (optional)
         - error_bound_rate (optional)
         - held_input (optional)
+        - obstacles (optional)
         output_ports:
         - input
         - volume
@@ -92,15 +93,17 @@ class SafetyFilter(LeafSystem):
     | ``error_bound`` | 1 | a bound on the estimate's error [m/s^2] |
     | ``error_bound_rate`` | 1 | its derivative [m/s^3] |
     | ``held_input`` | m | the input applied now; read by the fallbacks only |
+    | ``obstacles`` | | what is perceived now: see `PerceivedSpheres` |
     | ``input`` | m | finite and inside the input set, always |
     | ``volume`` | 1 | V_v of (E21); -threshold when the set is empty, nan on failure |
     | ``slack`` | 1 | delta of (E24), at most 0; 0 unless the volume row gave way |
-    | ``barriers`` | N | h_i; nan for a state-dependent input limit |
+    | ``barriers`` | N | h_i; nan for a state-dependent input limit or an empty slot |
     | ``authority`` | N | how far the inputs move each row; 0 when not at all (R33) |
     | ``status`` | 1 | a `FilterStatus` |
     | ``feasible_set`` | | A, b, ellipsoid: see `unpack_feasible_set` |
 
-    Methods without an observer declare no estimate ports.
+    Methods without an observer declare no estimate ports; without perceived barriers
+    there is no port ``obstacles``.
     """
 
     def __init__(
@@ -181,6 +184,11 @@ class SafetyFilter(LeafSystem):
         self._state = self.DeclareVectorInputPort("state", self.model.num_states)
         self._reference = self.DeclareVectorInputPort("reference", m)
         self._held_input = self.DeclareVectorInputPort("held_input", m)
+        self._obstacles: InputPort | None = None
+        if self.barrier_set.obstacles_size:
+            self._obstacles = self.DeclareVectorInputPort(
+                "obstacles", self.barrier_set.obstacles_size
+            )
         self._observer_ports: tuple[InputPort, ...] = ()
         if self.method.disturbance == "estimated":
             self._observer_ports = tuple(
@@ -191,6 +199,8 @@ class SafetyFilter(LeafSystem):
     def _declare_cache_entries(self) -> None:
         known = {port.ticket() for port in self._observer_ports}
         at_state = {self._state.ticket(), self.time_ticket()}
+        if self._obstacles is not None:
+            at_state.add(self._obstacles.ticket())
         self._feasible_entry = self._entry(
             "feasible set", self._calc_feasible_set, at_state | known
         )
@@ -305,7 +315,10 @@ class SafetyFilter(LeafSystem):
         return f"{'upper' if row < m else 'lower'} limit of input {row % m}"
 
     def _calc_feasible_set(self, context: Context) -> FeasibleSet:
-        rows = self.barrier_set.rows(self._state.Eval(context), context.get_time())
+        seen = None if self._obstacles is None else self._obstacles.Eval(context)
+        rows = self.barrier_set.rows(
+            self._state.Eval(context), context.get_time(), seen
+        )
         return feasible_set(
             self.input_set, rows, self.knowledge(context), self._weights
         )

@@ -1,0 +1,154 @@
+"""Spheres that perception reports while the filter runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vcbf_drake.barriers.barrier import Barrier
+from vcbf_drake.barriers.obstacles import SphereObstacle
+from vcbf_drake.barriers.position import Position
+from vcbf_drake.errors import Array
+from vcbf_drake.plants.parameters import check_parameter
+
+
+@dataclass(frozen=True)
+class PerceivedSpheres:
+    """Spheres, or in the plane discs, that an input port describes at every tick.
+
+    The filter's port ``obstacles`` has `capacity` slots, one after the other, each::
+
+        centre (k,) [m], velocity (k,) [m/s], radius [m], valid
+
+    * valid = 1: a sphere. Its barrier is that of a `SphereObstacle` which is there now
+      and keeps its velocity; rows and volume row include that motion (E2).
+    * valid = 0: nothing, whatever else is in the slot. It has no part in the tick.
+    * Anything else, a negative radius, or a number of a valid slot that is not finite:
+      the slot's row is nan, and the filter answers with `FilterStatus.FAILED`.
+
+    Source: ours.
+
+    Attributes:
+        capacity: How many slots there are.
+        dimensions: k, 2 or 3.
+        form: "distance" or "squared", as in `SphereObstacle`.
+        margin: The distance to keep from every surface [m].
+    """
+
+    capacity: int
+    dimensions: int = 3
+    form: str = "distance"
+    margin: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Checks the numbers.
+
+        Raises:
+            ValueError: No slot, not 2 or 3 dimensions, an unknown form, or a margin
+                that is negative or not finite.
+        """
+        if self.capacity < 1:
+            raise ValueError(f"perceived: capacity must be >= 1, got {self.capacity}")
+        check_parameter("perceived: margin", self.margin, zero_allowed=True)
+        self._example()
+
+    @property
+    def slot_size(self) -> int:
+        """How many numbers a slot has."""
+        return 2 * self.dimensions + 2
+
+    @property
+    def size(self) -> int:
+        """The size of the port ``obstacles``."""
+        return self.capacity * self.slot_size
+
+    def barriers(
+        self,
+        gains: Sequence[float] | Array,
+        position: Position | None = None,
+        name: str = "perceived",
+    ) -> list[Barrier]:
+        """Returns one barrier a slot.
+
+        Args:
+            gains: K of (E4); their number is the relative degree.
+            position: Which states are the position, or a function from the symbolic
+                state x to it; by default the first k states.
+            name: What error messages and logs call it; the slot's number is added.
+
+        Raises:
+            ValueError: `position` has not one index a dimension, or bad gains.
+        """
+        example = self._example().barrier(gains, position, name)
+        return [PerceivedBarrier(example, self, i) for i in range(self.capacity)]
+
+    def pack(
+        self, centers: ArrayLike, velocities: ArrayLike, radii: ArrayLike
+    ) -> Array:
+        """Returns what to write to the port for n obstacles, shape (size,).
+
+        Args:
+            centers: Shape (n, k) [m].
+            velocities: Shape (n, k) [m/s].
+            radii: Shape (n,) [m].
+
+        Raises:
+            ValueError: More obstacles than slots, or shapes that do not fit.
+        """
+        c, v, r = (np.asarray(part, float) for part in (centers, velocities, radii))
+        n, k = r.size, self.dimensions
+        if n > self.capacity:
+            raise ValueError(f"perceived: {n} obstacles, but {self.capacity} slots")
+        if r.shape != (n,) or (n and not c.shape == v.shape == (n, k)):
+            raise ValueError(
+                f"perceived: got centers {c.shape}, velocities {v.shape} and radii"
+                f" {r.shape}; they must be (n, {k}), (n, {k}) and (n,)"
+            )
+        slots = np.zeros((self.capacity, self.slot_size))
+        slots[:n, :k], slots[:n, k:-2] = c.reshape(n, k), v.reshape(n, k)
+        slots[:n, -2], slots[:n, -1] = r, 1.0
+        return slots.ravel()
+
+    def _example(self) -> SphereObstacle:
+        """A sphere in a slot; its velocity only says that they move."""
+        zero, one = np.zeros(self.dimensions), np.ones(self.dimensions)
+        return SphereObstacle(zero, 1.0, one, self.form, self.margin)
+
+
+class PerceivedBarrier(Barrier):
+    """The barrier of one slot; its `parameters` are an example's.
+
+    Attributes:
+        spheres: What the slot is one of.
+        slot: Its number, from 0.
+    """
+
+    def __init__(self, example: Barrier, spheres: PerceivedSpheres, slot: int) -> None:
+        """Gives the example's function to a slot."""
+        name = f"{example.name} {slot}"
+        super().__init__(example.function, example.gains, example.parameters, name)
+        self.spheres = spheres
+        self.slot = slot
+
+    def parameters_at(self, obstacles: Array, t: float) -> tuple[float, ...] | None:
+        """Returns the parameters, nan if the slot is malformed; None if it is empty.
+
+        Args:
+            obstacles: What the port holds, shape (size,).
+            t: The time it holds for [s].
+        """
+        spheres, k = self.spheres, self.spheres.dimensions
+        start = self.slot * spheres.slot_size
+        *motion, radius, valid = obstacles[start : start + spheres.slot_size].tolist()
+        if valid == 0.0:
+            return None
+        center, velocity = motion[:k], motion[k:]
+        at_start = [c - v * t for c, v in zip(center, velocity, strict=True)]
+        parameters = (*at_start, *velocity, radius + spheres.margin)
+        if valid == 1.0 and radius >= 0.0 and all(map(math.isfinite, parameters)):
+            return parameters
+        return (math.nan,) * len(parameters)
