@@ -96,6 +96,9 @@ def symbolic_dynamics(
     # Without F, whose derivatives pydrake may leave unsimplified, as 0 / (..).
     inertial = [r + f for r, f in zip(residual, force, strict=True)]
     mass_matrix = Jacobian(inertial, rate)
+    # Linear in the rates; a rate in it is there only for want of simplification.
+    for entry, value in np.ndenumerate(mass_matrix):
+        mass_matrix[entry] = value.Substitute(at_rest)
     _require_time_invariant(force, mass_matrix, time, state_names, name)
     limits = _effort_limits(system, input_)
     return SymbolicDynamics(name, state_names, x, u, d, mass_matrix, force, limits)

@@ -47,7 +47,7 @@ def AddSafetyFilter(
     builder: DiagramBuilder,
     *,
     plant: System,
-    reference: OutputPort,
+    reference: OutputPort | None,
     barriers: Sequence[Barrier | StateInputLimit],
     input_set: InputSet,
     period: float,
@@ -76,7 +76,10 @@ def AddSafetyFilter(
     Args:
         builder: Holds the plant and the controller already.
         plant: Any control-affine Drake system; see `ControlAffineModel.from_system`.
-        reference: The controller's output port, (m,).
+            The filter's model is made here, with the plant's default parameters:
+            parameters changed in a context change the plant alone.
+        reference: The controller's output port, (m,); None leaves the filter's port
+            ``reference`` to connect, or to export from a diagram.
         barriers: What must stay true.
         input_set: What the actuators can do.
         period: The control period [s].
@@ -96,7 +99,8 @@ def AddSafetyFilter(
         disturbance_port: The plant's disturbance input, where it has another name.
         violation_weights: How much a violation of each barrier counts when not all can
             hold, (N,), positive; ones by default.
-        model: The plant's model, when it is at hand already.
+        model: The plant's model, when it is at hand already; needed where it cannot be
+            derived from the plant (a discrete one), or has other parameters.
         name: The filter's name; hold, observer and monitor are named after it.
 
     Raises:
@@ -131,7 +135,8 @@ def AddSafetyFilter(
         builder.Connect(obstacles, _obstacles_port(safety_filter))
     held = hold.get_output_port()
     builder.Connect(state, safety_filter.GetInputPort("state"))
-    builder.Connect(reference, safety_filter.GetInputPort("reference"))
+    if reference is not None:
+        builder.Connect(reference, safety_filter.GetInputPort("reference"))
     builder.Connect(safety_filter.GetOutputPort("input"), hold.get_input_port())
     builder.Connect(held, safety_filter.GetInputPort("held_input"))
     builder.Connect(held, _port(plant, input_port))
