@@ -1,4 +1,4 @@
-"""Pictures of results: a Meshcat replay, figures, and what a terminal shows.
+"""Pictures of results, and the vehicles' geometry for Drake's visualisers.
 
 The names below are loaded when first used: a terminal's table needs no figures.
 """
@@ -10,11 +10,25 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from vcbf_drake.viz.figures import write_figures
+    from vcbf_drake.viz.obstacle_geometry import ObstacleGeometry
     from vcbf_drake.viz.replay import write_replay
+    from vcbf_drake.viz.vehicle_geometry import BlimpGeometry, CarGeometry
 
-_HOME = {"write_figures": "figures", "write_replay": "replay"}
+_HOME = {
+    "BlimpGeometry": "vehicle_geometry",
+    "CarGeometry": "vehicle_geometry",
+    "ObstacleGeometry": "obstacle_geometry",
+    "write_figures": "figures",
+    "write_replay": "replay",
+}
 
-__all__ = ["write_figures", "write_replay"]
+__all__ = [
+    "BlimpGeometry",
+    "CarGeometry",
+    "ObstacleGeometry",
+    "write_figures",
+    "write_replay",
+]
 
 
 def __getattr__(name: str) -> Any:

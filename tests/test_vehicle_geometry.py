@@ -1,0 +1,97 @@
+"""Vehicles and obstacles in a SceneGraph: poses, roles, a Meshcat page, a camera."""
+
+import numpy as np
+from pydrake.geometry import (
+    Meshcat,
+    MeshcatParams,
+    MeshcatVisualizer,
+    Role,
+    SceneGraph,
+)
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource
+import pytest
+
+from vcbf_drake import SphereObstacle
+from vcbf_drake.viz import BlimpGeometry, CarGeometry, ObstacleGeometry
+
+BLIMP = [1.0, 2.0, 3.0, 0.5, 0.0, 0.0, 0.0, 0.0]
+CAR = [-1.0, -2.0, 0.7, 2.0]
+STONES = [
+    SphereObstacle([4.0, 0.0, 1.0], 0.5, velocity=[0.0, 0.2, 0.0]),
+    SphereObstacle([1.0, 1.0], 0.4),
+]
+
+
+@pytest.fixture
+def scene():
+    """A diagram with one of each, its SceneGraph and its Meshcat."""
+    builder = DiagramBuilder()
+    scene_graph = builder.AddSystem(SceneGraph())
+    for name, geometry, state in (
+        ("airship", BlimpGeometry, BLIMP),
+        ("buggy", CarGeometry, CAR),
+    ):
+        source = builder.AddSystem(ConstantVectorSource(state))
+        geometry.AddToBuilder(builder, source.get_output_port(), scene_graph, name)
+    ObstacleGeometry.AddToBuilder(builder, STONES, scene_graph, "stone")
+    meshcat = Meshcat(MeshcatParams(host="127.0.0.1", port=0))
+    MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat)
+    return builder.Build(), scene_graph, meshcat
+
+
+def pose(scene, name, time):
+    """Where SceneGraph has a frame."""
+    diagram, scene_graph, _ = scene
+    context = diagram.CreateDefaultContext()
+    context.SetTime(time)
+    port = scene_graph.get_query_output_port()
+    query = port.Eval(scene_graph.GetMyContextFromRoot(context))
+    inspector = query.inspector()
+    frames = {inspector.GetName(f): f for f in inspector.GetAllFrameIds()}
+    return query.GetPoseInWorld(frames[name])
+
+
+def test_frames_follow_the_states(scene):
+    airship, buggy = pose(scene, "airship", 0.0), pose(scene, "buggy", 0.0)
+    assert airship.translation().tolist() == [1.0, 2.0, 3.0]
+    assert buggy.translation().tolist() == [-1.0, -2.0, 0.0]
+    nose = np.array([1.0, 0.0, 0.0])
+    for found, heading in ((airship, 0.5), (buggy, 2.0)):
+        ahead = found.rotation() @ nose
+        assert ahead == pytest.approx([np.cos(heading), np.sin(heading), 0.0])
+
+
+def test_obstacles_move_with_time(scene):
+    assert pose(scene, "stone_0", 5.0).translation() == pytest.approx([4.0, 1.0, 1.0])
+    assert pose(scene, "stone_1", 5.0).translation() == pytest.approx([1.0, 1.0, 0.0])
+
+
+def test_every_piece_is_there_for_visualisers_and_cameras(scene):
+    inspector = scene[1].model_inspector()
+    frames = inspector.GetAllFrameIds()
+    for role in (Role.kIllustration, Role.kPerception):
+        pieces = [inspector.NumGeometriesForFrameWithRole(f, role) for f in frames]
+        assert sorted(pieces) == [0, 1, 1, 6, 7]  # World, stones, car, blimp.
+
+
+def test_shapes_are_of_true_size(scene):
+    inspector = scene[1].model_inspector()
+    size = {
+        inspector.GetName(each): 2.0
+        * inspector.GetObbInGeometryFrame(each).half_width()
+        for each in inspector.GetAllGeometryIds(Role.kIllustration)
+    }
+    assert size["stone_0/body"] == pytest.approx([1.0] * 3, rel=0.02)
+    assert sorted(size["stone_1/body"])[1:] == pytest.approx([0.8] * 2, rel=0.02)
+    assert max(size["airship/belt"]) == pytest.approx(0.51, rel=0.05)
+    assert max(size["buggy/body"]) == pytest.approx(0.42, rel=0.02)
+
+
+def test_meshcat_shows_them(scene):
+    diagram, _, meshcat = scene
+    diagram.ForcedPublish(diagram.CreateDefaultContext())
+    page = meshcat.StaticHtml()
+    assert len(page) > 2_300_000
+    for name in ("airship", "buggy", "stone_0", "stone_1"):
+        assert meshcat.HasPath(f"visualizer/{name}")
