@@ -1,0 +1,172 @@
+"""Where the CPU time of one control tick goes, and how it grows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import time
+from typing import Any
+
+import numpy as np
+from pydrake.symbolic import Expression, MakeVectorVariable
+
+from vcbf_drake.barriers import Barrier
+from vcbf_drake.barriers.formula import as_expressions
+from vcbf_drake.disturbances import observer_ports
+from vcbf_drake.errors import Array
+from vcbf_drake.plants import ControlAffineModel
+from vcbf_drake.safety import InputSet, SafetyFilter
+from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver
+
+STAGES = ("rows", "feasible set", "ellipsoid", "gradient", "QP", "tick")
+
+_GAINS = (4.0, 3.0)
+# The filter's own ticks are told apart by positions this far from each other [m].
+_JITTER = 1e-3
+
+
+def tick_times(
+    num_inputs: int = 3,
+    num_obstacles: int = 3,
+    num_cutting: int = 2,
+    num_states: int | None = None,
+    method: str = "dob-vcbf-qp",
+    ticks: int = 200,
+    seed: int = 0,
+) -> dict[str, dict[str, float]]:
+    """Returns median and 99th percentile of the CPU time of a tick's stages [us].
+
+    The plant is a point mass with one force along each of its axes, at rest among
+    balls; the reference flies at them. The stages are those of `STAGES`: ``rows``,
+    ``feasible set`` (normalising, the disturbance's margin, which rows cut),
+    ``ellipsoid`` with its certificate, ``gradient`` of V_v, ``QP`` with the volume row,
+    and the whole ``tick`` as Drake evaluates it. A stage's time is measured apart from
+    the others, from the same data; what Drake adds is what is left of the tick.
+
+    Args:
+        num_inputs: m.
+        num_obstacles: N, one barrier row each.
+        num_cutting: How many of them cut the box of inputs; 0 is the plateau.
+        num_states: n, at least 2 m; the states beyond 2 m act on the accelerations.
+        method: One of `vcbf_drake.safety.METHODS`.
+        ticks: How many ticks are measured, after as many that are not.
+        seed: Of the obstacles' places and of the ticks' positions.
+
+    Raises:
+        ValueError: Fewer states than 2 m, or more cutting obstacles than obstacles.
+    """
+    num_states = num_states or 2 * num_inputs
+    if num_states < 2 * num_inputs or not 0 <= num_cutting <= num_obstacles:
+        raise ValueError(
+            f"{num_inputs} inputs, {num_states} states, {num_cutting} of"
+            f" {num_obstacles} obstacles cutting: needs 2 states an input or more, and"
+            " no more cutting obstacles than obstacles"
+        )
+    generator = np.random.default_rng(seed)
+    model = point_mass(num_inputs, num_states)
+    barriers = _balls(num_inputs, num_obstacles, num_cutting, generator)
+    box = InputSet.box(-np.ones(num_inputs), np.ones(num_inputs))
+    safety_filter = SafetyFilter(model, barriers, box, method=method, estimate_gain=4.0)
+    solver = InscribedEllipsoidSolver(box)
+    spent: dict[str, list[float]] = {stage: [] for stage in STAGES}
+    for _ in range(2 * ticks):
+        state = np.zeros(num_states)
+        state[:num_inputs] = _JITTER * generator.normal(size=num_inputs)
+        for stage, seconds in _stages(safety_filter, solver, state).items():
+            spent[stage].append(1e6 * seconds)
+    return {
+        stage: {
+            "median": float(np.median(times[ticks:])),
+            "p99": float(np.percentile(times[ticks:], 99.0)),
+        }
+        for stage, times in spent.items()
+    }
+
+
+def point_mass(num_inputs: int, num_states: int) -> ControlAffineModel:
+    """Returns a point of unit mass with m positions, m velocities, and other states.
+
+    The other n - 2 m states decay by themselves and act on every acceleration, and so
+    does an unknown acceleration along each axis.
+    """
+    m, n = num_inputs, num_states
+    state = MakeVectorVariable(n, "x")
+    velocity, others = state[m : 2 * m], state[2 * m :]
+    push = sum((0.1 * other for other in others), start=Expression(0.0))
+    drift = [*velocity, *(push - 0.1 * v for v in velocity), *(-z for z in others)]
+    actuated = np.zeros((n, m))
+    actuated[m : 2 * m] = np.eye(m)
+    expressions = as_expressions(actuated.flat).reshape(n, m)
+    return ControlAffineModel(state, as_expressions(drift), expressions, actuated)
+
+
+def _balls(
+    m: int, count: int, cutting: int, generator: np.random.Generator
+) -> list[Barrier]:
+    """Balls around the origin, some so near that their rows cut the box |u_j| <= 1.
+
+    At rest in the origin the row of a ball at p, of radius r, is 2 p'u <= k (|p|^2 -
+    r^2): a half-space at the distance beta, when r^2 = |p|^2 - 2 beta |p| / k.
+    """
+
+    def function(x: Any, t: Any, p: Any) -> Any:
+        offset = x[:m] - p[:m]
+        return offset @ offset - p[m]
+
+    balls = []
+    for i in range(count):
+        distance, beta = (4.0, generator.uniform(0.3, 0.8)) if i < cutting else (40, 9)
+        direction = generator.normal(size=m)
+        # All to one side, as obstacles ahead are: what they leave is never narrow.
+        direction = np.abs(direction) / np.linalg.norm(direction)
+        square = distance**2 - 2.0 * beta * distance / _GAINS[0]
+        parameters = [*(distance * direction), square]
+        balls.append(Barrier(function, _GAINS, parameters, name=f"ball {i + 1}"))
+    return balls
+
+
+def _stages(
+    safety_filter: SafetyFilter, solver: InscribedEllipsoidSolver, state: Array
+) -> dict[str, float]:
+    """Returns the CPU time of every stage of one tick [s]."""
+    contexts = [_context(safety_filter, state) for _ in range(2)]
+    apart = contexts[1]
+    tick, _ = _timed(lambda: safety_filter.decision(contexts[0]))
+    rows, _ = _timed(lambda: safety_filter.barrier_set.rows(state, 0.0))
+    feasible_set, feasible = _timed(lambda: safety_filter.feasible_set(apart))
+    ellipsoid = gradient = 0.0
+    if safety_filter.method.volume:
+        k = feasible.num_input_rows
+        A, b = feasible.A_v[k:], feasible.b_v[k:]
+        ellipsoid, _ = _timed(lambda: solver.solve(A, b))
+        gradient, _ = _timed(lambda: safety_filter.volume(apart))
+        gradient -= ellipsoid
+    qp, _ = _timed(lambda: safety_filter.decision(apart))
+    return dict(
+        zip(
+            STAGES,
+            (rows, feasible_set - rows, ellipsoid, gradient, qp, tick),
+            strict=True,
+        )
+    )
+
+
+def _context(safety_filter: SafetyFilter, state: Array) -> Any:
+    model = safety_filter.model
+    context = safety_filter.CreateDefaultContext()
+    values = {
+        "state": state,
+        "reference": np.full(model.num_inputs, 0.9),
+        "held_input": np.zeros(model.num_inputs),
+    }
+    for name, size in observer_ports(model.num_disturbances):
+        if safety_filter.HasInputPort(name):
+            values[name] = np.full(size, 0.01)
+    for name, value in values.items():
+        safety_filter.GetInputPort(name).FixValue(context, value)
+    return context
+
+
+def _timed(function: Callable[[], Any]) -> tuple[float, Any]:
+    started = time.thread_time()
+    result = function()
+    return time.thread_time() - started, result
