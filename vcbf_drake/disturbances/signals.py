@@ -59,6 +59,8 @@ class Tones:
     def derivative(self, t: float | Array, order: int = 0) -> Array:
         """Returns ``sum_k a_k w_k^order sin(w_k t + p_k + order pi / 2)``."""
         angle = np.multiply.outer(t, self.frequency) + self.phase
+        if order == 0:  # Once per integrator stage.
+            return np.sin(angle) @ self.amplitude
         quarter_turns = order * np.pi / 2
         scaled = self.amplitude * self.frequency[:, None] ** order
         value: Array = np.sin(angle + quarter_turns) @ scaled
@@ -177,11 +179,12 @@ class Sum:
     parts: tuple[Curve, ...]
 
     @staticmethod
-    def of(curves: Sequence[Curve]) -> Sum:
-        """Returns the sum of curves; all tones become one part, which is faster."""
+    def of(curves: Sequence[Curve]) -> Curve:
+        """Returns the sum of curves; all tones become one curve, which is faster."""
         tones = [curve for curve in curves if isinstance(curve, Tones)]
         others = [curve for curve in curves if not isinstance(curve, Tones)]
-        return Sum((*([reduce(add, tones)] if tones else []), *others))
+        parts = (*([reduce(add, tones)] if tones else []), *others)
+        return parts[0] if len(parts) == 1 else Sum(parts)
 
     @property
     def size(self) -> int:

@@ -75,18 +75,6 @@ class Ellipsoid:
         length = np.linalg.norm(reach, axis=1, keepdims=True)
         return self.center + reach / np.where(length > 0.0, length, 1.0) @ self.shape
 
-    def image(self, scale: Array, offset: Array) -> tuple[Array, Array]:
-        """Returns shape (m, m) and center (m,) of its image under offset + scale * v.
-
-        Args:
-            scale: One factor an axis, shape (m,).
-            offset: Shape (m,).
-        """
-        stretched = scale[:, None] * self.shape
-        eigenvalues, axes = np.linalg.eigh(stretched @ stretched.T)
-        shape = (axes * np.sqrt(np.maximum(eigenvalues, 0.0))) @ axes.T
-        return shape, offset + scale * self.center
-
     def volume_gradient(self) -> tuple[Array, Array]:
         """Returns dV/dA (n, m) and dV/db (n,) of the volume V (E43).
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,7 +70,7 @@ class FeasibleSet:
     num_input_rows: int
     cutting: NDArray[np.intp]
 
-    @property
+    @cached_property
     def is_finite(self) -> bool:
         """Whether every number in the rows is finite."""
         return bool(np.isfinite(self.A).all() and np.isfinite(self.b).all())
@@ -110,6 +111,6 @@ def feasible_set(
         weights=np.ones(len(b)) if weights is None else weights,
         num_input_rows=k,
         cutting=np.concatenate(
-            [np.arange(k), k + np.flatnonzero(b_v < np.abs(A_v).sum(axis=1))]
+            [np.arange(k), k + (b_v < np.abs(A_v).sum(axis=1)).nonzero()[0]]
         ),
     )

@@ -144,7 +144,7 @@ _Solution = tuple[Array, float, FilterStatus]
 
 def _hard_first(A: Array, b: Array, row: VolumeRow, reference: Array) -> _Solution:
     """The volume row as a constraint; relaxed only where it leaves nothing (E25)."""
-    all_A, all_b = np.vstack([A, row.a]), np.append(b, row.c)
+    all_A, all_b = np.concatenate([A, row.a[None]]), np.concatenate([b, (row.c,)])
     try:
         return _hard(all_A, all_b, reference), 0.0, FilterStatus.FILTERED
     except EmptySetError:

@@ -159,7 +159,8 @@ class _Box(InputSet):
         u = np.asarray(u, dtype=float)
         if not np.all(np.isfinite(u)):
             return self.interior.copy()
-        return np.clip(u, self._lower, self._upper)
+        inside: Array = np.minimum(np.maximum(u, self._lower), self._upper)
+        return inside
 
 
 def _bounding_box(rows: UnitRows, center: Array, radius: float) -> tuple[Array, Array]:

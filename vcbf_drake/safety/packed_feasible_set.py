@@ -25,9 +25,13 @@ class PackedFeasibleSet(NamedTuple):
     center: Array
 
 
-def pack_feasible_set(parts: PackedFeasibleSet) -> Array:
-    """Returns the parts as one vector."""
-    return np.concatenate([part.ravel() for part in parts])
+def pack_feasible_set(A: Array, b: Array, frame: Array, center: Array) -> Array:
+    """Returns a feasible set and an ellipsoid {frame v + center} as one vector.
+
+    The frame need not be symmetric; `unpack_feasible_set` makes it so, of a whole log
+    at once.
+    """
+    return np.concatenate([A.ravel(), b, frame.ravel(), center])
 
 
 def unpack_feasible_set(
@@ -41,7 +45,15 @@ def unpack_feasible_set(
         num_inputs: m.
     """
     rows, m, lead = num_rows, num_inputs, packed.shape[:-1]
-    A, b, shape, center = np.split(packed, np.cumsum([rows * m, rows, m * m]), axis=-1)
-    return PackedFeasibleSet(
-        A.reshape(*lead, rows, m), b, shape.reshape(*lead, m, m), center
-    )
+    A, b, frame, center = np.split(packed, np.cumsum([rows * m, rows, m * m]), axis=-1)
+    shape = _symmetric(frame.reshape(*lead, m, m))
+    return PackedFeasibleSet(A.reshape(*lead, rows, m), b, shape, center)
+
+
+def _symmetric(frames: Array) -> Array:
+    """Returns (F F')^(1/2) of every F, shape (..., m, m); nan where F is."""
+    known = np.isfinite(frames).all(axis=(-2, -1))
+    shapes = np.full_like(frames, np.nan)
+    axes, lengths, _ = np.linalg.svd(frames[known])
+    shapes[known] = (axes * lengths[..., None, :]) @ np.swapaxes(axes, -2, -1)
+    return shapes

@@ -38,10 +38,7 @@ from vcbf_drake.safety.filter_qp import (
 )
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.methods import method_named
-from vcbf_drake.safety.packed_feasible_set import (
-    PackedFeasibleSet,
-    pack_feasible_set,
-)
+from vcbf_drake.safety.packed_feasible_set import pack_feasible_set
 from vcbf_drake.safety.volume_barrier import (
     Volume,
     VolumeBarrier,
@@ -388,14 +385,12 @@ class SafetyFilter(LeafSystem):
     def _calc_packed_feasible_set(self, context: Context) -> Array:
         feasible, v = self.feasible_set(context), self.volume(context)
         m = self.model.num_inputs
-        shape, center = np.full((m, m), np.nan), np.full(m, np.nan)
+        frame, center = np.full((m, m), np.nan), np.full(m, np.nan)
         if v is not None and v.ellipsoid is not None:
-            shape, center = v.ellipsoid.image(
-                self.input_set.scale, self.input_set.center
-            )
-        return pack_feasible_set(
-            PackedFeasibleSet(feasible.A, feasible.b, shape, center)
-        )
+            scale = self.input_set.scale
+            frame = scale[:, None] * v.ellipsoid.shape
+            center = self.input_set.center + scale * v.ellipsoid.center
+        return pack_feasible_set(feasible.A, feasible.b, frame, center)
 
 
 def _check_effort_limits(model: ControlAffineModel, input_set: InputSet) -> None:

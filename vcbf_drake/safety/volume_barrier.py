@@ -115,7 +115,8 @@ def volume(
     determinant = math.exp(ellipsoid.log_det)
     touching = ellipsoid.multipliers[k:].nonzero()[0].tolist()
     extended, estimate, bound = np.zeros(n + 1), np.zeros(len(known.estimate)), 0.0
-    for i, gradient in zip(touching, rows.gradients(touching), strict=True):
+    gradients = rows.gradients(touching) if touching else ()
+    for i, gradient in zip(touching, gradients, strict=True):
         normal = ellipsoid.shape @ feasible.A_v[k + i]
         reach = ellipsoid.shape @ normal / math.sqrt(normal @ normal)
         contact = input_set.center + input_set.scale * (ellipsoid.center + reach)

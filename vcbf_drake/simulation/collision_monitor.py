@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
+from pydrake.common.value import Value
 from pydrake.systems.framework import (
     Context,
     EventStatus,
     LeafSystem,
     PublishEvent,
+    ValueProducer,
     WitnessFunction,
     WitnessFunctionDirection,
 )
@@ -34,6 +37,12 @@ class CollisionMonitor(LeafSystem):
         super().__init__()
         self._barriers = barriers
         self._state = self.DeclareVectorInputPort("state", num_states)
+        # The witness is asked at the end of a step and at the start of the next.
+        self._least = self.DeclareCacheEntry(
+            "least barrier value",
+            ValueProducer(allocate=lambda: Value[float](), calc=self._calc_least),
+            {self._state.ticket(), self.time_ticket()},
+        )
         stop = PublishEvent(
             system_callback=lambda system, context, event: (
                 EventStatus.ReachedTermination(system, "collision")
@@ -48,8 +57,13 @@ class CollisionMonitor(LeafSystem):
 
     def least_barrier(self, context: Context) -> float:
         """Returns the least h over the barriers; infinite when there are none."""
+        least: float = self._least.Eval(context)
+        return least
+
+    def _calc_least(self, context: Context, least: Any) -> None:
         values = self._barriers.values(self._state.Eval(context), context.get_time())
-        return min((h for h in values.tolist() if not math.isnan(h)), default=math.inf)
+        numbers = [h for h in values.tolist() if not math.isnan(h)]
+        least.set_value(min(numbers, default=math.inf))
 
     def DoGetWitnessFunctions(self, context: Context) -> list[WitnessFunction]:  # noqa: D102
         return [self._witness]
