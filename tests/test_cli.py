@@ -127,7 +127,7 @@ def test_help_imports_nothing_heavy() -> None:
 
 
 @pytest.mark.parametrize(
-    "command", ["list", "run", "compare", "check", "diagram", "monte-carlo"]
+    "command", ["list", "run", "compare", "check", "diagram", "monte-carlo", "bench"]
 )
 def test_help_lists_commands(command: str) -> None:
     assert command in invoke("--help").output
@@ -135,9 +135,7 @@ def test_help_lists_commands(command: str) -> None:
 
 
 def test_version(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "vcbf_drake.cli.application.version", lambda name: f"{name} 1.2.3"
-    )
+    monkeypatch.setattr("importlib.metadata.version", lambda name: f"{name} 1.2.3")
     shown = invoke("--version")
     assert (shown.exit_code, shown.output) == (0, "vcbf-drake 1.2.3\n")
 
