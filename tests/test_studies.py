@@ -38,7 +38,10 @@ from vcbf_drake.studies import (
 )
 from vcbf_drake.studies.statistics import mean_interval
 import vcbf_drake.studies.trial as trial_module
-from vcbf_drake.viz.running_time_figure import write_running_times
+from vcbf_drake.viz.running_time_figure import (
+    running_time_figure,
+    write_running_times,
+)
 
 BLIMP = "blimp-multiple-obstacles"
 METHODS = ("dob-cbf-qp", "dob-vcbf-qp")
@@ -522,6 +525,18 @@ def test_the_figure_is_the_same_bytes_every_time(tmp_path: Path) -> None:
         ]
         contents.append([path.read_bytes() for path in paths])
     assert contents[0] == contents[1]
+
+
+def test_the_figure_of_a_long_study_shows_some_of_its_columns() -> None:
+    rng = np.random.default_rng(2)
+    times = [(float(a), 20.0) for a in rng.uniform(0.0, 20.0, 2500)]
+    _, records = made_up(times)
+    summary = {"methods": {name: {"mean_running_time": None} for name in METHODS}}
+    axes = running_time_figure(records, summary).axes[0]
+    assert "one trial in 3, in the order of DOB-CBF-QP" in axes.get_xlabel()
+    assert len(axes.collections) == 1
+    shown = [segment[0][1] for segment in axes.collections[0].get_segments()]
+    assert shown == sorted(time for time, _ in times)[::3]
 
 
 # Command line ----------------------------------------------------------------------
