@@ -142,7 +142,7 @@ def test_another_generator_or_python_is_other_code(
     cache: Path, written: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     compiled()
-    monkeypatch.setattr(code_cache, "version", lambda package: f"{package} 99")
+    monkeypatch.setattr(code_cache, "installed_version", lambda name: f"{name} 99")
     compiled()
     monkeypatch.setattr(sys, "version", "4.0")
     compiled()

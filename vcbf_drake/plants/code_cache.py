@@ -15,13 +15,13 @@ to the directory can do is to make it calculate something else.
 from __future__ import annotations
 
 from hashlib import sha256
-from importlib.metadata import PackageNotFoundError, version
 import os
 from pathlib import Path
 import sys
 import tempfile
 
 from vcbf_drake.plants.generated_code import is_arithmetic
+from vcbf_drake.versions import installed_version
 
 _VARIABLE = "VCBF_DRAKE_CACHE"
 _OFF = "off"
@@ -49,7 +49,7 @@ def cache_key(*content: str) -> str:
     Args:
         content: Everything the code is made from, its generator's text included.
     """
-    tools = *map(_version, ("drake", "sympy")), sys.version
+    tools = *map(installed_version, ("drake", "sympy")), sys.version
     return sha256("\0".join((*tools, *content)).encode()).hexdigest()
 
 
@@ -99,10 +99,3 @@ def _remove_oldest(directory: Path) -> None:
         by_age = sorted(files, key=lambda file: file.stat().st_mtime)
         for file in by_age[: len(files) - _MOST_FILES // 2]:
             file.unlink(missing_ok=True)
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:  # Drake from a tarball, for example.
-        return ""

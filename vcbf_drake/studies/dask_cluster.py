@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
-from importlib.metadata import PackageNotFoundError, version
 import sys
+
+from vcbf_drake.versions import installed_version
 
 _PACKAGES = ("vcbf-drake", "drake", "numpy")
 _PATIENCE = 10.0  # How long a scheduler may take to answer [s].
@@ -49,11 +50,5 @@ def dask_executor(address: str) -> Iterator[Executor]:
 
 def _versions() -> str:
     python = "python {}.{}".format(*sys.version_info)
-    return ", ".join([python, *map(_version, _PACKAGES)])
-
-
-def _version(package: str) -> str:
-    try:
-        return f"{package} {version(package)}"
-    except PackageNotFoundError:  # A checkout, or Drake from a tarball.
-        return package
+    packages = (f"{name} {installed_version(name)}".strip() for name in _PACKAGES)
+    return ", ".join([python, *packages])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from importlib.metadata import version
 import platform
 import time
 from typing import Any
@@ -16,6 +15,7 @@ from vcbf_drake.studies.bench.ours import safety_filter
 from vcbf_drake.studies.bench.problem import Instance, instances
 from vcbf_drake.studies.bench.route import Route
 from vcbf_drake.studies.bench.tasks import OURS, TASKS, VOLUME_FILTERS, Task
+from vcbf_drake.versions import installed_version
 
 Numbers = dict[str, Any]
 
@@ -61,7 +61,7 @@ def run_bench(
     return {
         "software": {
             "python": platform.python_version(),
-            **{name: version(name) for name in ("drake", "numpy")},
+            **{name: installed_version(name) for name in ("drake", "numpy")},
         },
         "instances": count,
         "duration": duration,
@@ -153,5 +153,5 @@ def _compared(
 
 
 def _names(route: Route) -> Numbers:
-    own = version(route.package) if route.package else None
+    own = installed_version(route.package) if route.package else None
     return {"name": route.name, "rows": route.rows, "version": own}

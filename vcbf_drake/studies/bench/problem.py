@@ -19,7 +19,8 @@ CENTERS = np.array([[1.5, 0.3, 0.2], [2.6, -0.9, -0.3], [2.4, 0.9, -0.8]])  # [m
 RADII = np.array([0.5, 0.6, 0.5])  # [m]
 RATES = (1.0, 3.0)  # Decay rates of the barriers [1/s].
 GAINS = (RATES[0] + RATES[1], RATES[0] * RATES[1])  # K of (E4).
-THRESHOLD, VOLUME_GAIN = 0.02, 3.0  # xi of (E21), lambda_Vv [1/s].
+# xi of (E21) and lambda_Vv [1/s]: cautious, so that the volume row acts often.
+THRESHOLD, VOLUME_GAIN = 0.1, 0.5
 GOAL_GAINS = (0.5, 1.2)  # What drives the point to the origin [1/s^2], [1/s].
 
 NUM_STATES, NUM_INPUTS = 6, 3
