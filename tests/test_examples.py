@@ -40,6 +40,8 @@ def number(text: str, label: str) -> float:
         ("own_barrier", 4.41),
         ("quadrotor_slalom", 0.1),
         ("two_blimps", 0.2),
+        ("teleoperator", 0.1),
+        ("read_a_log", 2.0),
     ],
 )
 def test_example_stays_safe_and_leaves_a_picture(name, most, tmp_path):
