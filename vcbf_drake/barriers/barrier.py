@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+import copy
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -11,10 +13,24 @@ from pydrake.symbolic import Expression
 from vcbf_drake.barriers.finite_vector import finite_vector
 from vcbf_drake.errors import Array
 from vcbf_drake.plants.compiled import Expressions
+from vcbf_drake.plants.parameters import check_parameter
 
 BarrierFunction: TypeAlias = Callable[
     [Expressions, Expression, Expressions], Expression
 ]
+
+
+@dataclass(frozen=True)
+class EarlyDisturbance:
+    """What is assumed of a disturbance that reaches h before the input does (E70).
+
+    Attributes:
+        bound: delta1, the bound of its norm [m/s^2].
+        smoothing: What keeps the roots of (E70) smooth, in units of E' grad h.
+    """
+
+    bound: float
+    smoothing: float
 
 
 class Barrier:
@@ -33,6 +49,7 @@ class Barrier:
             which makes the sets S^k of (E3) as large as they can be (R21).
         parameters: The values of p, shape (k,).
         name: What error messages and logs call it.
+        early_disturbance: What `robust_to` was given; None without it.
     """
 
     def __init__(
@@ -53,6 +70,26 @@ class Barrier:
         self.decay_rates = decay_rates(self.gains, name)
         self.parameters = finite_vector(parameters, f"parameters of barrier '{name}'")
         self.name = name
+        self.early_disturbance: EarlyDisturbance | None = None
+
+    def robust_to(self, bound: float, smoothing: float = 0.01) -> Barrier:
+        """Returns this barrier, made for a disturbance that comes before the input.
+
+        Its chain has the disturbance's worst taken off at every level (E70), so that
+        only the last needs an observer. It keeps more distance than it otherwise would.
+
+        Args:
+            bound: delta1, the bound of the disturbance's norm [m/s^2].
+            smoothing: What keeps the norms differentiable, in units of E' grad h.
+
+        Raises:
+            ValueError: The bound is negative, the smoothing not positive.
+        """
+        check_parameter("robust_to: bound", bound, zero_allowed=True)
+        check_parameter("robust_to: smoothing", smoothing)
+        robust = copy.copy(self)
+        robust.early_disturbance = EarlyDisturbance(bound, smoothing)
+        return robust
 
     @property
     def relative_degree(self) -> int:

@@ -26,14 +26,9 @@ class LieDerivatives:
     @staticmethod
     def of(h: Expression, symbols: Symbols, order: int) -> LieDerivatives:
         """Returns the derivatives of h up to an order r."""
-        model, time = symbols.model, symbols.time
         expressions = [h]
         for _ in range(order):
-            last = expressions[-1]
-            expressions.append(
-                gradient(last, model.state) @ model.drift_expressions
-                + last.Differentiate(time)
-            )
+            expressions.append(drift_rate(expressions[-1], symbols))
         return LieDerivatives(symbols, np.array(expressions))
 
     @property
@@ -67,6 +62,13 @@ class LieDerivatives:
             level = level[1:] + rate * level[:-1]
             chain.append(level[0])
         return np.array(chain)
+
+
+def drift_rate(expression: Expression, symbols: Symbols) -> Expression:
+    """Returns an expression's Lie derivative along the extended drift (E2)."""
+    model = symbols.model
+    along: Expression = gradient(expression, model.state) @ model.drift_expressions
+    return along + expression.Differentiate(symbols.time)
 
 
 def gradient(expression: Expression, variables: Expressions) -> Expressions:

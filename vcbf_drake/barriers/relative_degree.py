@@ -18,12 +18,15 @@ _NUM_SAMPLES = 8
 _SEARCHED_BEYOND = 2  # How many more derivatives an error message looks at.
 
 
-def check_relative_degree(derivatives: LieDerivatives, parameters: Array) -> None:
+def check_relative_degree(
+    derivatives: LieDerivatives, parameters: Array, robust: bool = False
+) -> None:
     """Checks that the input enters L_f^r h first, and the disturbance no earlier (R2).
 
     Args:
         derivatives: h, L_f h, ..., L_f^r h.
         parameters: The values of h's parameters, shape (k,).
+        robust: Whether the disturbance may come earlier (E70).
 
     Raises:
         ModelError: The input enters earlier or later, or the disturbance earlier.
@@ -37,13 +40,14 @@ def check_relative_degree(derivatives: LieDerivatives, parameters: Array) -> Non
             f"input {inputs.argmin()} enters derivative {first:.0f} of h, so its"
             f" relative degree is {first:.0f}, not {r}: give {_gains(first)}"
         )
-    if first_disturbance < r:
+    if first_disturbance < r and not robust:
         channel = int(disturbances.argmin())
         raise ModelError(
             f"disturbance {channel} (on {_disturbed(model, channel)}) enters derivative"
             f" {first_disturbance:.0f} of h, but the inputs enter none before {r}, so"
-            " the lower derivatives are not known (R2): leave that disturbance out, or"
-            " choose an h that it enters no earlier than the input"
+            " the lower derivatives are not known (R2): leave that disturbance out,"
+            " choose an h that it enters no earlier than the input, or take"
+            " barrier.robust_to(bound)"
         )
     if np.isinf(first):
         raise ModelError(_explain_higher_degree(derivatives, parameters))

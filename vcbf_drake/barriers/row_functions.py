@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 from pydrake.symbolic import Expression, Jacobian, MakeVectorVariable, Variable
 
-from vcbf_drake.barriers.barrier import Barrier
+from vcbf_drake.barriers.barrier import Barrier, EarlyDisturbance
 from vcbf_drake.barriers.formula import Formula, Symbols, as_expressions
 from vcbf_drake.barriers.input_limits import StateInputLimit
-from vcbf_drake.barriers.lie_derivatives import LieDerivatives
+from vcbf_drake.barriers.lie_derivatives import LieDerivatives, drift_rate
 from vcbf_drake.barriers.relative_degree import check_relative_degree
-from vcbf_drake.errors import ModelError
+from vcbf_drake.barriers.robust_chain import RobustChain
+from vcbf_drake.errors import Array, ModelError
 from vcbf_drake.plants.compiled import (
     CompiledFunction,
     Expressions,
@@ -32,7 +33,7 @@ class RowFunctions:
             (m + 1 + q), then for a barrier phi^0, ..., phi^(r-1).
         gradient: ``gradient(*x, t, *constants)`` returns the entries' derivatives by
             [x; t] in C order.
-        constants: What follows x and t: gains, decay rates and parameters.
+        constants: What follows x and t: gains, decay rates and the like, parameters.
         value: ``value(*x, t, *parameters)`` returns [h]; [] for a limit.
         parameters: What follows x and t there.
         relative_degree: r; 0 for a limit.
@@ -47,8 +48,8 @@ class RowFunctions:
 
     def with_parameters(self, parameters: tuple[float, ...]) -> RowFunctions:
         """Returns the same barrier's functions with other parameters."""
-        gains_and_rates = self.constants[: 2 * self.relative_degree]
-        constants = (*gains_and_rates, *parameters)
+        fixed = self.constants[: len(self.constants) - len(self.parameters)]
+        constants = (*fixed, *parameters)
         return replace(self, constants=constants, parameters=parameters)
 
 
@@ -74,16 +75,29 @@ def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctio
         raise ModelError(
             f"function(x, t, p) must return one scalar expression, got shape {h.shape}"
         )
+    early = barrier.early_disturbance
     try:
-        derivatives = _derive(symbols.formula([h.item()]), barrier.relative_degree)
-        check_relative_degree(derivatives, barrier.parameters)
-        row, gradient, value = _compile_barrier(derivatives)
+        formula = symbols.formula([h.item()])
+        if early is None:
+            derivatives = _derive(formula, barrier.relative_degree)
+            check_relative_degree(derivatives, barrier.parameters)
+            row, gradient, value = _compile_barrier(derivatives)
+        else:
+            rates = tuple(barrier.decay_rates.tolist())
+            _check_robust(formula, rates, early, barrier.parameters)
+            row, gradient, value = _compile_robust(formula, barrier.relative_degree)
     except RuntimeError as error:  # pydrake's word for what has no derivative.
         raise ModelError(
             "function(x, t, p) cannot be differentiated as often as needed: write it"
             f" without abs and without the root of a square ({error})"
         ) from error
-    constants = (*barrier.gains.tolist(), *barrier.decay_rates.tolist(), *parameters)
+    rates = barrier.decay_rates.tolist()
+    fixed = (
+        (*barrier.gains.tolist(), *rates)
+        if early is None
+        else (*rates, early.bound, early.smoothing)
+    )
+    constants = (*fixed, *parameters)
     return RowFunctions(
         row, gradient, constants, value, parameters, barrier.relative_degree
     )
@@ -130,6 +144,42 @@ def _compile_barrier(
     row = _compile(arguments, outputs, "barrier_row")
     gradient = _compile(arguments, _gradient(entries, symbols), "barrier_gradient")
     value = _compile(symbols.variables, derivatives.expressions[:1], "barrier_value")
+    return row, gradient, value
+
+
+def _check_robust(
+    formula: Formula,
+    decay_rates: Sequence[float],
+    early: EarlyDisturbance,
+    parameters: Array,
+) -> None:
+    """Checks that the input enters the last level's derivative first."""
+    (h,) = formula.expressions
+    rates = as_expressions(decay_rates)
+    bound, smoothing = Expression(early.bound), Expression(early.smoothing)
+    chain = RobustChain.of(h, formula.symbols, rates, bound, smoothing)
+    levels = np.append(chain.levels, drift_rate(chain.levels[-1], formula.symbols))
+    check_relative_degree(
+        LieDerivatives(formula.symbols, levels), parameters, robust=True
+    )
+
+
+@lru_cache(maxsize=64)
+def _compile_robust(
+    formula: Formula, order: int
+) -> tuple[CompiledFunction, CompiledFunction, CompiledFunction]:
+    """Returns `row`, `gradient`, `value`, for any rates, bound and parameters."""
+    (h,), symbols = formula.expressions, formula.symbols
+    decay_rates = MakeVectorVariable(order, "lambda")
+    bound, smoothing = MakeVectorVariable(2, "bound")
+    chain = RobustChain.of(h, symbols, decay_rates, bound, smoothing)
+    entries = chain.row()
+    state_and_time = [*symbols.model.state, symbols.time]
+    constants = [*decay_rates, bound, smoothing, *symbols.parameters]
+    arguments = [*state_and_time, *constants]
+    row = _compile(arguments, [*entries, *chain.levels], "barrier_row")
+    gradient = _compile(arguments, _gradient(entries, symbols), "barrier_gradient")
+    value = _compile(symbols.variables, [h], "barrier_value")
     return row, gradient, value
 
 

@@ -231,6 +231,8 @@ def _variables(prefix: str, size: int) -> Expressions:
     return np.array([Variable(f"{prefix}{i}") for i in range(size)], dtype=object)
 
 
+# Expressions leave floating-point flags that NumPy takes for its own.
+@np.errstate(invalid="ignore")
 def _residual(
     system: System, context: Context, rate: Expressions, name: str
 ) -> Expressions:
