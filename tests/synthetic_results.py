@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from vcbf_drake.control.car_controller import CarControllerParameters
 from vcbf_drake.plants.blimp import BlimpParameters
 from vcbf_drake.plants.car import CarParameters
 from vcbf_drake.simulation.result import Result
@@ -139,6 +140,7 @@ def car_result(method="dob-vcbf-qp", end=11.0, outcome="reached", bend=0.75):
         name="car-avoidance",
         description="A small car drives round discs",
         plant=CarParameters(),
+        controller=CarControllerParameters(),
         obstacles=[
             Obstacle([1.6, 0.05], 0.32, margin=0.12),
             Obstacle([3.3, 0.1], 0.33, margin=0.12),

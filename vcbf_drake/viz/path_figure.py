@@ -19,6 +19,7 @@ from vcbf_drake.viz.style import (
     TARGET,
     Style,
     add_circle,
+    legend_in_a_row,
     new_figure,
 )
 
@@ -104,8 +105,9 @@ def _draw_views(figure: Any, runs: Sequence[Run], cells: list[Any]) -> None:
     draw_space(space, runs)
     draw_plane(above, runs, (0, 1))
     draw_plane(side, runs, (0, 2))
-    handles = above.get_legend_handles_labels()
-    figure.legend(*handles, loc="outside upper left", ncols=4)
+    entries = above.get_legend_handles_labels()
+    options = legend_in_a_row(len(entries[0]))
+    figure.legend(*entries, loc="outside upper left", **options)
 
 
 def _draw_disc(axes: Any, sphere: Sphere, pair: list[int], end: float) -> None:
@@ -122,4 +124,5 @@ def _draw_disc(axes: Any, sphere: Sphere, pair: list[int], end: float) -> None:
 
 
 def _legend_above(axes: Any) -> None:
-    axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=4, borderpad=0.1)
+    options = legend_in_a_row(len(axes.get_legend_handles_labels()[0]))
+    axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), borderpad=0.1, **options)

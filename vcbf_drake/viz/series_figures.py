@@ -9,7 +9,15 @@ import numpy as np
 
 from vcbf_drake.viz.geometry import geometry_of
 from vcbf_drake.viz.runs import Run
-from vcbf_drake.viz.style import ALARM, INK, MUTED, PAGE_WIDTH, Style, new_figure
+from vcbf_drake.viz.style import (
+    ALARM,
+    INK,
+    MUTED,
+    PAGE_WIDTH,
+    Style,
+    legend_in_a_row,
+    new_figure,
+)
 
 BARRIER_LABEL = {"distance": "barrier $h$ [m]", "squared": "barrier $h$ [m²]"}
 BAND = "#c9d5e3"
@@ -62,8 +70,8 @@ def slack_figure(runs: Sequence[Run]) -> Any:
         axes.plot(run.time, run.result.log["slack"], **run.line())
     greatest = max(float(np.abs(run.result.log["slack"]).max()) for run in runs)
     if greatest == 0.0:
-        axes.set_ylim(-0.1, 1.0)
-        axes.annotate("exactly 0", (0.7, 0.2), xycoords="axes fraction", color=MUTED)
+        axes.set_ylim(-0.25, 1.0)
+        axes.annotate("exactly 0", (0.7, 0.28), xycoords="axes fraction", color=MUTED)
     _mark_failures(axes, runs, [run.result.log["slack"] for run in runs])
     axes.set(xlabel="time [s]", ylabel=r"slack $\delta$ [-]")
     _time_axis(axes)
@@ -161,7 +169,7 @@ def draw_estimate_error(axes: Any, run: Run) -> None:
     error = np.linalg.norm(log["disturbance"] - log["disturbance_estimate"], axis=1)
     bound = log["error_bound"]
     low = 0.3 * float(min(np.median(error), bound.min()))
-    axes.fill_between(run.time, bound, low, color=BAND, lw=0)
+    axes.fill_between(run.time, bound, 1e-6 * bound, color=BAND, lw=0)
     axes.plot(run.time, bound, color=MUTED, lw=0.8)
     axes.plot(run.time, error, **run.line(lw=1.0, label="error of the estimate"))
     axes.set_yscale("log")
@@ -235,4 +243,5 @@ def _time_axis(axes: Any) -> None:
 
 
 def _legend_above(axes: Any) -> None:
-    axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=5, borderpad=0.1)
+    options = legend_in_a_row(len(axes.get_legend_handles_labels()[0]))
+    axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), borderpad=0.1, **options)

@@ -119,6 +119,18 @@ def new_figure(width: float, height: float, **options: Any) -> Any:
     return figure
 
 
+def legend_in_a_row(entries: int) -> Style:
+    """The options of a legend that lies above a figure as wide as the page.
+
+    Args:
+        entries: How many it has; six are in two rows.
+    """
+    if entries <= 4:
+        return {"ncols": max(entries, 1)}
+    ncols = entries if entries == 5 else 3
+    return {"ncols": ncols, "fontsize": 7.5, "columnspacing": 1.1, "handlelength": 2.2}
+
+
 def add_circle(axes: Any, center: Array, radius: float, **style: Any) -> None:
     """Draws a circle.
 
@@ -146,5 +158,6 @@ def save_figure(figure: Any, directory: Path, name: str) -> list[Path]:
     """
     png, svg = directory / f"{name}.png", directory / f"{name}.svg"
     figure.savefig(png, metadata={"Software": None})
+    figure.set_layout_engine("none")  # Everything has its place; finding it is slow.
     figure.savefig(svg, metadata={"Date": None, "Creator": None})
     return [png, svg]

@@ -1,0 +1,1 @@
+"""Figures of many runs side by side, which only the report shows."""

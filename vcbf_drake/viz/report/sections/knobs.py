@@ -1,0 +1,72 @@
+"""The method against its own knobs, one at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from vcbf_drake.viz.report.document import Block, Figure, Paragraph
+from vcbf_drake.viz.report.figures.knob_figure import Knob, knob_figure
+from vcbf_drake.viz.report.reproduction import Reproduction
+from vcbf_drake.viz.report.tables import tally_table
+from vcbf_drake.viz.report.tally import Tally
+from vcbf_drake.viz.report.wording import method_label
+from vcbf_drake.viz.style import METHOD_STYLES
+
+
+def knobs(numbers: Mapping[str, Any], saved: Reproduction) -> list[Block]:
+    """Running times and arrivals against every knob."""
+    chosen = [_knob(each) for each in numbers.values() if _is_knob(each)]
+    command = numbers["command"]
+    return [
+        Paragraph(numbers["description"]),
+        Figure(
+            "knobs",
+            "One setting varied at a time, a column each, the others as in Test 2"
+            " (grey: Test 2's own value): above, the mean running time with its 95 %"
+            " interval; below, the share of trials that arrive.",
+            lambda: knob_figure(chosen),
+            command,
+        ),
+        tally_table(
+            "The same in numbers.",
+            ["setting", "value", "method"],
+            [row for knob in chosen for row in _rows(knob)],
+            command,
+        ),
+    ]
+
+
+def _is_knob(entry: Any) -> bool:
+    return isinstance(entry, Mapping) and "points" in entry
+
+
+def _knob(numbers: Mapping[str, Any]) -> Knob:
+    points, unit = numbers["points"], numbers["unit"]
+    values = [point["value"] for point in points]
+    usual = numbers.get("usual")
+    return Knob(
+        label=f"{numbers['label']} [{unit or '-'}]",
+        values=[f"{value:g}" for value in values],
+        tallies={
+            method: [_tally(method, point) for point in points]
+            for method in METHOD_STYLES
+            if any(method in point for point in points)
+        },
+        usual=values.index(usual) if usual in values else None,
+    )
+
+
+def _tally(method: str, point: Mapping[str, Any]) -> Tally | None:
+    return Tally.from_numbers(method, point[method]) if method in point else None
+
+
+def _rows(knob: Knob) -> Iterator[tuple[list[str], Tally]]:
+    """A row for each value and method; the setting is named in the first."""
+    label = knob.label
+    for place, value in enumerate(knob.values):
+        for method, tallies in knob.tallies.items():
+            tally = tallies[place]
+            if tally is not None:
+                yield [label, value, method_label(method)], tally
+                label = ""
