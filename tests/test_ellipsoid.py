@@ -504,4 +504,4 @@ def test_failures_of_the_solver_are_honest(monkeypatch):
     monkeypatch.setattr(cone_program.ConeProgram, "solve", lambda self, A, b: None)
     solver = InscribedEllipsoidSolver(InputSet.box(-np.ones(2), np.ones(2)))
     with pytest.raises(VcbfError, match="certified"):
-        solver.solve(np.array([[1.0, 0.5]]), np.array([0.1]))
+        solver.solve(np.array([[1.0, 0.5], [-0.5, 1.0]]), np.array([0.1, 0.2]))

@@ -31,7 +31,12 @@ class CertifiedEllipsoid:
 
 
 def polish(
-    A: Array, b: Array, center: Array, frame: Array, multipliers: Array
+    A: Array,
+    b: Array,
+    center: Array,
+    frame: Array,
+    multipliers: Array,
+    is_exact: bool = False,
 ) -> CertifiedEllipsoid | None:
     """Semismooth Newton's method on the optimality conditions (E42).
 
@@ -49,6 +54,9 @@ def polish(
         n_i' D n_i + n_i' d = e_i   for the rows that take part,
 
     which determines v, and w_i becomes v_i - w_i n_i' d.
+
+    The gap says little of the multipliers: its error is the square of theirs. So what a
+    cone program proposes takes one step at least; what is exact takes none.
     """
     best, least = None, math.inf
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
@@ -59,8 +67,7 @@ def polish(
             e = (b - A @ center) / length - 1.0
             w = multipliers * length
             w[w <= e] = 0.0
-            # The cone program's own multipliers are never exact enough to stop at.
-            if step > 0:
+            if step > 0 or is_exact:
                 gap = _gap(n, e, w)
                 if gap < least:
                     best, least = (center, frame, w / length, e), gap

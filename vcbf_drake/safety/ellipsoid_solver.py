@@ -12,6 +12,7 @@ from vcbf_drake.safety.certified_ellipsoid import (
     polish,
 )
 from vcbf_drake.safety.cone_program import cone_program
+from vcbf_drake.safety.cut_box import box_cut_by_row
 from vcbf_drake.safety.ellipsoid import Ellipsoid, inscribed_ellipsoid
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.polytope import chebyshev_ball
@@ -29,8 +30,9 @@ class InscribedEllipsoidSolver:
 
     In normalised inputs v (see `InputSet`). Exact shortcuts come first. When the input
     set's own largest ellipsoid meets every row, it is the answer: the plateau. A row
-    with b_i > |a_i|_1 cuts nothing off the bounding box |v_j| <= 1. And an input of a
-    box that no other row mentions is an axis of the ellipsoid, of half-length 1.
+    with b_i > |a_i|_1 cuts nothing off the bounding box |v_j| <= 1. An input of a box
+    that no other row mentions is an axis of the ellipsoid, of half-length 1. And a box
+    that a single row cuts needs no solver, but the same certificate.
 
     Args:
         input_set: The inputs before any row cuts them.
@@ -119,7 +121,9 @@ class InscribedEllipsoidSolver:
             [self._A[own[:, None], cut], normals / length[:, None]]
         )
         block_b = np.concatenate([self._b[own], distance / length])
-        found: CertifiedEllipsoid | Ellipsoid | None = _fast(block_A, block_b)
+        is_cut_once = self._is_box and len(cutting) == 1
+        found: CertifiedEllipsoid | Ellipsoid | None
+        found = (_cut_once if is_cut_once else _fast)(block_A, block_b)
         if found is None or found.certified_gap > ACCEPTED_GAP:
             found = inscribed_ellipsoid(block_A, block_b)
         center, shape = self._free.center.copy(), self._free.shape.copy()
@@ -131,6 +135,13 @@ class InscribedEllipsoidSolver:
         return Ellipsoid(
             center, shape, found.log_det, multipliers, found.certified_gap, rows
         )
+
+
+def _cut_once(A: Array, b: Array) -> CertifiedEllipsoid | None:
+    """Finds the largest ellipsoid of a box cut by one row, the last."""
+    exact = box_cut_by_row(A[-1], float(b[-1])) if A.shape[1] > 1 else None
+    found = exact and polish(A, b, *exact, is_exact=True)
+    return found or _fast(A, b)
 
 
 def _fast(A: Array, b: Array) -> CertifiedEllipsoid | None:

@@ -1,0 +1,106 @@
+r"""The largest ellipsoid of a box cut by one row, in closed form but for one number.
+
+The box is |v_j| <= 1 and the row a'v <= b, all a_j > 0 (else mirror the axis). The
+optimality conditions (E42) leave the shape B^2 = (diag(delta) + theta a a')^-1, with
+theta the row's multiplier over its reach s = |B a| and delta_j the sum of those of
+v_j <= 1 and v_j >= -1 over B's reach sigma_j = |B e_j| along the axis. The row pushes
+the ellipsoid against every v_j >= -1, so that the centre is c_j = sigma_j - 1, and
+where v_j <= 1 does not touch, the multipliers' balance asks for a_j sigma_j = s. So
+
+    a_j sigma_j = p_j = min(a_j, s),      s + sum_j p_j = b + sum_j a_j,
+
+which is piecewise linear in s. In y_j = kappa a_j^2 / delta_j, with their sum pi and
+kappa = pi (1 - pi) / s^2, the reaches sigma_j and s say
+
+    y_j (1 - y_j) = kappa p_j^2,          sum_j y_j = pi,
+
+one equation for pi, and then B^2 is a multinomial covariance in coordinates a_j v_j,
+
+    B^2_ij = (y_i [i = j] - y_i y_j) / (kappa a_i a_j).
+
+The row's multiplier is pi / s, and those of -+v_j <= 1 are
+
+    a_j ((1 - y_j) / p_j +- pi / s) / 2.
+
+Source: ours.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from vcbf_drake.errors import Array
+
+# A row that mentions an input by less than this is left to the cone program.
+_LEAST_ENTRY = 1e-4
+
+
+def box_cut_by_row(a: Array, b: float) -> tuple[Array, Array, Array] | None:
+    """Returns the largest ellipsoid in ``{v : |v_j| <= 1, a v <= b}``; see the module.
+
+    Args:
+        a: The row, of unit length, shape (m,).
+        b: Its right-hand side, less than 1: the row cuts the unit ball.
+
+    Returns:
+        The center (m,), a frame F (m, m) with F F' = B^2, and the multipliers of
+        v <= 1, -v <= 1 and the row, (2 m + 1,); None where the form does not apply.
+    """
+    size = np.abs(a)
+    entries = size.tolist()
+    s = _reach(entries, b)
+    if min(entries) < _LEAST_ENTRY or s <= 0.0:
+        return None
+    p = np.minimum(size, s)
+    ratios = [min(entry / s, 1.0) ** 2 for entry in entries]
+    pi = _weight(ratios)
+    y = np.array([_small_root(q * pi * (1.0 - pi)) for q in ratios])
+    kappa = pi * (1.0 - pi) / (s * s)
+    covariance: Array = (np.diag(y) - np.outer(y, y)) / (kappa * np.outer(a, a))
+    towards, mean = a * (0.5 * pi / s), 0.5 * size * (1.0 - y) / p
+    multipliers = np.concatenate([mean - towards, mean + towards, (pi / s,)])
+    center = np.sign(a) * (p / size - 1.0)
+    frame = np.asarray(np.linalg.cholesky(covariance), dtype=float)
+    return center, frame, np.maximum(multipliers, 0.0)
+
+
+def _reach(entries: list[float], b: float) -> float:
+    """Solves s + sum_j min(a_j, s) = b + sum_j a_j."""
+    right, below = b + sum(entries), 0.0
+    for count, entry in enumerate(sorted(entries)):
+        s = (right - below) / (1 + len(entries) - count)
+        if s <= entry:
+            return s
+        below += entry
+    return right - below
+
+
+def _weight(ratios: list[float]) -> float:
+    """Solves sum_j y_j(pi) = pi for pi > 0, by Newton's method within a bracket.
+
+    Args:
+        ratios: (p_j / s)^2, at most 1; their sum is above 1.
+    """
+    # Where v_j <= 1 does not touch, y_j = 1 - pi is the smaller root: pi >= 1/2.
+    low, high = (0.5 if max(ratios) == 1.0 else 0.0), 1.0
+    pi = len(ratios) / (len(ratios) + 1.0)
+    for _ in range(60):
+        rest = pi * (1.0 - pi)
+        y = [_small_root(q * rest) for q in ratios]
+        excess = sum(y) - pi
+        slope = -1.0
+        for q, root in zip(ratios, y, strict=True):
+            slope += q * (1.0 - 2.0 * pi) / max(1.0 - 2.0 * root, 1e-12)
+        low, high = (pi, high) if excess > 0.0 else (low, pi)
+        step = -excess / slope if slope < 0.0 else math.inf
+        if abs(step) <= 1e-15 * pi:
+            break
+        pi = pi + step if low < pi + step < high else 0.5 * (low + high)
+    return pi
+
+
+def _small_root(product: float) -> float:
+    """The smaller root of y (1 - y) = product."""
+    return 2.0 * product / (1.0 + math.sqrt(max(1.0 - 4.0 * product, 0.0)))
