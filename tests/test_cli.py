@@ -146,6 +146,7 @@ def test_list_shows_each_scenario_on_a_line() -> None:
         "blimp-multiple-obstacles",
         "blimp-single-obstacle",
         "car-avoidance",
+        "car-sensitivity",
     ]
     assert all("  " in line and len(line) <= 80 for line in lines)
 
