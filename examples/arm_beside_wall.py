@@ -76,7 +76,6 @@ def main() -> None:
         builder,
         plant=arm,
         input_port="actuation",
-        state=arm.get_state_output_port(),
         reference=nominal.get_output_port_control(),
         barriers=[
             wall.barrier([14.0, 48.0], position=hand, name="wall"),

@@ -230,7 +230,6 @@ def test_a_discrete_plant_is_filtered_with_its_continuous_twins_model():
         plant=plant,
         model=ControlAffineModel.from_system(twin, "actuation"),
         input_port="actuation",
-        state=plant.get_state_output_port(),
         reference=idle.get_output_port(),
         barriers=[wall.barrier([20.0, 100.0], position=hand)],
         input_set=InputSet.box([-80.0, -40.0], [80.0, 40.0]),

@@ -156,7 +156,9 @@ def _affine_parts(dynamics: SymbolicDynamics) -> Expressions:
         if row is None:
             raise ModelError(
                 f"{dynamics.name}: the derivative of {state} is not affine in the"
-                " input and the disturbance"
+                " input and the disturbance; choose a port behind what is not, and"
+                " give limits to the InputSet (a MultibodyPlant in a Diagram drops its"
+                " own by RemoveAllJointActuatorEffortLimits)"
             )
     return np.array(rows)
 

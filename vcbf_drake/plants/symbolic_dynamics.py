@@ -171,7 +171,10 @@ def _to_symbolic(system: System, name: str) -> System:
     try:
         symbolic = system.ToSymbolic()
     except RuntimeError as error:
-        raise ModelError(f"{name}: it does not convert to symbolic: {error}") from error
+        raise ModelError(
+            f"{name}: it does not convert to symbolic; write it as a template of its"
+            f" scalar type (pydrake's TemplateSystem): {error}"
+        ) from error
     for actuator in _actuators(symbolic):
         actuator.set_effort_limit(np.inf)  # A clamped input is not affine.
     return symbolic
