@@ -57,6 +57,7 @@ OneOfEverything:
       times: [0.0, 1.0, 3.0, 6.0]
       values: [[0.0], [0.1], [-0.1], [0.0]]
   observer:
+    period: 0.025
     alpha: 4.0
     beta: 5.0
     gamma: 3.0
@@ -378,6 +379,8 @@ REFUSED = [
     ("{input_set: {lower: [0, 0, 1]}}", "input_set.lower[2]", "below upper"),
     ("{input_set: {A: [[1, 0, 0]], b: [-9]}}", "input_set", "is empty"),
     ("{period: 30}", "period", "at most the duration, 20 s"),
+    ("{observer: {period: 1}}", "observer.period", "at most the control period"),
+    ("{observer: {period: -1}}", "observer.period", "not below 0"),
     (
         "{controller: !CarControllerParameters {}}",
         "controller",

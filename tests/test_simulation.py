@@ -311,3 +311,19 @@ def test_assumptions_that_fail_are_reported_as_such(overrides, name):
     ]
     assert any(a.name.startswith(name) for a in broken)
     assert all(a.consequence for a in broken)
+
+
+def test_observer_may_run_faster_than_the_controller():
+    """The explicit step's chatter grows with the root of its own period (E36)."""
+    errors = []
+    for period in (0.02, 0.002):
+        observer = {"step": "explicit", "period": period}
+        scenario = load_scenario(
+            "blimp-multiple-obstacles", {"observer": observer, "duration": 2.0}
+        )
+        log = simulate(scenario).log
+        assert len(log["time"]) == 101  # One row a control tick all the same.
+        settled = log["time"] > 1.0
+        error = log["disturbance"] - log["disturbance_estimate"]
+        errors.append(np.linalg.norm(error, axis=1)[settled].max())
+    assert errors[0] / errors[1] == pytest.approx(np.sqrt(10.0), rel=0.3)

@@ -166,7 +166,8 @@ def measurement_noise(scenario: Scenario, model: ControlAffineModel) -> float:
 def _observer(
     scenario: Scenario, model: ControlAffineModel, source: DisturbanceSource
 ) -> DisturbanceObserver:
-    settings, period, bounds = scenario.observer, scenario.period, source.bounds
+    settings, bounds = scenario.observer, source.bounds
+    period = settings.period or scenario.period
     if METHODS[scenario.method].observer == "linear":
         return LinearDisturbanceObserver(
             model, period, bounds, rate=settings.linear_rate

@@ -82,6 +82,8 @@ class Observer:
     gamma: float = 4.0
     # How one sampled step is taken: implicit (E40), saturated (E38), explicit (E36).
     step: str = "implicit"
+    # Time between its steps, at most the control period [s]; 0 means that one.
+    period: float = 0.0
     # Where the saturated step's sign function becomes linear [m/s].
     boundary_layer: float = 0.05
     # Rate of the first-order observer of method wang-xu-dob-cbf-qp [1/s].

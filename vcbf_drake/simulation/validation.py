@@ -110,6 +110,7 @@ _POSITIVE = {
 _NON_NEGATIVE = {
     Integrator: {"max_step"},
     MeasurementNoise: {"std", "seed"},
+    Observer: {"period"},
     Obstacle: {"margin"},
 }
 
@@ -258,6 +259,12 @@ def _check_period(scenario: Scenario) -> None:
         ("period",),
         scenario.period,
         f"at most the duration, {scenario.duration:g} s",
+    )
+    _require(
+        scenario.observer.period <= scenario.period,
+        ("observer", "period"),
+        scenario.observer.period,
+        f"at most the control period, {scenario.period:g} s",
     )
 
 
