@@ -80,7 +80,7 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> list[Scenario]:
     """Replaces the simulation in this process; collects the scenarios run."""
     scenarios: list[Scenario] = []
 
-    def simulate(scenario: Scenario) -> SimpleNamespace:
+    def simulate(scenario: Scenario, step_time: bool) -> SimpleNamespace:
         scenarios.append(scenario)
         return SimpleNamespace(summary=stand_in_summary(scenario))
 
@@ -287,7 +287,7 @@ def test_an_interrupted_study_keeps_what_is_done(
     run_study(trials, tmp_path / "undisturbed.jsonl")
     path = tmp_path / "trials.jsonl"
 
-    def interrupt(scenario: Scenario) -> SimpleNamespace:
+    def interrupt(scenario: Scenario, step_time: bool) -> SimpleNamespace:
         if scenario.method == "dob-vcbf-qp":
             raise KeyboardInterrupt
         return SimpleNamespace(summary=stand_in_summary(scenario))
@@ -585,7 +585,7 @@ def test_the_command_writes_everything(
 def test_the_command_shows_what_to_run_again(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def simulate(scenario: Scenario) -> SimpleNamespace:
+    def simulate(scenario: Scenario, step_time: bool) -> SimpleNamespace:
         if scenario.method == "cbf-qp":
             raise RuntimeError("broken")
         found = stand_in_summary(scenario)

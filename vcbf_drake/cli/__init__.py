@@ -10,6 +10,7 @@ from typing import Any
 from vcbf_drake.cli.application import app
 from vcbf_drake.cli.bench import bench
 from vcbf_drake.cli.monte_carlo import monte_carlo
+from vcbf_drake.cli.reproduce import reproduce
 from vcbf_drake.cli.simulations import check, compare, diagram, list_scenarios, run
 
 _COMMANDS: dict[str, Callable[..., Any]] = {
@@ -19,6 +20,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "check": check,
     "diagram": diagram,
     "monte-carlo": monte_carlo,
+    "reproduce": reproduce,
     "bench": bench,
 }
 

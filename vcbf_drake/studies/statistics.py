@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+import math
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ _Pair = tuple[Trial, Record, Record]
 
 _BLOCKS, _BLOCK = 100, 100  # Resamples, in blocks that fit in memory.
 _CONFIDENCE = 0.95
+_NORMAL_QUANTILE = 1.959964  # Of the standard normal distribution, at 0.975.
 
 
 def summarise_study(trials: Sequence[Trial], records: Sequence[Record]) -> Record:
@@ -38,7 +40,7 @@ def summarise_study(trials: Sequence[Trial], records: Sequence[Record]) -> Recor
     """
     methods = list(dict.fromkeys(trial.method for trial in trials))
     return {
-        "methods": {name: _summarise_method(name, records) for name in methods},
+        "methods": {name: summarise_method(name, records) for name in methods},
         "comparisons": [
             _compare(methods[0], name, trials, records) for name in methods[1:]
         ],
@@ -75,7 +77,29 @@ def mean_interval(values: Sequence[float]) -> Interval | None:
     return float(low), float(high)
 
 
-def _summarise_method(method: str, records: Sequence[Record]) -> Record:
+def share_interval(count: int, total: int) -> Interval | None:
+    """Returns Wilson's 95 % confidence interval of a share, None for a total of 0.
+
+    Args:
+        count: In how many.
+        total: Of how many.
+    """
+    if total == 0:
+        return None
+    share, z2 = count / total, _NORMAL_QUANTILE**2
+    center = (share + z2 / (2 * total)) / (1 + z2 / total)
+    spread = math.sqrt(share * (1 - share) / total + z2 / (4 * total**2))
+    half_width = _NORMAL_QUANTILE / (1 + z2 / total) * spread
+    return max(0.0, center - half_width), min(1.0, center + half_width)
+
+
+def summarise_method(method: str, records: Sequence[Record]) -> Record:
+    """Returns a method's part of `summarise_study`.
+
+    Args:
+        method: The method.
+        records: The records of a study.
+    """
     own = [record for record in records if record["method"] == method]
     times = [r["running_time"] for r in own if r["error"] is None]
     return {

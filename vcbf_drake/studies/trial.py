@@ -11,7 +11,7 @@ from vcbf_drake.simulation.run import simulate
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.scenario_file import load_scenario, merge_overrides
 from vcbf_drake.simulation.validation import validate
-from vcbf_drake.studies.variation import Variation
+from vcbf_drake.studies.variation import Courses, Variation
 
 Record = dict[str, Any]
 
@@ -43,7 +43,7 @@ class Trial:
     method: str
     index: int
     seed: int = 0
-    variation: Variation = field(default_factory=Variation)
+    variation: Variation | Courses = field(default_factory=Variation)
     overrides: str = ""
 
     @property
@@ -95,7 +95,7 @@ def run_trial(trial: Trial) -> Record:
     """
     try:
         scenario = trial.load()
-        summary = simulate(scenario).summary
+        summary = simulate(scenario, step_time=False).summary
     except Exception as error:
         return error_record(trial, f"{type(error).__name__}: {error}")
     numbers = {name: _finite(summary[name]) for name in _NUMBERS}

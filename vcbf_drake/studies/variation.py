@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.studies.blimp_courses import blimp_course
+from vcbf_drake.studies.car_courses import car_course
 
 Range = tuple[float, float]
 
@@ -53,6 +56,32 @@ class Variation:
             overrides["observer"] = gains
         return overrides
 
+
+@dataclass(frozen=True)
+class Courses:
+    """Random courses in place of the scenario's own.
+
+    Attributes:
+        name: What results call them.
+        course: Returns the course of a seed, as overrides of the scenario.
+    """
+
+    name: str
+    course: Callable[[int], dict[str, Any]]
+
+    def draw(self, scenario: Scenario, seed: int, index: int) -> dict[str, Any]:
+        """Returns a course; the index alone is its seed.
+
+        Args:
+            scenario: The scenario whose course is replaced.
+            seed: The study's seed; a course is the same in all studies.
+            index: Which course.
+        """
+        return self.course(index)
+
+
+BLIMP_COURSES = Courses("blimp-courses", blimp_course)
+CAR_COURSES = Courses("car-courses", car_course)
 
 # The two cases of the paper's Table I; its distribution is not given, uniform is ours.
 TABLE_I = {

@@ -28,7 +28,7 @@ def run_in_processes(trials: Iterable[Trial], workers: int) -> Iterator[Record]:
     while waiting:
         running: dict[Future[Record], Trial] = {}
         try:
-            with _new_pool(workers) as pool:
+            with new_pool(workers) as pool:
                 while waiting or running:
                     while waiting and len(running) < workers:
                         running[pool.submit(run_trial, waiting[0])] = waiting[0]
@@ -44,14 +44,19 @@ def run_in_processes(trials: Iterable[Trial], workers: int) -> Iterator[Record]:
 
 
 def _run_alone(trial: Trial) -> Record:
-    with _new_pool(1) as pool:
+    with new_pool(1) as pool:
         try:
             return pool.submit(run_trial, trial).result()
         except BrokenProcessPool:
             return error_record(trial, "its process died, twice")
 
 
-def _new_pool(workers: int) -> ProcessPoolExecutor:
+def new_pool(workers: int) -> ProcessPoolExecutor:
+    """Returns worker processes that end with this one.
+
+    Args:
+        workers: How many.
+    """
     # A forked process would share the threads' locks of solvers and of Meshcat.
     return ProcessPoolExecutor(
         workers, multiprocessing.get_context("spawn"), _end_with_parent
