@@ -56,12 +56,19 @@ def situations(draw, entries):
     return rows, row, reference, held
 
 
-def decide(situation, input_set, exact_slack, policy):
+def decide(situation, input_set, exact_slack, policy, *more_volume_rows):
     rows, row, reference, held = situation
+    volume_rows = [*([] if row is None else [row]), *more_volume_rows]
     with np.errstate(over="ignore", invalid="ignore"):
         feasible = feasible_set(input_set, rows, DisturbanceKnowledge.constant(1, 0.0))
         decision = choose_input(
-            feasible, row, reference, held, input_set, exact_slack, policy
+            feasible,
+            volume_rows,
+            reference,
+            held,
+            input_set,
+            exact_slack,
+            policy,
         )
     return feasible, decision
 
@@ -99,3 +106,19 @@ def test_the_status_is_true(situation, input_set):
         assert violation <= 1e-7
     if decision.status == FilterStatus.REFERENCE:
         assert np.array_equal(decision.input, situation[2])
+
+
+halves = st.integers(-4, 4).map(lambda i: i / 2.0)
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(situations(halves), arrays(float, 3, elements=halves), st.floats(-5.0, 5.0))
+def test_a_second_volume_row_takes_nothing_from_the_first(situation, a, c):
+    _, alone = decide(situation, BOX, True, "stop")
+    second = VolumeRow(a, c, 1e3)
+    _, both = decide(situation, BOX, True, "stop", second)
+    if situation[1] is None or alone.status == FilterStatus.INFEASIBLE:
+        return
+    assert both.status != FilterStatus.FAILED
+    first = situation[1]
+    assert first.a @ both.input - first.c <= -alone.slack + 1e-6

@@ -142,6 +142,7 @@ def test_summary_has_the_public_keys(demo):
     keys = {
         "scenario", "method", "fidelity", "outcome", "running_time", "reached_at",
         "infeasible_at", "collided_at", "conflict", "min_barrier", "min_volume",
+        "volume_measure",
         "max_abs_slack", "slack_active_fraction", "failed_ticks", "final_distance",
         "rows_without_authority",
         "assumptions", "step_cpu_ms", "real_time_factor",

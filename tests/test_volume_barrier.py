@@ -9,7 +9,8 @@ import pytest
 
 from vcbf_drake import Blimp, ControlAffineModel, InputSet, SphereObstacle
 from vcbf_drake.barriers import BarrierSet
-from vcbf_drake.safety import DisturbanceKnowledge, VolumeBarrier, inscribed_ellipsoid
+from vcbf_drake.safety import DisturbanceKnowledge, VolumeBarrier
+from vcbf_drake.safety.feasibility_measure import EllipsoidVolume
 from vcbf_drake.safety.feasible_set import feasible_set
 from vcbf_drake.safety.volume_barrier import volume, volume_row
 from vcbf_drake.simulation import load_scenario, make_loop
@@ -59,8 +60,9 @@ def drake_volume(barriers, state, time, known):
 
 def evaluate(barriers, state, time, known):
     feasible = feasible_set(INPUTS, barriers.rows(state, time), known)
-    ellipsoid = inscribed_ellipsoid(feasible.A_v, feasible.b_v)
-    return volume(ellipsoid, feasible, INPUTS, THRESHOLD)
+    k = feasible.num_input_rows
+    measured = EllipsoidVolume(INPUTS, THRESHOLD)(feasible.A_v[k:], feasible.b_v[k:])
+    return volume(measured, feasible, INPUTS)
 
 
 def situations(barriers, count):

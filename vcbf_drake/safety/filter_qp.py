@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Literal
@@ -68,7 +69,8 @@ class FilterDecision:
     Attributes:
         input: Shape (m,).
         status: How it was found.
-        slack: delta of (E24): how far the volume row gave way, 0 when it did not.
+        slack: delta of (E24): how far the volume row gave way, 0 when it did not; of
+            several rows, the one that gave way most.
         conflict: When infeasible, rows of the feasible set that exclude each other.
     """
 
@@ -80,7 +82,7 @@ class FilterDecision:
 
 def choose_input(
     feasible: FeasibleSet,
-    volume_row: VolumeRow | None,
+    volume_rows: Sequence[VolumeRow],
     reference: Array,
     held_input: Array,
     input_set: InputSet,
@@ -89,40 +91,40 @@ def choose_input(
 ) -> FilterDecision:
     """Returns the feasible input nearest to the reference, (E19) or (E24), (E25).
 
-    With the exact slack the volume row is hard and gives way, by as little as possible,
-    only when no input satisfies it together with the other rows; without, it has the
-    printed penalty M delta^2.
+    With the exact slack volume rows are hard and give way, by as little as possible,
+    only when no input satisfies them together with the other rows; without, they have
+    the printed penalty M delta^2.
 
     Args:
         feasible: Input limits and barrier rows.
-        volume_row: The volume barrier's row; None leaves it out.
+        volume_rows: The volume barrier's rows, the one that gives way last first.
         reference: The controller's input, shape (m,).
         held_input: The input applied now, shape (m,); for the fallbacks.
         input_set: The inputs the actuators can produce.
-        exact_slack: How the volume row may give way.
+        exact_slack: How the volume rows may give way.
         policy: What to apply when the barrier rows have no solution.
     """
     if not (feasible.is_finite and np.isfinite(reference).all()):
         return FilterDecision(input_set.project(held_input), FilterStatus.FAILED)
     A, b = feasible.A_v[feasible.cutting], feasible.b_v[feasible.cutting]
-    row = None if volume_row is None else volume_row.normalised(input_set)
-    if row is not None and row.c >= np.abs(row.a).sum():
-        row = None  # It holds on the whole bounding box.
+    rows = [row.normalised(input_set) for row in volume_rows]
+    # The others hold on the whole bounding box.
+    rows = [row for row in rows if row.c < np.abs(row.a).sum()]
     v_reference = (reference - input_set.center) / input_set.scale
     if np.abs(v_reference).max() > _FARTHEST_REFERENCE:
         v_reference = v_reference.clip(-_FARTHEST_REFERENCE, _FARTHEST_REFERENCE)
-    if (A @ v_reference <= b).all() and _holds(row, v_reference):
+    if (A @ v_reference <= b).all() and _hold(rows, v_reference):
         return FilterDecision(reference, FilterStatus.REFERENCE)
     slack, status = 0.0, FilterStatus.FILTERED
     v = np.minimum(np.maximum(v_reference, -1.0), 1.0)
     # The nearest point of the bounding box is the nearest of all if the rows allow it.
-    if not ((A @ v <= b).all() and _holds(row, v)):
+    if not ((A @ v <= b).all() and _hold(rows, v)):
         try:
-            if row is None:
+            if not rows:
                 v = _hard(A, b, v_reference)
             else:
                 solve = _hard_first if exact_slack else _with_penalty
-                v, slack, status = solve(A, b, row, v_reference)
+                v, slack, status = solve(A, b, rows, v_reference)
         except EmptySetError:
             return _infeasible(feasible, v_reference, held_input, input_set, policy)
         except (SolverError, LinAlgError):
@@ -131,8 +133,8 @@ def choose_input(
     return FilterDecision(u, status, slack)
 
 
-def _holds(row: VolumeRow | None, v: Array) -> bool:
-    return row is None or bool(row.a @ v <= row.c)
+def _hold(rows: Sequence[VolumeRow], v: Array) -> bool:
+    return all(row.a @ v <= row.c for row in rows)
 
 
 def _hard(A: Array, b: Array, reference: Array) -> Array:
@@ -142,34 +144,52 @@ def _hard(A: Array, b: Array, reference: Array) -> Array:
 _Solution = tuple[Array, float, FilterStatus]
 
 
-def _hard_first(A: Array, b: Array, row: VolumeRow, reference: Array) -> _Solution:
-    """The volume row as a constraint; relaxed only where it leaves nothing (E25)."""
-    all_A, all_b = np.concatenate([A, row.a[None]]), np.concatenate([b, (row.c,)])
+def _hard_first(
+    A: Array, b: Array, rows: Sequence[VolumeRow], reference: Array
+) -> _Solution:
+    """The volume rows as constraints; relaxed only where they leave nothing (E25).
+
+    With several, each in its turn gives way by the least that those before it allow.
+    """
+    all_A = np.concatenate([A, [row.a for row in rows]])
+    all_b = np.concatenate([b, [row.c for row in rows]])
     try:
         return _hard(all_A, all_b, reference), 0.0, FilterStatus.FILTERED
-    except EmptySetError:
-        v = _hard(A, b, reference)  # Empty without it too?
-    if np.any(row.a):
-        v = minimise_linear(row.a, A, b)
-        all_b[-1] = row.a @ v + _OPENING * (1.0 + abs(row.c))
-        try:
-            v = _hard(all_A, all_b, reference)
-        except (EmptySetError, SolverError):
-            pass  # The linear program's own minimiser is a solution too.
-    return v, min(0.0, row.c - float(row.a @ v)), FilterStatus.RELAXED
+    except (EmptySetError, SolverError):
+        v = _hard(A, b, reference)  # Empty without them too?
+    for i, row in enumerate(rows, start=len(b)):
+        if row.a.any():
+            v = minimise_linear(row.a, all_A[:i], all_b[:i])
+        least = float(row.a @ v)
+        all_b[i] = max(row.c, least + _OPENING * (1.0 + abs(row.c)))
+    try:
+        v = _hard(all_A, all_b, reference)
+    except (EmptySetError, SolverError):
+        pass  # The last linear program's own minimiser is a solution too.
+    slack = min(0.0, *(row.c - float(row.a @ v) for row in rows))
+    return v, slack, FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
 
 
-def _with_penalty(A: Array, b: Array, row: VolumeRow, reference: Array) -> _Solution:
-    """The volume row with the free slack delta at the cost M delta^2 (E24).
+def _with_penalty(
+    A: Array, b: Array, rows: Sequence[VolumeRow], reference: Array
+) -> _Solution:
+    """Each volume row with its free slack delta at the cost M delta^2 (E24).
 
     In the variables (v, sqrt(M) delta) the cost is a distance again.
     """
-    root = float(np.sqrt(row.slack_penalty))
-    all_A = np.block([[A, np.zeros((len(b), 1))], [row.a, 1.0 / root]])
-    solution = _hard(all_A, np.append(b, row.c), np.append(reference, 0.0))
-    slack = float(solution[-1]) / root
+    k, root = len(rows), np.sqrt([row.slack_penalty for row in rows])
+    all_A = np.block(
+        [
+            [A, np.zeros((len(b), k))],
+            [np.array([row.a for row in rows]), np.diag(1.0 / root)],
+        ]
+    )
+    all_b = np.append(b, [row.c for row in rows])
+    solution = _hard(all_A, all_b, np.append(reference, np.zeros(k)))
+    v, slacks = solution[:-k], solution[-k:] / root
+    slack = float(slacks.min())
     status = FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
-    return solution[:-1], slack, status
+    return v, slack, status
 
 
 def _infeasible(

@@ -19,10 +19,12 @@ from pydrake.systems.framework import (
 
 from vcbf_drake.barriers import Barrier, BarrierSet, StateInputLimit
 from vcbf_drake.disturbances import observer_ports
-from vcbf_drake.errors import Array, EmptySetError, SolverError
+from vcbf_drake.errors import Array, SolverError, VcbfError
 from vcbf_drake.plants import ControlAffineModel
 from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
+from vcbf_drake.safety.ellipsoid import Ellipsoid
 from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver
+from vcbf_drake.safety.feasibility_measure import FeasibilityMeasure
 from vcbf_drake.safety.feasible_set import (
     DisturbanceKnowledge,
     FeasibleSet,
@@ -92,7 +94,7 @@ class SafetyFilter(LeafSystem):
     | ``held_input`` | m | the input applied now; read by the fallbacks only |
     | ``obstacles`` | | what is perceived now: see `PerceivedSpheres` |
     | ``input`` | m | finite and inside the input set, always |
-    | ``volume`` | 1 | V_v of (E21); -threshold when the set is empty, nan on failure |
+    | ``volume`` | 1 | V_v, what the volume row keeps positive; nan on failure |
     | ``slack`` | 1 | delta of (E24), at most 0; 0 unless the volume row gave way |
     | ``barriers`` | N | h_i; nan for a state-dependent input limit or an empty slot |
     | ``authority`` | N | how far the inputs move each row; 0 when not at all (R33) |
@@ -171,6 +173,8 @@ class SafetyFilter(LeafSystem):
         self._estimate_gain = estimate_gain
         self._hold_margin = hold_margin
         self._weights = _checked_weights(violation_weights, len(self.barriers))
+        self._measure = self.volume_barrier.feasibility_measure(input_set)
+        self._guard = self.volume_barrier.guard_measure(input_set)
         self._ellipsoid_solver = InscribedEllipsoidSolver(input_set)
         self._declare_inputs()
         self._declare_cache_entries()
@@ -204,13 +208,18 @@ class SafetyFilter(LeafSystem):
         self._volume_entry = self._entry(
             "volume", self._calc_volume, {self._feasible_entry.ticket()}
         )
+        self._guard_entry = self._volume_entry
+        if self._guard is not None:
+            self._guard_entry = self._entry(
+                "guard", self._calc_guard, {self._feasible_entry.ticket()}
+            )
         needs = {
             self._feasible_entry.ticket(),
             self._reference.ticket(),
             self._held_input.ticket(),
         }
         if self.method.volume:
-            needs.add(self._volume_entry.ticket())
+            needs |= {self._volume_entry.ticket(), self._guard_entry.ticket()}
         self._decision_entry = self._entry("decision", self._calc_decision, needs)
 
     def _entry(
@@ -252,6 +261,7 @@ class SafetyFilter(LeafSystem):
             n_rows * (m + 1) + m * (m + 1),
             self._calc_packed_feasible_set,
             self._volume_entry,
+            self._guard_entry,
         )
 
     def _output(
@@ -259,12 +269,13 @@ class SafetyFilter(LeafSystem):
         name: str,
         size: int,
         calc: Callable[[Context], object],
-        entry: CacheEntry,
+        *entries: CacheEntry,
     ) -> OutputPort:
         def write(context: Context, output: BasicVector) -> None:
             output.SetFromVector(calc(context))
 
-        return self.DeclareVectorOutputPort(name, size, write, {entry.ticket()})
+        needs = {entry.ticket() for entry in entries}
+        return self.DeclareVectorOutputPort(name, size, write, needs)
 
     @property
     def num_rows(self) -> int:
@@ -321,20 +332,36 @@ class SafetyFilter(LeafSystem):
         )
 
     def _calc_volume(self, context: Context) -> Volume | None:
+        return self._measured(self._measure, context)
+
+    def _calc_guard(self, context: Context) -> Volume | None:
+        return self._measured(self._guard, context)
+
+    def _measured(
+        self, measure: FeasibilityMeasure | None, context: Context
+    ) -> Volume | None:
         feasible = self.feasible_set(context)
-        if not feasible.is_finite:
+        if measure is None or not feasible.is_finite:
             return None
-        threshold = self.volume_barrier.threshold
         k = feasible.num_input_rows
         try:
-            ellipsoid = self._ellipsoid_solver.solve(feasible.A_v[k:], feasible.b_v[k:])
-        except EmptySetError:
-            return Volume.vanished(
-                self.model.num_states, self.model.num_disturbances, threshold
-            )
+            measured = measure(feasible.A_v[k:], feasible.b_v[k:])
         except (SolverError, np.linalg.LinAlgError):
             return None
-        return volume(ellipsoid, feasible, self.input_set, threshold)
+        return volume(measured, feasible, self.input_set)
+
+    def _ellipsoid(self, context: Context) -> Ellipsoid | None:
+        """Of the set as it is, whatever is measured; found for whoever looks."""
+        for entry in (self._volume_entry, self._guard_entry):
+            v: Volume | None = entry.Eval(context)
+            if v is not None and v.ellipsoid is not None:
+                return v.ellipsoid
+        feasible = self.feasible_set(context)
+        k = feasible.num_input_rows
+        try:
+            return self._ellipsoid_solver.solve(feasible.A_v[k:], feasible.b_v[k:])
+        except (VcbfError, ValueError, np.linalg.LinAlgError):
+            return None  # Empty, or not finite.
 
     def _calc_decision(self, context: Context) -> FilterDecision:
         reference = self._reference.Eval(context)
@@ -343,14 +370,10 @@ class SafetyFilter(LeafSystem):
             if self._held_input.HasValue(context)
             else np.zeros(self.model.num_inputs)
         )
-        row, failed = None, False
-        if self.method.volume:
-            v = self.volume(context)
-            failed = v is None
-            row = None if v is None else self._volume_row(context, v)
+        rows, failed = self._volume_rows(context)
         decision = choose_input(
             self.feasible_set(context),
-            row,
+            rows,
             reference,
             held,
             self.input_set,
@@ -361,9 +384,21 @@ class SafetyFilter(LeafSystem):
             return FilterDecision(decision.input, FilterStatus.FAILED)
         return decision
 
-    def _volume_row(self, context: Context, v: Volume) -> VolumeRow | None:
-        if v.is_on_plateau and v.value >= 0.0:
-            return None  # The row would be 0 <= lambda_Vv V_v.
+    def _volume_rows(self, context: Context) -> tuple[list[VolumeRow], bool]:
+        """The rows that act, the guard's first, and whether one could not be found."""
+        barrier, measured = self.volume_barrier, []
+        if self.method.volume and self._guard is not None:
+            measured.append((self._guard_entry.Eval(context), barrier.guard_gain))
+        if self.method.volume:
+            measured.append((self.volume(context), barrier.gain))
+        rows = [
+            self._volume_row(context, v, gain)
+            for v, gain in measured
+            if v is not None and not v.is_on_plateau  # Else 0 <= lambda_Vv V_v.
+        ]
+        return rows, any(v is None for v, _ in measured)
+
+    def _volume_row(self, context: Context, v: Volume, gain: float) -> VolumeRow:
         drift, input_matrix = self.model.drift_and_input_matrix(
             self._state.Eval(context)
         )
@@ -373,7 +408,7 @@ class SafetyFilter(LeafSystem):
             input_matrix,
             self.model.disturbance_matrix,
             self.feasible_set(context).known,
-            self.volume_barrier.gain,
+            gain,
             self.corrections.total_derivative,
         )
         return VolumeRow(a, c, self.volume_barrier.slack_penalty)
@@ -383,13 +418,13 @@ class SafetyFilter(LeafSystem):
         return [np.nan if v is None else v.value]
 
     def _calc_packed_feasible_set(self, context: Context) -> Array:
-        feasible, v = self.feasible_set(context), self.volume(context)
-        m = self.model.num_inputs
+        feasible = self.feasible_set(context)
+        ellipsoid, m = self._ellipsoid(context), self.model.num_inputs
         frame, center = np.full((m, m), np.nan), np.full(m, np.nan)
-        if v is not None and v.ellipsoid is not None:
+        if ellipsoid is not None:
             scale = self.input_set.scale
-            frame = scale[:, None] * v.ellipsoid.shape
-            center = self.input_set.center + scale * v.ellipsoid.center
+            frame = scale[:, None] * ellipsoid.shape
+            center = self.input_set.center + scale * ellipsoid.center
         return pack_feasible_set(feasible.A, feasible.b, frame, center)
 
 

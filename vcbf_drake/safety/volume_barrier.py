@@ -9,34 +9,93 @@ import numpy as np
 
 from vcbf_drake.errors import Array
 from vcbf_drake.safety.ellipsoid import Ellipsoid
+from vcbf_drake.safety.feasibility_measure import (
+    MEASURES,
+    FeasibilityMeasure,
+    Measurement,
+)
 from vcbf_drake.safety.feasible_set import DisturbanceKnowledge, FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
+
+NO_GUARD = "none"
 
 
 @dataclass
 class VolumeBarrier:
-    """The barrier V_v = det B - threshold on the largest ellipsoid of inputs (E21).
+    """The barrier V_v = measure - threshold on the room that rows leave the inputs.
 
-    B is the ellipsoid's shape in normalised inputs, so det B = 1 for a box that no
-    barrier cuts, whatever the units of the inputs.
+    By default the paper's: V_v = det B - xi of the largest ellipsoid of inputs (E21),
+    with B in normalised inputs, so that det B = 1 for a box that no barrier cuts,
+    whatever the units of the inputs. Which measure to take for what is in
+    docs/feasibility_measures.md.
 
     Attributes:
         threshold: xi, the part of the free volume that must remain.
         gain: lambda_Vv, how fast V_v may decrease towards zero [1/s].
         slack_penalty: M, the weight of the squared slack; unused with the exact slack.
+        measure: One of `MEASURES`.
+        widening: kappa >= 1: the input set is taken this many times as wide, so that
+            rows are felt before they cut it (E58).
+        guard: A second measure, of the set as it is: one of `MEASURES`, or ``none``.
+            Its row gives way last.
+        guard_gain: How fast the guard may decrease towards zero [1/s].
     """
 
     threshold: float = 0.02
     gain: float = 3.0
     slack_penalty: float = 1000.0
+    measure: str = "volume"
+    widening: float = 1.0
+    guard: str = "none"
+    guard_gain: float = 3.0
 
     def __post_init__(self) -> None:
-        for name in ("threshold", "gain", "slack_penalty"):
+        for name in ("threshold", "gain", "slack_penalty", "guard_gain"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
                 raise ValueError(
                     f"VolumeBarrier.{name}: got {value}; must be positive and finite"
                 )
+        if not (np.isfinite(self.widening) and self.widening >= 1.0):
+            raise ValueError(
+                f"VolumeBarrier.widening: got {self.widening}; must be at least 1"
+            )
+        for name, allowed in (
+            ("measure", [*MEASURES]),
+            ("guard", [NO_GUARD, *MEASURES]),
+        ):
+            value = getattr(self, name)
+            if value not in allowed:
+                raise ValueError(
+                    f"VolumeBarrier.{name}: got {value!r};"
+                    f" allowed: {', '.join(allowed)}"
+                )
+
+    @property
+    def label(self) -> str:
+        """What V_v measures, in a few words, for summaries and figures."""
+        words = self.measure.replace("_", " ")
+        if self.widening == 1.0:
+            return words
+        return f"{words}, inputs x {self.widening:g}"
+
+    def feasibility_measure(self, input_set: InputSet) -> FeasibilityMeasure:
+        """Returns what the volume row keeps positive.
+
+        Raises:
+            ValueError: The measure is not defined for that many inputs.
+        """
+        return MEASURES[self.measure](input_set, self.threshold, self.widening)
+
+    def guard_measure(self, input_set: InputSet) -> FeasibilityMeasure | None:
+        """Returns what the guard row keeps positive, if there is one.
+
+        Raises:
+            ValueError: The measure is not defined for that many inputs.
+        """
+        if self.guard == NO_GUARD:
+            return None
+        return MEASURES[self.guard](input_set, self.threshold)
 
 
 @dataclass(frozen=True)
@@ -44,8 +103,9 @@ class Volume:
     """V_v at one tick and its partial derivatives (E44), in normalised inputs.
 
     Attributes:
-        value: V_v = det B - threshold.
-        ellipsoid: The ellipsoid in normalised inputs; None when the set is empty.
+        value: V_v, the measure minus its threshold.
+        ellipsoid: The largest ellipsoid of the set, in normalised inputs; None when the
+            set is empty or the measure needs no ellipsoid of it.
         state: dV_v/dx, shape (n,).
         time: dV_v/dt with state, estimate and bound held [1/s].
         estimate: dV_v/d(estimate), shape (q,).
@@ -59,23 +119,11 @@ class Volume:
     estimate: Array
     bound: float
 
-    @staticmethod
-    def vanished(num_states: int, num_disturbances: int, threshold: float) -> Volume:
-        """Returns V_v of an empty set: no volume, and no direction to regain it."""
-        return Volume(
-            value=-threshold,
-            ellipsoid=None,
-            state=np.zeros(num_states),
-            time=0.0,
-            estimate=np.zeros(num_disturbances),
-            bound=0.0,
-        )
-
     @property
     def is_on_plateau(self) -> bool:
-        """Whether no barrier touches the ellipsoid, so that V_v has no gradient."""
+        """Whether there is room, and no row that touches it and could take it away."""
         moving = self.state.any() or self.time or self.estimate.any() or self.bound
-        return self.ellipsoid is not None and not moving
+        return self.value >= 0.0 and not moving
 
     def rate(
         self, state_rate: Array, known: DisturbanceKnowledge, disturbance: Array
@@ -96,43 +144,34 @@ class Volume:
         )
 
 
-def volume(
-    ellipsoid: Ellipsoid,
-    feasible: FeasibleSet,
-    input_set: InputSet,
-    threshold: float,
-) -> Volume:
-    """Returns V_v and its partial derivatives by the envelope theorem (E43), (E44).
+def volume(measured: Measurement, feasible: FeasibleSet, input_set: InputSet) -> Volume:
+    """Returns a measure and its partial derivatives by the envelope theorem (E44).
 
     Args:
-        ellipsoid: The largest ellipsoid of the feasible set, in normalised inputs.
+        measured: The measure of the feasible set, in normalised inputs.
         feasible: The feasible set.
         input_set: The input set, for the scaling of the inputs.
-        threshold: xi of (E21).
     """
-    rows, known, k = feasible.rows, feasible.known, feasible.num_input_rows
+    rows, known = feasible.rows, feasible.known
     n = rows.num_states
-    determinant = math.exp(ellipsoid.log_det)
-    touching = ellipsoid.multipliers[k:].nonzero()[0].tolist()
+    touching = measured.multipliers.nonzero()[0].tolist()
     extended, estimate, bound = np.zeros(n + 1), np.zeros(len(known.estimate)), 0.0
     gradients = rows.gradients(touching) if touching else ()
     for i, gradient in zip(touching, gradients, strict=True):
-        normal = ellipsoid.shape @ feasible.A_v[k + i]
-        reach = ellipsoid.shape @ normal / math.sqrt(normal @ normal)
-        contact = input_set.center + input_set.scale * (ellipsoid.center + reach)
+        contact = input_set.center + input_set.scale * measured.contacts[i]
         w, margin = rows.w[i], known.estimate
         w_norm = math.sqrt(w @ w)
         if w_norm > 0.0:
             margin = margin - known.bound / w_norm * w
         # d(b + Lambda - A u) at the contact u, from the gradients of [A, b, w].
         change = np.concatenate([-contact, (1.0,), margin]) @ gradient
-        multiplier = determinant * float(ellipsoid.multipliers[k + i])
+        multiplier = float(measured.multipliers[i])
         extended += multiplier * change
         estimate += multiplier * w
         bound -= multiplier * w_norm
     return Volume(
-        value=determinant - threshold,
-        ellipsoid=ellipsoid,
+        value=measured.value,
+        ellipsoid=measured.ellipsoid,
         state=extended[:n],
         time=float(extended[n]),
         estimate=estimate,

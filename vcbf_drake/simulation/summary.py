@@ -71,6 +71,7 @@ def summarise(
         "collided_at": collided_at,
         "conflict": _conflict(safety_filter, log, infeasible),
         "min_barrier": _least(heights),
+        "volume_measure": scenario.volume.label,
         "min_volume": _least(log["volume"]),
         "max_abs_slack": float(slack.max()),
         "slack_active_fraction": float(np.mean(slack > 0.0)),

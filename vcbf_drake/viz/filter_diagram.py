@@ -162,10 +162,15 @@ def _steps(safety_filter: SafetyFilter) -> dict[str, tuple[str, ...]]:
             "volume": ("inscribed ellipsoid (E20)", "for the log only"),
             "decision": ("3  nearest input, QP (E19)",),
         }
+    barrier = safety_filter.volume_barrier
+    measured = ("3  inscribed ellipsoid (E20)", "4  volume, gradient (E44)")
+    if barrier.label != "volume":
+        measured = (f"3  {barrier.label} (E54)", "4  gradient (E44)")
     label = "E28" if safety_filter.corrections.total_derivative else "E24"
     label = label if method.disturbance == "estimated" else "E22"
     return {
         "feasible set": rows,
-        "volume": ("3  inscribed ellipsoid (E20)", "4  volume, gradient (E44)"),
+        "volume": measured,
+        "guard": (f"{barrier.guard} of the set itself (E58)",),
         "decision": (f"5  volume row ({label})", "6  nearest input, QP (E24)"),
     }

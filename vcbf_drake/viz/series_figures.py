@@ -184,9 +184,12 @@ def draw_volume(axes: Any, runs: Sequence[Run]) -> None:
     for run in runs:
         axes.plot(run.time, run.result.log["volume"], **run.line())
     _mark_failures(axes, runs, [run.result.log["volume"] for run in runs])
-    _shade_below_zero(axes, r"less volume than $\xi$")
+    labels = {run.result.scenario.volume.label for run in runs}
+    is_volume = labels == {"volume"}
+    _shade_below_zero(axes, r"less volume than $\xi$" if is_volume else "too little")
     _time_axis(axes)
-    axes.set(xlabel="time [s]", ylabel="volume barrier $V_v$ [-]")
+    what = "volume barrier" if is_volume else "; ".join(sorted(labels))
+    axes.set(xlabel="time [s]", ylabel=f"{what} $V_v$ [-]")
 
 
 def _mark_failures(axes: Any, runs: Sequence[Run], series: Sequence[Any]) -> None:

@@ -1,0 +1,326 @@
+"""Every measure and its derivatives, by routes that share nothing with them."""
+
+import dataclasses
+import math
+
+import numpy as np
+from pydrake.geometry.optimization import HPolyhedron
+from pydrake.systems.analysis import Simulator
+import pytest
+from scipy.optimize import linprog
+from scipy.spatial import ConvexHull, HalfspaceIntersection
+
+from vcbf_drake import Blimp, ControlAffineModel, InputSet, SphereObstacle
+from vcbf_drake.barriers import BarrierSet
+from vcbf_drake.safety import DisturbanceKnowledge, VolumeBarrier
+from vcbf_drake.safety.feasibility_measure import MEASURES
+from vcbf_drake.safety.feasible_set import feasible_set
+from vcbf_drake.safety.volume_barrier import volume
+from vcbf_drake.simulation import load_scenario, make_loop, simulate
+
+XI = 0.02
+INPUTS = InputSet.box([-0.05, -0.2, -0.02], [0.25, 0.2, 0.02])
+WIDENINGS = [1.0, 3.0]
+# Towards the sphere, so that its row cuts the inputs from the start.
+FAST = [0.0, 0.0, 0.1, 0.0, 0.15, 0.0, 0.1, 0.0]
+EVERY_MEASURE = pytest.mark.parametrize("name", MEASURES)
+EVERY_WIDENING = pytest.mark.parametrize("widening", WIDENINGS)
+
+
+def log_det(A, b):
+    """Drake's own largest ellipsoid."""
+    ellipsoid = HPolyhedron(A, b).MaximumVolumeInscribedEllipsoid()
+    return -math.log(np.linalg.det(ellipsoid.A()))
+
+
+def radius(A, b):
+    """Linear programming by scipy."""
+    columns = np.column_stack([A, np.linalg.norm(A, axis=1)])
+    cost = np.append(np.zeros(A.shape[1]), -1.0)
+    return -linprog(cost, A_ub=columns, b_ub=b, bounds=(None, None)).fun
+
+
+def hull_volume(A, b):
+    center = HPolyhedron(A, b).ChebyshevCenter()
+    corners = HalfspaceIntersection(np.c_[A, -b], center).intersections
+    return ConvexHull(corners).volume
+
+
+def expected(name, A, b, widening):
+    """The measure of |v_j| <= widening with the rows, from its definition."""
+    m = A.shape[1]
+    A = np.vstack([np.eye(m), -np.eye(m), A])
+    b = np.concatenate([np.full(2 * m, widening), b])
+    if name == "inradius":
+        return radius(A, b) / widening - XI ** (1.0 / m)
+    if name == "polytope_volume":
+        return hull_volume(A, b) / (2.0 * widening) ** m - XI
+    share = math.exp(log_det(A, b)) / widening**m
+    return {
+        "volume": share - XI,
+        "log_volume": math.log(share / XI),
+        "root_volume": share ** (1.0 / m) - XI ** (1.0 / m),
+    }[name]
+
+
+def random_rows(rng, m):
+    return rng.normal(size=(4, m)), rng.uniform(0.1, 3.0, 4)
+
+
+@EVERY_MEASURE
+@EVERY_WIDENING
+@pytest.mark.parametrize("m", [2, 3])
+def test_value_and_derivative_by_the_rows(name, widening, m):
+    measure = MEASURES[name](InputSet.box(-np.ones(m), np.ones(m)), XI, widening)
+    rng, step = np.random.default_rng(m), 1e-5
+    # The interior-point ellipsoid is known to 1e-8 or so, its differences to 1e-3.
+    for _ in range(8):
+        A, b = random_rows(rng, m)
+        found = measure(A, b)
+        assert found.value == pytest.approx(expected(name, A, b, widening), abs=1e-6)
+        dA, db = rng.normal(size=A.shape), rng.normal(size=len(b))
+        ahead, behind = (measure(A + h * dA, b + h * db).value for h in (step, -step))
+        exact = found.multipliers @ (db - np.einsum("ij,ij->i", dA, found.contacts))
+        assert exact == pytest.approx((ahead - behind) / (2.0 * step), abs=1e-5)
+
+
+@EVERY_MEASURE
+def test_free_box_and_empty_set(name):
+    measure = MEASURES[name](INPUTS, XI)
+    free = measure(np.zeros((0, 3)), np.zeros(0)).value
+    assert free == pytest.approx(expected(name, np.zeros((0, 3)), np.zeros(0), 1.0))
+    empty = measure(np.array([[1.0, 0.0, 0.0]]), np.array([-1.5]))
+    assert np.isfinite(empty.value) and empty.value < 0.0
+    # Of all measures the signed radius alone knows a way back.
+    assert empty.multipliers.any() == (name == "inradius")
+
+
+@EVERY_MEASURE
+def test_two_inputs_and_one(name):
+    for m in (1, 2):
+        measure = MEASURES[name](InputSet.box(-np.ones(m), np.ones(m)), XI)
+        A = np.zeros((1, m))
+        A[0, 0] = 2.0
+        half = MEASURES[name](InputSet.box(-np.ones(m), np.ones(m)), XI)
+        assert half(A, np.zeros(1)).value < measure(A, np.ones(1)).value
+
+
+def test_polytope_volume_is_for_three_inputs_at_most():
+    with pytest.raises(ValueError, match="polytope_volume: at most 3 inputs, not 4"):
+        MEASURES["polytope_volume"](InputSet.box(-np.ones(4), np.ones(4)), XI)
+
+
+# Derivatives by state, time, estimate and bound ------------------------------------
+
+
+@pytest.fixture(scope="module")
+def barriers():
+    model = ControlAffineModel.from_system(Blimp())
+    obstacles = [
+        SphereObstacle([1.2, 0.3, 0.1], 0.5),
+        SphereObstacle([0.9, -0.6, 0.7], 0.3, velocity=[-0.1, 0.05, 0.0]),
+        SphereObstacle([0.2, 0.4, -0.9], 0.4),
+    ]
+    return BarrierSet(model, [o.barrier([4.0, 3.0]) for o in obstacles])
+
+
+def situations(count):
+    rng = np.random.default_rng(5)
+    for _ in range(count):
+        state = rng.normal(0.0, [0.15] * 3 + [0.4] + [0.3] * 4)
+        known = DisturbanceKnowledge(
+            estimate=rng.normal(0.0, 0.2, 3),
+            rate=rng.normal(0.0, 0.3, 3),
+            bound=rng.uniform(0.05, 0.2),
+            bound_rate=-rng.uniform(0.0, 0.4),
+            gain=4.0,
+        )
+        yield state, rng.uniform(0.0, 1.0), known
+
+
+def moved(situation, direction):
+    """The situation, moved along (state, time, estimate, bound)."""
+    state, time, known = situation
+    n, q = len(state), len(known.estimate)
+    return (
+        state + direction[:n],
+        time + direction[n],
+        dataclasses.replace(
+            known,
+            estimate=known.estimate + direction[n + 1 : n + 1 + q],
+            bound=known.bound + direction[-1],
+        ),
+    )
+
+
+@EVERY_MEASURE
+@EVERY_WIDENING
+def test_every_partial_derivative_agrees_with_differences(barriers, name, widening):
+    """In all directions at once: state, time, estimate and bound."""
+    measure = MEASURES[name](INPUTS, XI, widening)
+
+    def value(situation):
+        state, time, known = situation
+        feasible = feasible_set(INPUTS, barriers.rows(state, time), known)
+        k = feasible.num_input_rows
+        measured = measure(feasible.A_v[k:], feasible.b_v[k:])
+        return measured, feasible
+
+    checked = 0
+    for situation in situations(12):
+        measured, feasible = value(situation)
+        exact = volume(measured, feasible, INPUTS)
+        analytic = np.concatenate(
+            [exact.state, [exact.time], exact.estimate, [exact.bound]]
+        )
+        if not analytic.any():
+            continue
+        for axis, partial in enumerate(analytic):
+            coarse, fine = (
+                (
+                    value(moved(situation, h * np.eye(13)[axis]))[0].value
+                    - value(moved(situation, -h * np.eye(13)[axis]))[0].value
+                )
+                / (2.0 * h)
+                for h in (2e-5, 1e-5)
+            )
+            scale = max(np.abs(analytic).max(), 0.1)
+            if abs(coarse - fine) > 1e-4 * scale:
+                continue  # A row comes into contact in between: no derivative there.
+            assert partial == pytest.approx(fine, abs=2e-4 * scale)
+            checked += 1
+    assert checked > 40
+
+
+# Along the closed loop -------------------------------------------------------------
+
+
+def closed_loop(name, widening, fidelity):
+    """The measured rate of a measure along a transient, and two predictions of it.
+
+    Ticks at which the observer's sign function switches are left out, for the estimate
+    has a kink there, and so are ticks at which another set of rows takes over.
+    """
+    scenario = load_scenario(
+        "blimp-single-obstacle",
+        {
+            "fidelity": fidelity,
+            "period": 1e-3,
+            "duration": 0.3,
+            "initial_state": FAST,
+            "volume": {"measure": name, "widening": widening},
+        },
+    )
+    diagram = make_loop(scenario)
+    simulator = Simulator(diagram)
+    context = simulator.get_mutable_context()
+    plant, source = map(diagram.GetSubsystemByName, ("plant", "disturbance"))
+    plant.GetMyMutableContextFromRoot(context).SetContinuousState(
+        scenario.initial_state
+    )
+    safety_filter = diagram.GetSubsystemByName("filter")
+    model = safety_filter.model
+    filter_context = safety_filter.GetMyContextFromRoot(context)
+    values, total, printed, rates = [], [], [], []
+    simulator.Initialize()
+    for tick in range(round(scenario.duration / scenario.period)):
+        simulator.AdvanceTo(tick * scenario.period)
+        now = safety_filter.volume(filter_context)
+        known = safety_filter.knowledge(filter_context)
+        state = plant.GetOutputPort("state").Eval(plant.GetMyContextFromRoot(context))
+        drift, g = model.drift_and_input_matrix(state)
+        u = safety_filter.decision(filter_context).input
+        d = source.value(context.get_time())
+        rate = drift + g @ u + model.disturbance_matrix @ d
+        values.append(now.value)
+        total.append(now.rate(rate, known, d))
+        printed.append(now.state @ rate + now.time + now.bound * known.bound_rate)
+        rates.append(known.rate)
+    measured = np.diff(values) / scenario.period
+    smooth = np.abs(np.diff(rates, axis=0)).max(axis=1) < 0.5 * scenario.observer.beta
+    assert smooth.mean() > 0.9
+    return measured[smooth], *(np.array(p)[:-1][smooth] for p in (total, printed))
+
+
+def relative_error(predicted, measured):
+    return np.linalg.norm(predicted - measured) / np.linalg.norm(measured)
+
+
+@pytest.mark.parametrize(
+    ("name", "widening"),
+    [*((name, 1.0) for name in MEASURES), ("volume", 3.0), ("inradius", 3.0)],
+)
+def test_total_derivative_is_the_one_that_is_measured(name, widening):
+    measured, total, _ = closed_loop(name, widening, "corrected")
+    assert np.abs(measured).max() > 0.1  # There is something to predict.
+    assert relative_error(total, measured) < 0.03
+
+
+@pytest.mark.parametrize("name", ["polytope_volume", "inradius"])
+def test_printed_derivative_is_not_the_one_that_is_measured(name):
+    measured, total, printed = closed_loop(name, 3.0, "paper")
+    assert relative_error(total, measured) < 0.03
+    assert relative_error(printed, measured) > 0.1
+
+
+# In the filter ---------------------------------------------------------------------
+
+
+def run(volume):
+    return simulate(
+        load_scenario(
+            "blimp-single-obstacle",
+            {"duration": 0.5, "initial_state": FAST, "volume": volume},
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    "volume",
+    [
+        {"measure": "inradius"},
+        {"widening": 4.0, "gain": 0.2},
+        {"measure": "inradius", "widening": 4.0, "gain": 0.2, "guard": "volume"},
+    ],
+)
+def test_logged_ellipsoid_is_that_of_the_set_itself(volume):
+    result = run(volume)
+    log, limits = result.log, result.scenario.input_set.input_set()
+    cut = 0
+    for tick in range(0, len(log["time"]), 5):
+        A, b = log["polytope_A"][tick], log["polytope_b"][tick]
+        share = np.linalg.det(log["ellipsoid_shape"][tick]) / limits.scale.prod()
+        drake = log_det(A * limits.scale, b - A @ limits.center)
+        assert math.log(share) == pytest.approx(drake, abs=1e-5)
+        cut += share < 0.999
+    assert cut > 0
+
+
+def test_logged_volume_is_the_measure_that_is_enforced():
+    result = run({"measure": "inradius", "widening": 4.0, "gain": 0.2})
+    log, limits = result.log, result.scenario.input_set.input_set()
+    for tick in range(0, len(log["time"]), 5):
+        A, b = log["polytope_A"][tick][6:], log["polytope_b"][tick][6:]
+        value = expected("inradius", A * limits.scale, b - A @ limits.center, 4.0)
+        assert log["volume"][tick] == pytest.approx(value, abs=1e-7)
+    assert result.summary["min_volume"] == log["volume"].min()
+
+
+def test_widening_wakes_the_row_earlier():
+    """On the same course, while the paper's form still is on its plateau."""
+    first = {}
+    for widening in (1.0, 2.0, 4.0):
+        volume = {"widening": widening, "gain": 0.2}
+        settings = {"duration": 1.0, "volume": volume}
+        log = simulate(load_scenario("blimp-multiple-obstacles", settings)).log
+        first[widening] = log["time"][np.argmax(log["volume"] < log["volume"][0])]
+    assert 0.0 < first[4.0] < first[2.0] < first[1.0]
+
+
+def test_volume_barrier_says_what_is_allowed():
+    with pytest.raises(ValueError, match=r"measure: got 'area'; allowed: volume, log"):
+        VolumeBarrier(measure="area")
+    with pytest.raises(ValueError, match=r"guard: got 'area'; allowed: none, volume"):
+        VolumeBarrier(guard="area")
+    with pytest.raises(ValueError, match=r"widening: got 0\.5; must be at least 1"):
+        VolumeBarrier(widening=0.5)

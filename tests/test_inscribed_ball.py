@@ -1,0 +1,52 @@
+"""The signed inradius against scipy's linear programs and against differences."""
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from vcbf_drake.safety.inscribed_ball import inscribed_ball
+
+
+def random_rows(rng, m):
+    A = np.vstack([np.eye(m), -np.eye(m), rng.normal(size=(5, m))])
+    return A, np.concatenate([np.ones(2 * m), rng.uniform(-1.5, 1.0, 5)])
+
+
+def linprog_radius(A, b):
+    columns = np.column_stack([A, np.linalg.norm(A, axis=1)])
+    cost = np.append(np.zeros(A.shape[1]), -1.0)
+    return -linprog(cost, A_ub=columns, b_ub=b, bounds=(None, None)).fun
+
+
+@pytest.mark.parametrize("m", [1, 2, 3, 4])
+def test_radius_agrees_with_scipy_of_empty_sets_too(m):
+    rng, radii = np.random.default_rng(m), []
+    for _ in range(60):
+        A, b = random_rows(rng, m)
+        radii.append(inscribed_ball(A, b).radius)
+        assert radii[-1] == pytest.approx(linprog_radius(A, b), abs=1e-8)
+    assert min(radii) < -0.1 < 0.1 < max(radii)
+
+
+@pytest.mark.parametrize("m", [1, 2, 3])
+def test_derivative_agrees_with_central_differences(m):
+    rng, step = np.random.default_rng(30 + m), 1e-6
+    for _ in range(40):
+        A, b = random_rows(rng, m)
+        dA, db = rng.normal(size=A.shape), rng.normal(size=len(b))
+        ahead, behind = (linprog_radius(A + h * dA, b + h * db) for h in (step, -step))
+        ball = inscribed_ball(A, b)
+        exact = ball.multipliers @ (db - np.einsum("ij,ij->i", dA, ball.contacts))
+        assert exact == pytest.approx(
+            (ahead - behind) / (2.0 * step), rel=1e-6, abs=1e-5
+        )
+
+
+def test_row_of_zeros_that_excludes_everything():
+    A = np.vstack([np.eye(2), -np.eye(2), np.zeros((1, 2))])
+    ball = inscribed_ball(A, np.array([1.0, 1.0, 1.0, 1.0, -0.1]))
+    assert ball.radius == -np.inf
+    assert not ball.multipliers.any()
+    harmless = inscribed_ball(A, np.array([1.0, 1.0, 1.0, 1.0, 0.1]))
+    assert harmless.radius == pytest.approx(1.0)
+    assert harmless.multipliers[-1] == 0.0
