@@ -282,7 +282,7 @@ def test_what_is_missing_is_left_out_and_told(tmp_path):
     assert "for want of <code>studies/table_1_case_2.jsonl" in page
     assert re.findall('<figure id="figure-([^"]+)"', page) == ["table_1_case_1"]
     assert "replays/" not in page
-    assert f"{page.count('<caption>')}" == "4"  # Tables need the numbers alone.
+    assert page.count("<caption>") == 3  # Tables need the numbers alone.
 
 
 def test_one_case_of_the_table_is_enough(tmp_path):

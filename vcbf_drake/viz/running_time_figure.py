@@ -10,7 +10,6 @@ from typing import Any
 from vcbf_drake.viz.style import (
     INK,
     METHOD_STYLES,
-    MUTED,
     PAGE_WIDTH,
     figure_style,
     new_figure,
@@ -21,6 +20,9 @@ Record = Mapping[str, Any]
 
 # More would be one dark block, and slow to draw.
 _MOST_COLUMNS = 1000
+# Many columns are drawn finely.
+_MANY = 60
+_PAIR = "#c5ccd5"
 _MARKERS = {"reached": "o", "timeout": "s", "infeasible": "x", "collision": "*"}
 
 
@@ -62,7 +64,7 @@ def running_time_figure(records: Sequence[Record], summary: Record) -> Any:
     columns = columns[:: max(every, 1)]
     times = [[record["running_time"] for record in each.values()] for each in columns]
     lowest, highest = list(map(min, times)), list(map(max, times))
-    pairs.vlines(range(len(columns)), lowest, highest, color=MUTED, lw=0.5)
+    pairs.vlines(range(len(columns)), lowest, highest, color=_PAIR, lw=0.5)
     for method in methods:
         _draw_method(pairs, method, columns)
     for position, (method, numbers) in enumerate(summary["methods"].items()):
@@ -99,7 +101,7 @@ def _columns(
 def _draw_method(
     axes: Any, method: str, columns: Sequence[Mapping[str, Record]]
 ) -> None:
-    style = METHOD_STYLES[method]
+    style, size = METHOD_STYLES[method], 5.0 if len(columns) <= _MANY else 3.0
     axes.plot([], [], color=style.color, lw=4, label=style.label)
     for outcome, marker in _MARKERS.items():
         points = [
@@ -112,7 +114,7 @@ def _draw_method(
                 *zip(*points, strict=True),
                 ls="",
                 marker=marker,
-                ms=5,
+                ms=size,
                 color=style.color,
                 clip_on=False,
             )

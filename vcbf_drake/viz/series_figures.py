@@ -167,13 +167,13 @@ def draw_estimate_error(axes: Any, run: Run) -> None:
     """Draws a run's error of the disturbance estimate and its bound, in decades."""
     log = run.result.log
     error = np.linalg.norm(log["disturbance"] - log["disturbance_estimate"], axis=1)
-    bound = log["error_bound"]
-    low = 0.3 * float(min(np.median(error), bound.min()))
-    axes.fill_between(run.time, bound, 1e-6 * bound, color=BAND, lw=0)
+    bound, low = log["error_bound"], 0.2 * float(np.median(error))
+    bottom = np.full(len(bound), 1e-3 * low)
+    axes.fill_between(run.time, np.maximum(bound, bottom), bottom, color=BAND, lw=0)
     axes.plot(run.time, bound, color=MUTED, lw=0.8)
-    axes.plot(run.time, error, **run.line(lw=1.0, label="error of the estimate"))
-    axes.set_yscale("log")
+    axes.plot(run.time, error, **run.line(lw=1.0))
     if low > 0.0:
+        axes.set_yscale("log")
         axes.set_ylim(low, 2.0 * float(max(error.max(), bound.max())))
     _time_axis(axes)
     axes.set(xlabel="time [s]", ylabel=r"$\Vert d - \hat d \Vert$, $\varepsilon$")

@@ -27,6 +27,7 @@ OUTCOME_TITLES = {
     "collision": "collision",
     "error": "crashed",
 }
+METHOD = Column("method", whole=True)
 EXTREME_TITLES = ("least *Vᵥ*", "greatest slack", "with slack")
 
 
@@ -45,22 +46,27 @@ def runs_table(
     conditioned = any(words for words, _ in conditions)
     columns = [
         *([Column("condition")] if conditioned else []),
-        Column("method", whole=True),
+        METHOD,
         Column("outcome", whole=True),
         *number_columns("at [s]", f"least *h* [{unit}]", "least *Vᵥ*"),
         *number_columns("greatest slack", "to target [m]"),
     ]
-    rows = []
-    for words, runs in conditions:
-        for place, (method, run) in enumerate(in_drawing_order(runs).items()):
-            first = [readable(words) if place == 0 else ""] if conditioned else []
-            rows.append([*first, method_label(method), *_cells(run["summary"])])
-    return Table(caption, columns, rows, command=command)
+    rows = [
+        [
+            *([readable(words)] if conditioned else []),
+            method_label(method),
+            *_cells(run["summary"]),
+        ]
+        for words, runs in conditions
+        for method, run in in_drawing_order(runs).items()
+    ]
+    leading = 1 if conditioned else 0
+    return Table(caption, columns, without_repeats(rows, leading), command=command)
 
 
 def tally_table(
     caption: str,
-    heads: Sequence[str],
+    heads: Sequence[Column],
     rows: Sequence[tuple[Sequence[str], Tally]],
     command: str = "",
 ) -> Table:
@@ -68,7 +74,7 @@ def tally_table(
 
     Args:
         caption: What it says and what to notice.
-        heads: The titles of the leading columns.
+        heads: The leading columns.
         rows: The leading cells and what became of the trials.
         command: What makes the trials.
     """
@@ -76,9 +82,9 @@ def tally_table(
     shown = [each for each in OUTCOMES if any(t.count(each) for t in tallies)]
     extremes = any(tally.least_volume is not None for tally in tallies)
     columns = [
-        *(Column(head) for head in heads),
+        *heads,
         *number_columns("trials", *(OUTCOME_TITLES[each] for each in shown)),
-        *number_columns("mean running time [s]", "95 % interval"),
+        *number_columns("mean [s]", "95 % interval"),
         *(number_columns(*EXTREME_TITLES) if extremes else []),
     ]
     body = []
@@ -90,7 +96,21 @@ def tally_table(
             used = NOTHING if tally.with_slack is None else str(tally.with_slack)
             cells += [fixed(tally.least_volume, 4), slack(tally.greatest_slack), used]
         body.append(cells)
-    return Table(caption, columns, body, command=command)
+    repeats = without_repeats(body, len(heads) - 1)
+    return Table(caption, columns, repeats, command=command)
+
+
+def without_repeats(rows: Sequence[Sequence[str]], leading: int) -> list[list[str]]:
+    """Rows whose leading cells are empty where they are those of the row above."""
+    above: Sequence[str] = ()
+    thinned = []
+    for row in rows:
+        same = 0
+        while same < leading and above[: same + 1] == row[: same + 1]:
+            same += 1
+        thinned.append([*([""] * same), *row[same:]])
+        above = row
+    return thinned
 
 
 def _cells(summary: Numbers) -> list[str]:

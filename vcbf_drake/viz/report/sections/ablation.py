@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from vcbf_drake.viz.report.document import Block, Figure, Paragraph
+from vcbf_drake.viz.report.document import Block, Column, Figure, Paragraph
 from vcbf_drake.viz.report.figures.outcome_figure import Row, outcome_figure
 from vcbf_drake.viz.report.reproduction import Reproduction
 from vcbf_drake.viz.report.tables import tally_table
@@ -40,7 +40,7 @@ def _compared(
         ),
         tally_table(
             f"The same in numbers, {words}; the slack is 0 only where it says 0.",
-            ["corrections"],
+            [Column("corrections")],
             [([label], tally) for label, tally in rows],
             numbers["command"],
         ),

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from vcbf_drake.viz.report.document import Block, Figure, Paragraph
+from vcbf_drake.viz.report.document import Block, Column, Figure, Paragraph
 from vcbf_drake.viz.report.figures.cases_figure import cases_figure
 from vcbf_drake.viz.report.figures.error_figure import error_figure
 from vcbf_drake.viz.report.reproduction import Reproduction
-from vcbf_drake.viz.report.tables import runs_table, tally_table
+from vcbf_drake.viz.report.tables import METHOD, runs_table, tally_table
 from vcbf_drake.viz.report.tally import Tally
 from vcbf_drake.viz.report.wording import (
     endings,
@@ -61,7 +61,7 @@ def test_2_explicit(numbers: Mapping[str, Any], saved: Reproduction) -> list[Blo
         tally_table(
             "The same course from random starts, the observer stepped in different"
             " ways: the faster it steps explicitly, the less it chatters.",
-            ["observer", "rate [Hz]", "method"],
+            [Column("observer"), Column("rate [Hz]", whole=True), METHOD],
             [
                 (
                     [each["step"], f"{each['rate']:g}", method_label(method)],
@@ -86,7 +86,7 @@ def _told(twins: Mapping[str, Any]) -> str:
 def _errors(twins: Mapping[str, Any]) -> str:
     parts = [
         f"{step}, at most {significant(twin['estimation']['greatest_error'], 2)} m/s²"
-        " after the first second and above the certified bound in"
+        " after the first second and above that bound in"
         f" {percent(twin['estimation']['above_certified_bound'])} of the ticks"
         for step, twin in zip(STEPS, twins.values(), strict=True)
     ]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
-from vcbf_drake.viz.report.document import Block, Figure, Paragraph
+from vcbf_drake.viz.report.document import Block, Column, Figure, Paragraph
 from vcbf_drake.viz.report.figures.knob_figure import Knob, knob_figure
 from vcbf_drake.viz.report.reproduction import Reproduction
-from vcbf_drake.viz.report.tables import tally_table
+from vcbf_drake.viz.report.tables import METHOD, tally_table
 from vcbf_drake.viz.report.tally import Tally
 from vcbf_drake.viz.report.wording import method_label
 from vcbf_drake.viz.style import METHOD_STYLES
@@ -25,12 +26,12 @@ def knobs(numbers: Mapping[str, Any], saved: Reproduction) -> list[Block]:
             "One setting varied at a time, a column each, the others as in Test 2"
             " (grey: Test 2's own value): above, the mean running time with its 95 %"
             " interval; below, the share of trials that arrive.",
-            lambda: knob_figure(chosen),
+            lambda: knob_figure([_typeset(knob) for knob in chosen]),
             command,
         ),
         tally_table(
             "The same in numbers.",
-            ["setting", "value", "method"],
+            [Column("setting"), Column("value", whole=True), METHOD],
             [row for knob in chosen for row in _rows(knob)],
             command,
         ),
@@ -57,16 +58,19 @@ def _knob(numbers: Mapping[str, Any]) -> Knob:
     )
 
 
+def _typeset(knob: Knob) -> Knob:
+    """The knob with a label as matplotlib sets it."""
+    return replace(knob, label=knob.label.replace("λ_Vv", r"$\lambda_{Vv}$"))
+
+
 def _tally(method: str, point: Mapping[str, Any]) -> Tally | None:
     return Tally.from_numbers(method, point[method]) if method in point else None
 
 
 def _rows(knob: Knob) -> Iterator[tuple[list[str], Tally]]:
-    """A row for each value and method; the setting is named in the first."""
-    label = knob.label
+    """A row for each value and method."""
     for place, value in enumerate(knob.values):
         for method, tallies in knob.tallies.items():
             tally = tallies[place]
             if tally is not None:
-                yield [label, value, method_label(method)], tally
-                label = ""
+                yield [knob.label, value, method_label(method)], tally

@@ -16,7 +16,7 @@ from vcbf_drake.viz.report.document import (
 )
 from vcbf_drake.viz.report.figures.outcome_figure import Row, outcome_figure
 from vcbf_drake.viz.report.reproduction import Reproduction, in_drawing_order
-from vcbf_drake.viz.report.tables import tally_table
+from vcbf_drake.viz.report.tables import METHOD, tally_table
 from vcbf_drake.viz.report.tally import Tally
 from vcbf_drake.viz.report.wording import method_label, percent, readable
 
@@ -37,7 +37,7 @@ def population_blimp(numbers: Mapping[str, Any], saved: Reproduction) -> list[Bl
         ),
         tally_table(
             "The same in numbers.",
-            ["method"],
+            [METHOD],
             [([method_label(each.method)], each) for each in _tallies(numbers)],
             numbers["command"],
         ),
@@ -68,7 +68,7 @@ def population_car(numbers: Mapping[str, Any], saved: Reproduction) -> list[Bloc
         ),
         tally_table(
             "The same in numbers, running times to the first failure.",
-            ["*k_p*", "method"],
+            [Column("*k_p*", whole=True), METHOD],
             [
                 ([gain, method_label(tally.method)], tally)
                 for gain, study in numbers["by_gain"].items()
@@ -137,7 +137,7 @@ def _generator_table(generator: Mapping[str, Any]) -> Table:
         if name != "ranges":
             rows.append([readable(name), _entry(value)])
     return Table(
-        "How the courses are drawn: uniformly from these ranges.",
+        "How the courses are drawn: uniformly where a range stands.",
         [Column("quantity"), Column("from")],
         rows,
     )
