@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+import re
 from typing import Any
 
 from vcbf_drake.viz.report.reproduction import in_drawing_order
 from vcbf_drake.viz.style import METHOD_STYLES
 
 NOTHING = "–"
+_MINUS = re.compile(r"(?<!\w)-(?=\d)")
 
 
 def fixed(value: float | None, digits: int = 2) -> str:
@@ -52,8 +54,8 @@ def method_label(method: str) -> str:
 
 
 def readable(label: str) -> str:
-    """A label that was typed in plain letters, with superscripts and spaces."""
-    return label.replace("^2", "²").replace("=", " = ")
+    """A label that was typed in plain letters, as it is set."""
+    return _MINUS.sub("−", label.replace("^2", "²").replace("=", " = "))
 
 
 def listed(words: Sequence[str]) -> str:

@@ -18,7 +18,7 @@ from vcbf_drake.viz.report.figures.outcome_figure import Row, outcome_figure
 from vcbf_drake.viz.report.reproduction import Reproduction, in_drawing_order
 from vcbf_drake.viz.report.tables import METHOD, tally_table
 from vcbf_drake.viz.report.tally import Tally
-from vcbf_drake.viz.report.wording import method_label, percent, readable
+from vcbf_drake.viz.report.wording import NOTHING, method_label, percent, readable
 
 WITHOUT, WITH = "dob-cbf-qp", "dob-vcbf-qp"
 FAILURES = ("infeasible", "collision")
@@ -98,6 +98,8 @@ def _bars(prefix: str, study: Mapping[str, Any], saved: Reproduction) -> Iterato
     }
     for method in (WITHOUT, WITH):
         yield prefix + method_label(method), _tally(method, records)
+    if not lost:
+        return
     rescued = [record for record in records if record["index"] in lost]
     yield f"{prefix}{method_label(WITH)}, where that fails", _tally(WITH, rescued)
 
@@ -123,15 +125,18 @@ def _rates_table(caption: str, numbers: Mapping[str, Any]) -> Table:
 
 
 def _shares(rate: Mapping[str, Any]) -> list[str]:
-    low, high = rate["interval"] or (None, None)
-    return [percent(rate["rate"]), f"{percent(low)} to {percent(high)}"]
+    if rate["interval"] is None:
+        return [NOTHING, NOTHING]
+    low, high = map(percent, rate["interval"])
+    return [percent(rate["rate"]), f"{low} to {high}"]
 
 
 def _generator_table(generator: Mapping[str, Any]) -> Table:
     """How a course is drawn: every entry of the generator as a row."""
     ranges = generator.get("ranges", {})
     rows = [
-        [readable(name), f"{low:g} to {high:g}"] for name, (low, high) in ranges.items()
+        [readable(name), readable(f"{low:g} to {high:g}")]
+        for name, (low, high) in ranges.items()
     ]
     for name, value in generator.items():
         if name != "ranges":
@@ -144,6 +149,9 @@ def _generator_table(generator: Mapping[str, Any]) -> Table:
 
 
 def _entry(value: Any) -> str:
-    if isinstance(value, list):
-        return ", ".join(map(_entry, value))
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    if not isinstance(value, list):
+        return f"{value:g}" if isinstance(value, float) else str(value)
+    return ", ".join(
+        f"({_entry(each)})" if isinstance(each, list) else _entry(each)
+        for each in value
+    )

@@ -27,8 +27,9 @@ def verdicts(claims: Sequence[Mapping[str, Any]], saved: Reproduction) -> list[B
         ),
         Paragraph(_settings(saved.data.get("settings", {}))),
         Table(
-            "The paper's claims in its order, what was found, and the number that says"
-            " so. Below each stands the command that shows it.",
+            "The paper's claims in its order: what was found, the number that says so,"
+            " and the command that shows it. Reproduced means in the main setting and"
+            " in those beside it; under stated conditions, in the main setting only.",
             [
                 Column("claim"),
                 Column("in the paper"),
