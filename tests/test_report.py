@@ -19,7 +19,8 @@ from vcbf_drake.viz.report.markup import to_html
 from vcbf_drake.viz.report.page import page_html
 from vcbf_drake.viz.report.reproduction import Reproduction
 from vcbf_drake.viz.report.sections import build_sections
-from vcbf_drake.viz.report.wording import fixed
+from vcbf_drake.viz.report.tables import without_repeats
+from vcbf_drake.viz.report.wording import fixed, readable
 
 FIGURES = {
     "test_1_paths",
@@ -252,6 +253,23 @@ def test_words_cannot_become_markup(page):
 )
 def test_numbers_in_words(value, digits, words):
     assert fixed(value, digits) == words
+
+
+def test_labels_as_they_are_set():
+    assert readable("k_p=0.2") == "k_p = 0.2"
+    assert readable("from -0.6 to 3 m/s^2") == "from −0.6 to 3 m/s²"
+    assert readable("dob-cbf-qp, 3-4") == "dob-cbf-qp, 3-4"
+
+
+def test_repeated_leading_cells_are_left_empty():
+    rows = [["a", "b", "1"], ["a", "b", "1"], ["a", "c", "1"], ["d", "c", "1"]]
+    assert without_repeats(rows, 2) == [
+        ["a", "b", "1"],
+        ["", "", "1"],
+        ["", "c", "1"],
+        ["d", "c", "1"],
+    ]
+    assert without_repeats(rows, 0) == rows
 
 
 def test_inline_svg_keeps_what_it_needs_alone():

@@ -22,4 +22,5 @@ def to_html(text: str) -> str:
 def _prose(text: str) -> str:
     escaped = html.escape(text)
     linked = _LINK.sub(r'<a href="\2">\1</a>', escaped)
-    return _EMPHASIS.sub(r"<em>\1</em>", linked)
+    # A number and its percent sign stay on one line.
+    return _EMPHASIS.sub(r"<em>\1</em>", linked).replace(" %", "&nbsp;%")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from vcbf_drake.viz.report.document import Block, Column, Figure, Paragraph
+from vcbf_drake.viz.report.document import Block, Column, Figure, Paragraph, Table
 from vcbf_drake.viz.report.figures.knob_figure import Knob, knob_figure
 from vcbf_drake.viz.report.reproduction import Reproduction
 from vcbf_drake.viz.report.tables import METHOD, tally_table
@@ -29,12 +29,7 @@ def knobs(numbers: Mapping[str, Any], saved: Reproduction) -> list[Block]:
             lambda: knob_figure([_typeset(knob) for knob in chosen]),
             command,
         ),
-        tally_table(
-            "The same in numbers.",
-            [Column("setting"), Column("value", whole=True), METHOD],
-            [row for knob in chosen for row in _rows(knob)],
-            command,
-        ),
+        *(_table(knob, command) for knob in chosen),
     ]
 
 
@@ -67,10 +62,13 @@ def _tally(method: str, point: Mapping[str, Any]) -> Tally | None:
     return Tally.from_numbers(method, point[method]) if method in point else None
 
 
-def _rows(knob: Knob) -> Iterator[tuple[list[str], Tally]]:
-    """A row for each value and method."""
-    for place, value in enumerate(knob.values):
-        for method, tallies in knob.tallies.items():
-            tally = tallies[place]
-            if tally is not None:
-                yield [knob.label, value, method_label(method)], tally
+def _table(knob: Knob, command: str) -> Table:
+    rows = [
+        ([value, method_label(method)], tally)
+        for place, value in enumerate(knob.values)
+        for method, tallies in knob.tallies.items()
+        for tally in [tallies[place]]
+        if tally is not None
+    ]
+    heads = [Column("value", whole=True), METHOD]
+    return tally_table(f"In numbers: {knob.label}.", heads, rows, command)
