@@ -128,7 +128,7 @@ def test_the_page_needs_nothing_from_elsewhere(page, directory):
     assert len(page.encode()) < 5e6
 
 
-def test_every_figure_is_in_the_page_and_on_disk(page, directory):
+def test_every_figure_is_in_the_page_and_on_disk(page, directory, data):
     assert set(re.findall(r'<figure id="figure-([^"]+)"', page)) == FIGURES
     for name in FIGURES:
         root = ElementTree.parse(directory / "figures" / f"{name}.svg").getroot()
@@ -137,7 +137,9 @@ def test_every_figure_is_in_the_page_and_on_disk(page, directory):
         width, height = struct.unpack(">II", png[16:24])
         assert 900 < width < 1600 and 250 < height < 2000
     assert {path.stem for path in (directory / "replays").iterdir()} == REPLAYS
-    assert page.count("Left out") == 0
+    assert "left-out" not in page
+    tables = (directory / "reproduction.md").read_text(encoding="utf-8")
+    assert tables == reproduction_markdown(data)
 
 
 def test_figures_and_tables_are_numbered_and_captioned(page):
@@ -293,8 +295,17 @@ def test_what_is_missing_is_left_out_and_told(tmp_path):
     shutil.rmtree(tmp_path / "runs" / "test_2" / PAIR[0])
     (tmp_path / "studies" / "table_1_case_2.jsonl").unlink()
     page = write_report(tmp_path).read_text(encoding="utf-8")
-    for key in ("verdicts", "test_1", "car_2", "knobs"):
-        assert f"Left out: <code>reproduction.json</code> has no <code>{key}" in page
+    assert re.findall('<section id="([^"]+)"', page) == [
+        "test-2",
+        "table-1",
+        "left-out",
+    ]
+    for title in (
+        "What was found",
+        "Test 1: one obstacle in a wind",
+        "Car experiment 2",
+    ):
+        assert title in page[page.index('id="left-out"') :]
     lacking = "for want of <code>runs/test_2/dob-cbf-qp"
     assert page.count(lacking) == 7  # Six figures and the replay.
     assert "for want of <code>studies/table_1_case_2.jsonl" in page

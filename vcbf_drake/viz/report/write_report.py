@@ -25,7 +25,7 @@ REMARK = (
 
 
 def write_report(directory: str | Path) -> Path:
-    """Writes the report of a reproduction: report.html, figures/ and replays/.
+    """Writes report.html, figures/ and replays/, and the tables as reproduction.md.
 
     What the directory lacks, the report leaves out and says so.
 
@@ -45,12 +45,9 @@ def write_report(directory: str | Path) -> Path:
         replace(section, blocks=[_made(b, directory, pictures) for b in section.blocks])
         for section in build_sections(saved)
     ]
-    path = directory / "report.html"
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
     page = page_html(TITLE, sections, pictures, REMARK)
-    temporary.write_bytes(page.encode("utf-8"))
-    os.replace(temporary, path)
-    return path
+    _write(directory / "reproduction.md", reproduction_markdown(saved.data))
+    return _write(directory / "report.html", page)
 
 
 def reproduction_markdown(data: Mapping[str, Any]) -> str:
@@ -89,3 +86,11 @@ def _draw(figure: Figure, directory: Path) -> str:
     with figure_style():
         _, path = save_figure(figure.draw(), directory, figure.name)
     return inline_svg(path.read_text(encoding="utf-8"), figure.name)
+
+
+def _write(path: Path, text: str) -> Path:
+    """Writes the whole file, or leaves it as it was."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary.write_bytes(text.encode("utf-8"))
+    os.replace(temporary, path)
+    return path

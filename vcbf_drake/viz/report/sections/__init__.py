@@ -23,6 +23,7 @@ from vcbf_drake.viz.report.sections.table_1 import table_1
 from vcbf_drake.viz.report.sections.test_1 import test_1
 from vcbf_drake.viz.report.sections.test_2 import test_2
 from vcbf_drake.viz.report.sections.verdicts import verdicts
+from vcbf_drake.viz.report.wording import listed
 
 # The key in reproduction.json, the title, and what builds the section's blocks.
 _SECTIONS: tuple[tuple[str, str, Callable[[Any, Reproduction], list[Block]]], ...] = (
@@ -41,17 +42,14 @@ _SECTIONS: tuple[tuple[str, str, Callable[[Any, Reproduction], list[Block]]], ..
 
 
 def build_sections(saved: Reproduction) -> list[Section]:
-    """Returns every section; one without numbers says so."""
-    return [
-        Section(key.replace("_", "-"), title, _blocks(key, build, saved))
+    """Returns the sections that have numbers, and one that names those without."""
+    present = [
+        Section(key.replace("_", "-"), title, build(saved.data[key], saved))
         for key, title, build in _SECTIONS
+        if saved.data.get(key)
     ]
-
-
-def _blocks(
-    key: str, build: Callable[[Any, Reproduction], list[Block]], saved: Reproduction
-) -> list[Block]:
-    numbers = saved.data.get(key)
-    if not numbers:
-        return [Missing(f"Left out: `reproduction.json` has no `{key}`.")]
-    return build(numbers, saved)
+    absent = [f"*{title}*" for key, title, _ in _SECTIONS if not saved.data.get(key)]
+    if not absent:
+        return present
+    words = f"`reproduction.json` has no numbers for {listed(absent)}."
+    return [*present, Section("left-out", "Left out", [Missing(words)])]

@@ -42,7 +42,7 @@ def _knob(numbers: Mapping[str, Any]) -> Knob:
     values = [point["value"] for point in points]
     usual = numbers.get("usual")
     return Knob(
-        label=f"{numbers['label']} [{unit or '-'}]",
+        label=f"{numbers['label']}\u00a0[{unit or '-'}]",
         values=[f"{value:g}" for value in values],
         tallies={
             method: [_tally(method, point) for point in points]
