@@ -28,6 +28,7 @@ class FeasibleSet:
         reference: The reference input, shape (m,).
         input: The chosen input, shape (m,).
         corners: The polytope's corners, shape (k, m).
+        volume: The volume barrier V_v; nan when the filter did not know it.
     """
 
     A: Array
@@ -40,6 +41,7 @@ class FeasibleSet:
     reference: Array
     input: Array
     corners: Array
+    volume: float
 
     @property
     def empty(self) -> bool:
@@ -73,6 +75,7 @@ def feasible_set_at(run: Run, time: float) -> FeasibleSet:
         reference=log["reference"][tick],
         input=log["input"][tick],
         corners=polytope_vertices(A, b),
+        volume=float(log["volume"][tick]),
     )
 
 

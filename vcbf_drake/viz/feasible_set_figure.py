@@ -85,11 +85,16 @@ def draw_feasible_set(axes: Any, chosen: FeasibleSet, color: str) -> None:
 
 
 def _draw_or_tell(axes: Any, run: Run, time: float) -> None:
-    """The set at a time, or that the run was over by then."""
-    draw_feasible_set(axes, feasible_set_at(run, time), run.color)
+    """The set at a time with its volume, or that the run was over by then."""
+    chosen = feasible_set_at(run, time)
+    draw_feasible_set(axes, chosen, run.color)
     if time > run.time[-1] + 1e-9:
         words = f"run over since {run.time[-1]:.2f} s"
-        axes.annotate(words, (0.97, 0.04), **(_CORNER | _LOWER_RIGHT), color=MUTED)
+    elif not chosen.empty and np.isfinite(chosen.volume):
+        words = f"$V_v$ = {chosen.volume:.3f}"
+    else:
+        return
+    axes.annotate(words, (0.97, 0.04), **(_CORNER | _LOWER_RIGHT), color=MUTED)
 
 
 def _draw_forbidden(
@@ -152,4 +157,10 @@ def _legend_handles() -> list[Any]:
 
 
 _CORNER = dict(xycoords="axes fraction", fontsize=8, weight="bold", va="top", zorder=7)
-_LOWER_RIGHT = dict(ha="right", va="bottom", weight="normal", fontsize=7)
+_LOWER_RIGHT = dict(
+    ha="right",
+    va="bottom",
+    weight="normal",
+    fontsize=7.5,
+    bbox=dict(boxstyle="round,pad=0.15", fc="white", ec="none", alpha=0.85),
+)
