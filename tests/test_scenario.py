@@ -90,6 +90,13 @@ OneOfEverything:
   noise:
     std: [0.0, 0.0, 0.01, 0.0]
     seed: 3
+  hardware:
+    fallback: zero
+    brake_rate: 1.0
+    command_timeout: 0.2
+    max_state_age: 0.3
+    hold_time: 0.0
+    longest_interval: 0.15
 """
 
 

@@ -55,6 +55,7 @@ class LinearDisturbanceObserver(DisturbanceObserver):
         period: float,
         bounds: DisturbanceBounds,
         rate: float = 4.0,
+        longest_interval: float | None = None,
     ) -> None:
         """Initialises the observer.
 
@@ -63,6 +64,9 @@ class LinearDisturbanceObserver(DisturbanceObserver):
             period: Time between measurements [s].
             bounds: delta1, delta2 and delta3 of the disturbance (E8).
             rate: l, how fast the estimate follows [1/s].
+            longest_interval: The longest time between measurements that is bridged,
+                and that the bound is for [s]. By default every time is bridged, and
+                the bound is for the period.
 
         Raises:
             ModelError: Two disturbances act on the state in the same way.
@@ -70,7 +74,8 @@ class LinearDisturbanceObserver(DisturbanceObserver):
         """
         check_positive("period", period)
         check_positive("rate", rate)
-        floor = bounds.delta2 * period / (2.0 * math.tanh(rate * period / 2.0))
+        interval = max(period, longest_interval or 0.0)
+        floor = bounds.delta2 * interval / (2.0 * math.tanh(rate * interval / 2.0))
         super().__init__(
             model,
             period,
@@ -78,6 +83,7 @@ class LinearDisturbanceObserver(DisturbanceObserver):
             memory_size=model.num_disturbances,
             error_bound=ErrorBound(bounds.delta1 - floor, rate, floor),
             estimate_gain=rate,
+            longest_interval=longest_interval,
         )
 
     def _advance(self, memory: Array, mean: Array, elapsed: float) -> Array:

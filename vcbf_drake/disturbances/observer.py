@@ -64,12 +64,16 @@ class DisturbanceObserver(LeafSystem):
 
     While the state or the input is not finite, the estimate keeps its value, and an
     interval that begins or ends there tells nothing. The error bound assumes that there
-    are no such gaps; it counts time from the first measurement.
+    are no such gaps; it counts time from the first measurement. After a longer interval
+    than `longest_interval`, or when time goes back, the observer begins anew: its
+    estimate is 0 and its error bound is what it was at first.
 
     Attributes:
         bounds: delta1, delta2 and delta3 (E8).
         estimate_gain: How the unknown error drives the estimate [1/s] (E26):
             d(dhat)/dt = estimate_rate + estimate_gain (d - dhat).
+        longest_interval: The longest time between measurements that is bridged [s];
+            infinite unless given.
     """
 
     bounds: DisturbanceBounds
@@ -84,6 +88,7 @@ class DisturbanceObserver(LeafSystem):
         memory_size: int,
         error_bound: ErrorBound,
         estimate_gain: float,
+        longest_interval: float | None = None,
     ) -> None:
         """Initialises what all observers share.
 
@@ -94,6 +99,7 @@ class DisturbanceObserver(LeafSystem):
             memory_size: How many numbers the observer remembers, all 0 at the start.
             error_bound: The bound of its error.
             estimate_gain: See the attribute.
+            longest_interval: See the attribute.
 
         Raises:
             ModelError: Two disturbances act on the state in the same way.
@@ -101,6 +107,7 @@ class DisturbanceObserver(LeafSystem):
         super().__init__()
         self.bounds = bounds
         self.estimate_gain = estimate_gain
+        self.longest_interval = max(period, longest_interval or math.inf)
         self._model = model
         self._period = period
         self._error_bound = error_bound
@@ -132,6 +139,12 @@ class DisturbanceObserver(LeafSystem):
     def period(self) -> float:
         """Time between measurements [s]."""
         return self._period
+
+    @property
+    def certified_interval(self) -> float:
+        """The time between measurements that the error bound is for [s]."""
+        is_given = math.isfinite(self.longest_interval)
+        return self.longest_interval if is_given else self._period
 
     def error_bound(self, t: float) -> float:
         """Returns the error bound a time t [s] after the first measurement [m/s^2]."""
@@ -167,7 +180,9 @@ class DisturbanceObserver(LeafSystem):
         stored = _stored(context)
         memory = stored[self._memory_start :]
         elapsed = context.get_time() - stored[1]
-        if elapsed > 1e-6 * self._period:
+        if self._is_gap(elapsed):
+            memory = np.zeros_like(memory)
+        elif elapsed > 1e-6 * self._period:
             x_0, x_1 = stored[2 : self._memory_start], self._state.Eval(context)
             if _is_finite(x_1):
                 mean = self._mean_disturbance(
@@ -198,10 +213,11 @@ class DisturbanceObserver(LeafSystem):
 
     def _update(self, context: Context, discrete: DiscreteValues) -> None:
         """Stores the posterior, and the measurement it ends with."""
-        first, now = _stored(context)[0], context.get_time()
+        (first, last), now = _stored(context)[:2], context.get_time()
+        begins = math.isnan(first) or self._is_gap(now - last)
         state = self._state.Eval(context)
         last = now if _is_finite(state) else math.nan
-        first = last if math.isnan(first) else first
+        first = last if begins else first
         discrete.set_value(
             np.concatenate(((first, last), state, self._memory(context)))
         )
@@ -223,8 +239,14 @@ class DisturbanceObserver(LeafSystem):
 
     def _age(self, context: Context) -> float:
         """Returns the time since the first measurement, 0 before it [s]."""
-        age = context.get_time() - _stored(context)[0]
-        return 0.0 if math.isnan(age) else float(age)
+        first, last = _stored(context)[:2]
+        now = context.get_time()
+        begins = math.isnan(first) or self._is_gap(now - last)
+        return 0.0 if begins else float(now - first)
+
+    def _is_gap(self, elapsed: float) -> bool:
+        tolerance = 1e-6 * self._period
+        return elapsed < -tolerance or elapsed > self.longest_interval + tolerance
 
 
 def _stored(context: Context) -> Array:

@@ -78,6 +78,7 @@ class RiseObserver(DisturbanceObserver):
         boundary_layer: float = 0.05,
         noise: float = 0.0,
         floor: bool = True,
+        longest_interval: float | None = None,
     ) -> None:
         """Initialises the observer.
 
@@ -91,6 +92,10 @@ class RiseObserver(DisturbanceObserver):
             noise: Standard deviation of the measured disturbed channels [m/s].
             floor: Whether the error bound has its floor. Without, it is (E13) as
                 published, which no sampled observer meets.
+            longest_interval: The longest time between measurements that is bridged,
+                and that the bound is for [s]; proven for equal intervals, measured for
+                others. By default every time is bridged, and the bound is for the
+                period.
 
         Raises:
             ModelError: Two disturbances act on the state in the same way.
@@ -104,9 +109,10 @@ class RiseObserver(DisturbanceObserver):
             raise ValueError(f"noise is {noise!r}; it must be finite and not below 0")
         gains = gains or RiseGains()
         q = model.num_disturbances
+        interval = max(period, longest_interval or 0.0)
         bound = ErrorBound(bounds.delta1, gains.decay_rate / 2.0, 0.0)
         if floor:
-            bound = error_bound(gains, bounds, period, step, boundary_layer, noise, q)
+            bound = error_bound(gains, bounds, interval, step, boundary_layer, noise, q)
         super().__init__(
             model,
             period,
@@ -114,6 +120,7 @@ class RiseObserver(DisturbanceObserver):
             memory_size=3 * q,
             error_bound=bound,
             estimate_gain=gains.gamma,
+            longest_interval=longest_interval,
         )
         self.gains = gains
         self._step = step
@@ -126,7 +133,9 @@ class RiseObserver(DisturbanceObserver):
 
     def gain_conditions(self) -> tuple[Condition, ...]:
         """Returns the inequalities that the error bound rests on (E13), (E49)."""
-        return gain_conditions(self.gains, self.bounds, self.period, self._step)
+        return gain_conditions(
+            self.gains, self.bounds, self.certified_interval, self._step
+        )
 
     def _advance(self, memory: Array, mean: Array, elapsed: float) -> Array:
         step = self._forward if self._step == "explicit" else self._backward

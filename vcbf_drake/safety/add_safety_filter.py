@@ -46,7 +46,7 @@ class AddedSafetyFilter(NamedTuple):
 def AddSafetyFilter(
     builder: DiagramBuilder,
     *,
-    plant: System,
+    plant: System | None,
     reference: OutputPort | None,
     barriers: Sequence[Barrier | StateInputLimit],
     input_set: InputSet,
@@ -59,6 +59,7 @@ def AddSafetyFilter(
     volume_barrier: VolumeBarrier | None = None,
     observer: DisturbanceObserver | None = None,
     state: OutputPort | None = None,
+    applied_input: OutputPort | None = None,
     obstacles: OutputPort | None = None,
     input_port: InputPort | str | int | None = None,
     disturbance_port: InputPort | str | int | None = None,
@@ -77,7 +78,9 @@ def AddSafetyFilter(
         builder: Holds the plant and the controller already.
         plant: Any control-affine Drake system; see `ControlAffineModel.from_system`.
             The filter's model is made here, with the plant's default parameters:
-            parameters changed in a context change the plant alone.
+            parameters changed in a context change the plant alone. None where the
+            plant is elsewhere: then `model` and `state` are needed, and what the hold
+            puts out is yours to connect.
         reference: The controller's output port, (m,); None leaves the filter's port
             ``reference`` to connect, or to export from a diagram.
         barriers: What must stay true.
@@ -93,6 +96,8 @@ def AddSafetyFilter(
         observer: Used in place of the method's own with its default gains.
         state: The measured state; the plant's output named ``state`` or its only one
             by default.
+        applied_input: The mean input that the plant really applied since the last
+            tick, where it tells; the held input by default.
         obstacles: What is perceived, where there are `PerceivedSpheres` among the
             barriers; None leaves the filter's port ``obstacles`` to connect.
         input_port: The plant's input, where it has several.
@@ -107,6 +112,8 @@ def AddSafetyFilter(
         ModelError: The plant is not control affine or a barrier does not fit it.
         ValueError: An argument is outside what is allowed.
     """
+    if plant is None and (model is None or state is None):
+        raise ValueError("plant: None; then model and state must be given")
     model = model or ControlAffineModel.from_system(plant, input_port, disturbance_port)
     observer = observer or _default_observer(method, model, period, bounds)
     applied = corrections or FIDELITIES[fidelity]
@@ -122,7 +129,9 @@ def AddSafetyFilter(
         disturbance_bound=bounds.delta1,
         estimate_gain=observer.estimate_gain,
         violation_weights=violation_weights,
-        hold_margin=bounds.delta2 * period if applied.error_floor else 0.0,
+        hold_margin=bounds.delta2 * max(period, observer.certified_interval)
+        if applied.error_floor
+        else 0.0,
     )
     builder.AddNamedSystem(name, safety_filter)
     hold = builder.AddNamedSystem(
@@ -139,9 +148,10 @@ def AddSafetyFilter(
         builder.Connect(reference, safety_filter.GetInputPort("reference"))
     builder.Connect(safety_filter.GetOutputPort("input"), hold.get_input_port())
     builder.Connect(held, safety_filter.GetInputPort("held_input"))
-    builder.Connect(held, _port(plant, input_port))
+    if plant is not None:
+        builder.Connect(held, _port(plant, input_port))
     builder.Connect(state, observer.GetInputPort("state"))
-    builder.Connect(held, observer.GetInputPort("input"))
+    builder.Connect(applied_input or held, observer.GetInputPort("input"))
     if safety_filter.method.disturbance == "estimated":
         for port, _ in observer_ports(model.num_disturbances):
             builder.Connect(

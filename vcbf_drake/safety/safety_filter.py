@@ -41,6 +41,7 @@ from vcbf_drake.safety.filter_qp import (
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.methods import method_named
 from vcbf_drake.safety.packed_feasible_set import pack_feasible_set
+from vcbf_drake.safety.polytope import emptiness_certificate
 from vcbf_drake.safety.volume_barrier import (
     Volume,
     VolumeBarrier,
@@ -321,6 +322,18 @@ class SafetyFilter(LeafSystem):
         if not self.input_set.is_box:
             return f"input limit {row}"
         return f"{'upper' if row < m else 'lower'} limit of input {row % m}"
+
+    def conflicting_rows(self, A: Array, b: Array) -> tuple[str, ...]:
+        """Returns the names of rows that exclude each other; none where none do.
+
+        Args:
+            A: The rows of a feasible set, shape (rows, m).
+            b: Their right-hand sides, shape (rows,).
+        """
+        center, scale = self.input_set.center, self.input_set.scale
+        certificate = emptiness_certificate(A * scale, b - A @ center)
+        rows = () if certificate is None else certificate.rows
+        return tuple(self.row_name(int(row)) for row in rows)
 
     def _calc_feasible_set(self, context: Context) -> FeasibleSet:
         seen = None if self._obstacles is None else self._obstacles.Eval(context)

@@ -30,12 +30,15 @@ class CollisionMonitor(LeafSystem):
 
     A witness function finds the instant between integrator steps; the root context
     needs an accuracy (`Context.SetAccuracy`) for it to be isolated.
+
+    Attributes:
+        barrier_set: The barriers it looks at.
     """
 
     def __init__(self, barriers: BarrierSet, num_states: int) -> None:
         """Declares the witness on the least of the barriers that have a value."""
         super().__init__()
-        self._barriers = barriers
+        self.barrier_set = barriers
         self._state = self.DeclareVectorInputPort("state", num_states)
         # The witness is asked at the end of a step and at the start of the next.
         self._least = self.DeclareCacheEntry(
@@ -61,7 +64,7 @@ class CollisionMonitor(LeafSystem):
         return least
 
     def _calc_least(self, context: Context, least: Any) -> None:
-        values = self._barriers.values(self._state.Eval(context), context.get_time())
+        values = self.barrier_set.values(self._state.Eval(context), context.get_time())
         numbers = [h for h in values.tolist() if not math.isnan(h)]
         least.set_value(min(numbers, default=math.inf))
 

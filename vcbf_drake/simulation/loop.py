@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 from pydrake.systems.framework import (
@@ -16,12 +16,14 @@ from pydrake.systems.primitives import LogVectorOutput
 
 from vcbf_drake.barriers import (
     Barrier,
+    BarrierSet,
     SphereObstacle,
     StateInputLimit,
     ackermann_limit,
 )
 from vcbf_drake.control import BlimpController, CarController
 from vcbf_drake.disturbances import (
+    DisturbanceBounds,
     DisturbanceObserver,
     DisturbanceSource,
     LinearDisturbanceObserver,
@@ -40,11 +42,16 @@ from vcbf_drake.simulation.collision_monitor import CollisionMonitor
 from vcbf_drake.simulation.measurement_noise import MeasurementNoise
 from vcbf_drake.simulation.scenario import Scenario
 
+if TYPE_CHECKING:
+    from vcbf_drake.hil import Bus
+
 LOG_PREFIX = "log_"
 COLLISION_MONITOR = "collision_monitor"
 
 
-def make_loop(scenario: Scenario) -> Diagram:
+def make_loop(
+    scenario: Scenario, *, hardware: bool = False, bus: Bus | None = None
+) -> Diagram:
     """Returns the whole closed loop of a scenario as a Drake diagram.
 
     The systems are named plant, disturbance, controller, filter, filter_hold and
@@ -56,15 +63,87 @@ def make_loop(scenario: Scenario) -> Diagram:
 
     Args:
         scenario: A validated scenario.
+        hardware: Whether a vehicle on an LCM bus takes the place of plant and
+            disturbance; see `vcbf_drake.hil.make_hardware_loop`.
+        bus: That bus; LCM's default one if None.
     """
+    if hardware:
+        # This one import goes upwards: hardware in the loop knows simulations.
+        from vcbf_drake.hil.hardware_loop import make_hardware_loop
+
+        return make_hardware_loop(scenario, bus)
     builder = DiagramBuilder()
-    plant = builder.AddNamedSystem("plant", _plant(scenario))
-    source = builder.AddNamedSystem("disturbance", _source(scenario, plant))
+    simulated = add_simulated_plant(builder, scenario)
+    plant, source = simulated.plant, simulated.source
+    model = ControlAffineModel.from_system(plant)
+    controller, loop = add_controller_and_filter(
+        builder,
+        scenario,
+        model,
+        source.bounds,
+        state=simulated.state,
+        observer=make_observer(
+            scenario,
+            model,
+            source.bounds,
+            period=scenario.observer.period or scenario.period,
+        ),
+        plant=plant,
+    )
+    add_collision_monitor(builder, plant, loop.filter.barrier_set)
+    _add_logs(builder, scenario, plant, source, controller, loop)
+    diagram = builder.Build()
+    diagram.set_name(scenario.name)
+    return diagram
+
+
+class SimulatedPlant(NamedTuple):
+    """A plant in its disturbance.
+
+    Attributes:
+        plant: The plant; its input is still to be connected.
+        source: The disturbance.
+        state: The measured state.
+    """
+
+    plant: LeafSystem
+    source: DisturbanceSource
+    state: OutputPort
+
+
+def add_simulated_plant(builder: DiagramBuilder, scenario: Scenario) -> SimulatedPlant:
+    """Adds a scenario's plant, disturbance and, if any, measurement noise."""
+    plant = builder.AddNamedSystem("plant", make_plant(scenario))
+    source = builder.AddNamedSystem("disturbance", make_source(scenario))
     builder.Connect(source.get_output_port(), plant.GetInputPort("disturbance"))
-    state = _measured_state(builder, scenario, plant)
+    return SimulatedPlant(plant, source, _measured_state(builder, scenario, plant))
+
+
+def add_controller_and_filter(
+    builder: DiagramBuilder,
+    scenario: Scenario,
+    model: ControlAffineModel,
+    bounds: DisturbanceBounds,
+    *,
+    state: OutputPort,
+    observer: DisturbanceObserver,
+    plant: LeafSystem | None = None,
+    applied_input: OutputPort | None = None,
+) -> tuple[LeafSystem, AddedSafetyFilter]:
+    """Adds a scenario's controller, and its filter with hold and observer.
+
+    Args:
+        builder: Holds what measures the state.
+        scenario: A validated scenario.
+        model: The plant's.
+        bounds: Of the disturbance.
+        state: The measured state.
+        observer: Estimates the disturbance.
+        plant: Gets the held input; None leaves that to be connected.
+        applied_input: What the plant really applied; the held input by default.
+    """
     controller = builder.AddNamedSystem("controller", _controller(scenario))
     builder.Connect(state, controller.GetInputPort("state"))
-    model = ControlAffineModel.from_system(plant)
     loop = AddSafetyFilter(
         builder,
         plant=plant,
@@ -72,13 +151,14 @@ def make_loop(scenario: Scenario) -> Diagram:
         barriers=barriers(scenario),
         input_set=scenario.input_set.input_set(),
         period=scenario.period,
-        bounds=source.bounds,
+        bounds=bounds,
         method=scenario.method,
         corrections=scenario.applied_corrections,
         infeasible=cast(InfeasiblePolicy, scenario.infeasible),
         volume_barrier=scenario.volume,
-        observer=_observer(scenario, model, source),
+        observer=observer,
         state=state,
+        applied_input=applied_input,
         model=model,
     )
     if loop.filter.method.disturbance == "estimated":
@@ -86,11 +166,7 @@ def make_loop(scenario: Scenario) -> Diagram:
             loop.observer.GetOutputPort("disturbance_estimate"),
             controller.GetInputPort("disturbance_estimate"),
         )
-    _add_collision_monitor(builder, plant, loop)
-    _add_logs(builder, scenario, plant, source, controller, loop)
-    diagram = builder.Build()
-    diagram.set_name(scenario.name)
-    return diagram
+    return controller, loop
 
 
 def barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
@@ -120,15 +196,17 @@ def _plant_class(scenario: Scenario) -> Any:
     return Blimp if isinstance(scenario.plant, BlimpParameters) else Car
 
 
-def _plant(scenario: Scenario) -> LeafSystem:
+def make_plant(scenario: Scenario) -> LeafSystem:
+    """Returns a scenario's plant."""
     return _plant_class(scenario)(scenario.plant)
 
 
-def _source(scenario: Scenario, plant: LeafSystem) -> DisturbanceSource:
+def make_source(scenario: Scenario) -> DisturbanceSource:
+    """Returns a scenario's disturbance."""
     return DisturbanceSource(
         scenario.disturbance,
         horizon=scenario.duration,
-        num_disturbances=plant.GetInputPort("disturbance").size(),
+        num_disturbances=make_plant(scenario).GetInputPort("disturbance").size(),
     )
 
 
@@ -163,14 +241,31 @@ def measurement_noise(scenario: Scenario, model: ControlAffineModel) -> float:
     return float(np.max(np.array(scenario.noise.std)[disturbed], initial=0.0))
 
 
-def _observer(
-    scenario: Scenario, model: ControlAffineModel, source: DisturbanceSource
+def make_observer(
+    scenario: Scenario,
+    model: ControlAffineModel,
+    bounds: DisturbanceBounds,
+    *,
+    period: float,
+    longest_interval: float | None = None,
 ) -> DisturbanceObserver:
-    settings, bounds = scenario.observer, source.bounds
-    period = settings.period or scenario.period
+    """Returns a scenario's observer.
+
+    Args:
+        scenario: A validated scenario.
+        model: The plant's.
+        bounds: Of the disturbance.
+        period: Time between measurements [s].
+        longest_interval: See `DisturbanceObserver`.
+    """
+    settings = scenario.observer
     if METHODS[scenario.method].observer == "linear":
         return LinearDisturbanceObserver(
-            model, period, bounds, rate=settings.linear_rate
+            model,
+            period,
+            bounds,
+            rate=settings.linear_rate,
+            longest_interval=longest_interval,
         )
     return RiseObserver(
         model,
@@ -181,17 +276,19 @@ def _observer(
         boundary_layer=settings.boundary_layer,
         noise=measurement_noise(scenario, model),
         floor=scenario.applied_corrections.error_floor,
+        longest_interval=longest_interval,
     )
 
 
-def _add_collision_monitor(
-    builder: DiagramBuilder, plant: LeafSystem, loop: AddedSafetyFilter
+def add_collision_monitor(
+    builder: DiagramBuilder, plant: LeafSystem, barrier_set: BarrierSet
 ) -> None:
+    """Adds what ends a simulation when a barrier becomes negative."""
+    state = plant.GetOutputPort("state")
     monitor = builder.AddNamedSystem(
-        COLLISION_MONITOR,
-        CollisionMonitor(loop.filter.barrier_set, loop.filter.model.num_states),
+        COLLISION_MONITOR, CollisionMonitor(barrier_set, state.size())
     )
-    builder.Connect(plant.GetOutputPort("state"), monitor.GetInputPort("state"))
+    builder.Connect(state, monitor.GetInputPort("state"))
 
 
 def _add_logs(

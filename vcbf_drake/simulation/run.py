@@ -45,7 +45,7 @@ def simulate(
         step_time: Whether to measure the filter's step afterwards, for the summary.
     """
     diagram = make_loop(scenario)
-    simulator = _simulator(diagram, scenario)
+    simulator = make_simulator(diagram, scenario)
     found = _assumptions(scenario, diagram, simulator.get_context())
     started = time.process_time()
     ending = _advance(simulator, scenario, progress)
@@ -65,11 +65,12 @@ def simulate(
 def check_assumptions(scenario: Scenario) -> tuple[Assumption, ...]:
     """Returns the theorems' hypotheses with numbers, before anything moves."""
     diagram = make_loop(scenario)
-    simulator = _simulator(diagram, scenario)
+    simulator = make_simulator(diagram, scenario)
     return _assumptions(scenario, diagram, simulator.get_context())
 
 
-def _simulator(diagram: Diagram, scenario: Scenario) -> Simulator:
+def make_simulator(diagram: Diagram, scenario: Scenario) -> Simulator:
+    """Returns a simulator of a diagram with the scenario's plant at its start."""
     simulator = Simulator(diagram)
     ApplySimulatorConfig(
         SimulatorConfig(

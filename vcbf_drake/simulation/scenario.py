@@ -135,6 +135,24 @@ class MeasurementNoise:
 
 
 @dataclass
+class Hardware:
+    """A vehicle on a bus: what both sides do when messages fail to come."""
+
+    # What a vehicle without commands does: "zero" input, or "brake".
+    fallback: str = "brake"
+    # How fast a braking vehicle's speed decays [1/s].
+    brake_rate: float = 2.0
+    # Age at which the vehicle does not follow its last command any more [s].
+    command_timeout: float = 0.1
+    # Age at which the controller does not act on a state any more [s].
+    max_state_age: float = 0.1
+    # How long it then holds its command before it asks for the fallback [s].
+    hold_time: float = 0.1
+    # The longest interval between states that the observer bridges [s].
+    longest_interval: float = 0.1
+
+
+@dataclass
 class Scenario:
     """One run: plant, controller, filter, disturbance, obstacles, start and target."""
 
@@ -189,6 +207,8 @@ class Scenario:
     integrator: Integrator = field(default_factory=Integrator)
     # Noise on the measured state.
     noise: MeasurementNoise = field(default_factory=MeasurementNoise)
+    # The same over LCM, with a vehicle in another process.
+    hardware: Hardware = field(default_factory=Hardware)
 
     @property
     def applied_corrections(self) -> Corrections:

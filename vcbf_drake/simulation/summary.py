@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vcbf_drake.errors import Array
-from vcbf_drake.safety import FilterStatus, SafetyFilter, emptiness_certificate
+from vcbf_drake.safety import FilterStatus, SafetyFilter
 from vcbf_drake.safety.add_safety_filter import STOP_MONITOR
 from vcbf_drake.simulation.loop import COLLISION_MONITOR
 from vcbf_drake.simulation.scenario import Scenario
@@ -124,11 +124,7 @@ def _conflict(
     if not infeasible.any():
         return None
     tick = int(np.argmax(infeasible))
-    certificate = emptiness_certificate(
-        log["polytope_A"][tick] * safety_filter.input_set.scale,
-        log["polytope_b"][tick]
-        - log["polytope_A"][tick] @ safety_filter.input_set.center,
+    rows = safety_filter.conflicting_rows(
+        log["polytope_A"][tick], log["polytope_b"][tick]
     )
-    if certificate is None:
-        return None
-    return [safety_filter.row_name(int(row)) for row in certificate.rows]
+    return list(rows) or None

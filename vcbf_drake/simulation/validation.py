@@ -22,6 +22,7 @@ from vcbf_drake.safety.methods import METHODS
 from vcbf_drake.safety.volume_barrier import VolumeBarrier
 from vcbf_drake.simulation.scenario import (
     BarrierGains,
+    Hardware,
     InputLimits,
     Integrator,
     MeasurementNoise,
@@ -32,6 +33,7 @@ from vcbf_drake.simulation.scenario import (
 )
 
 BARRIER_FORMS = ("distance", "squared")
+FALLBACKS = ("zero", "brake")
 OBSERVER_STEPS = ("implicit", "saturated", "explicit")
 
 # Keys and list indices from the top of a scenario down to one value.
@@ -101,6 +103,7 @@ def _require(allowed: bool, path: KeyPath, value: object, rule: str) -> None:
 
 _POSITIVE = {
     BarrierGains: {"gains"},
+    Hardware: {"brake_rate", "command_timeout", "max_state_age", "longest_interval"},
     Observer: {"alpha", "beta", "gamma", "boundary_layer", "linear_rate"},
     Obstacle: {"radius"},
     Scenario: {"duration", "period", "arrival_tolerance"},
@@ -108,6 +111,7 @@ _POSITIVE = {
     VolumeBarrier: {"threshold", "gain", "slack_penalty"},
 }
 _NON_NEGATIVE = {
+    Hardware: {"hold_time"},
     Integrator: {"max_step"},
     MeasurementNoise: {"std", "seed"},
     Observer: {"period"},
@@ -160,6 +164,7 @@ def _check_choices(scenario: Scenario) -> None:
         (("infeasible",), scenario.infeasible, INFEASIBLE_POLICIES),
         (("observer", "step"), scenario.observer.step, OBSERVER_STEPS),
         (("barrier", "form"), scenario.barrier.form, BARRIER_FORMS),
+        (("hardware", "fallback"), scenario.hardware.fallback, FALLBACKS),
         (
             ("integrator", "scheme"),
             scenario.integrator.scheme,

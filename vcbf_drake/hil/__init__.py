@@ -1,0 +1,40 @@
+"""Hardware in the loop: a vehicle and its controller as two processes on an LCM bus.
+
+What comes from the bus passes one checked function (`decoding`) and one `Inbox` per
+channel before anything sees it. The vehicle's half is `make_vehicle`, the controller's
+`make_loop(scenario, hardware=True)`; a process around each lets it run in real time.
+"""
+
+from vcbf_drake.hil.bus import Bus, BusError, check_bus
+from vcbf_drake.hil.clock import SimulatedClock, WallClock
+from vcbf_drake.hil.controller_process import ControllerProcess
+from vcbf_drake.hil.decoding import MessageFormat, Reason, Rejection
+from vcbf_drake.hil.faults import LinkFaults
+from vcbf_drake.hil.hardware_loop import make_hardware_loop
+from vcbf_drake.hil.in_process import InProcess
+from vcbf_drake.hil.inbox import Inbox
+from vcbf_drake.hil.modes import CommandMode, VehicleMode
+from vcbf_drake.hil.outbox import Outbox
+from vcbf_drake.hil.plant_process import PlantProcess
+from vcbf_drake.hil.vehicle import make_vehicle
+
+__all__ = [
+    "Bus",
+    "BusError",
+    "CommandMode",
+    "ControllerProcess",
+    "InProcess",
+    "Inbox",
+    "LinkFaults",
+    "MessageFormat",
+    "Outbox",
+    "PlantProcess",
+    "Reason",
+    "Rejection",
+    "SimulatedClock",
+    "VehicleMode",
+    "WallClock",
+    "check_bus",
+    "make_hardware_loop",
+    "make_vehicle",
+]

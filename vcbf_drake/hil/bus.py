@@ -1,0 +1,145 @@
+"""Bus: LCM as one process of the loop sees it, and whether it carries messages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import math
+import os
+import time
+
+from pydrake.lcm import DrakeLcm
+
+from vcbf_drake.errors import VcbfError
+from vcbf_drake.hil.clock import Clock, WallClock
+from vcbf_drake.hil.faults import FaultyLink, LinkFaults
+
+# Multicast, as LCM's own default; a time to live of 0 keeps it on this computer.
+DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
+
+# Takes a message's bytes and the time of its arrival [us].
+Handler = Callable[[bytes, int], None]
+# Takes the time [us], the channel and the bytes of a message.
+Tap = Callable[[int, str, bytes], None]
+
+_CHECK_CHANNEL = "VCBF_BUS_CHECK"
+_CHECK_PATIENCE = 1.0  # [s]
+
+
+class BusError(VcbfError):
+    """The bus does not carry messages; the text says how to mend it."""
+
+
+class Bus:
+    """Publishes, subscribes and waits on an LCM bus, with a clock and faults.
+
+    A DrakeLcm subscription keeps one message and drops what comes before that one is
+    handled, so whoever owns a bus polls it or waits on it without long breaks.
+
+    Args:
+        lcm: The bus; shared by both halves for ``memq://``, which is private to it.
+        clock: Stamps what is sent and what arrives.
+        faults: Injected into what arrives; none by default.
+
+    Attributes:
+        lcm: The bus.
+        clock: The clock.
+        session: When this bus was opened [us]; what it sends belongs to this session.
+        taps: Called with everything that is published, and with everything that
+            arrives on a subscribed channel, after the faults.
+    """
+
+    def __init__(
+        self,
+        lcm: DrakeLcm | None = None,
+        clock: Clock | None = None,
+        faults: LinkFaults | None = None,
+    ) -> None:
+        self.lcm = lcm or DrakeLcm(DEFAULT_URL)
+        self.clock = clock or WallClock()
+        self.session = self.clock.utime()
+        self.taps: list[Tap] = []
+        self._link = FaultyLink(faults or LinkFaults())
+        self._handlers: dict[str, list[Handler]] = {}
+
+    def publish(self, channel: str, data: bytes) -> None:
+        """Sends the bytes."""
+        self._tell_taps(channel, data)
+        self.lcm.Publish(channel, data)
+
+    def subscribe(self, channel: str, handler: Handler) -> None:
+        """Calls the handler with whatever bytes arrive on the channel."""
+        if channel not in self._handlers:
+            self._handlers[channel] = []
+            self.lcm.Subscribe(
+                channel,
+                lambda data: self._link.put(self.clock.utime(), channel, data),
+            )
+        self._handlers[channel].append(handler)
+
+    def poll(self) -> int:
+        """Handles what has arrived and returns how many messages that were."""
+        self.lcm.HandleSubscriptions(0)
+        return self._deliver()
+
+    def wait(self, until: float) -> int:
+        """Waits for a message and handles it, at the longest until a time [us].
+
+        Returns:
+            How many messages arrived.
+        """
+        while True:
+            remaining = min(until, self._link.next_due()) - self.clock.utime()
+            # LCM waits for whole milliseconds; what is left of one is slept.
+            if remaining >= 1000.0:
+                self.lcm.HandleSubscriptions(math.floor(remaining / 1000.0))
+            elif remaining > 0.0:
+                time.sleep(1e-6 * remaining)
+            arrived = self.poll()
+            if arrived or self.clock.utime() >= until:
+                return arrived
+
+    def _deliver(self) -> int:
+        arrived = 0
+        for channel, data in self._link.due(self.clock.utime()):
+            arrived += 1
+            self._tell_taps(channel, data)
+            for handler in self._handlers[channel]:
+                handler(data, self.clock.utime())
+        return arrived
+
+    def _tell_taps(self, channel: str, data: bytes) -> None:
+        for tap in self.taps:
+            tap(self.clock.utime(), channel, data)
+
+
+def check_bus(url: str, patience: float = _CHECK_PATIENCE) -> None:
+    """Checks that what one end publishes reaches another.
+
+    Without a route for multicast LCM raises nothing; messages just never arrive.
+
+    Args:
+        url: LCM's URL of the bus.
+        patience: How long to try [s].
+
+    Raises:
+        BusError: Nothing arrived, or the URL is not one that LCM knows.
+    """
+    if url.startswith("memq"):
+        raise BusError(f"{url} does not leave its process; use {DEFAULT_URL}")
+    try:
+        sender, receiver = DrakeLcm(url), DrakeLcm(url)
+    except RuntimeError as error:
+        raise BusError(f"{url} is not an LCM bus: {error}") from None
+    token = f"{os.getpid()} {time.monotonic_ns()}".encode()
+    arrived: list[bytes] = []
+    receiver.Subscribe(_CHECK_CHANNEL, arrived.append)
+    deadline = time.monotonic() + patience
+    while token not in arrived:
+        if time.monotonic() > deadline:
+            raise BusError(
+                f"{url} carries no messages: there is probably no route for multicast."
+                " On Linux: sudo ip link set lo up;"
+                " sudo ip route add 224.0.0.0/4 dev lo"
+            )
+        sender.Publish(_CHECK_CHANNEL, token)
+        receiver.HandleSubscriptions(20)

@@ -1,0 +1,128 @@
+"""CommandReceiver: what a vehicle applies, with its watchdog."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    EventStatus,
+    LeafSystem,
+    State,
+)
+
+from vcbf_drake.errors import Array
+from vcbf_drake.hil.bus import Bus
+from vcbf_drake.hil.decoding import command_format
+from vcbf_drake.hil.fallback import fallback_input
+from vcbf_drake.hil.inbox import Inbox
+from vcbf_drake.hil.modes import CommandMode, VehicleMode
+from vcbf_drake.hil.round_trip import RoundTrip
+from vcbf_drake.hil.timeline import Timeline
+from vcbf_drake.plants import ControlAffineModel
+from vcbf_drake.safety import InputSet
+from vcbf_drake.simulation.scenario import Hardware
+
+
+class CommandReceiver(LeafSystem):
+    """Applies the newest command, or falls back when none came for too long.
+
+    .. pydrake_system::
+
+        name: CommandReceiver
+        input_ports:
+        - state
+        output_ports:
+        - input
+        - mode
+
+    | port | size | |
+    | --- | --- | --- |
+    | ``state`` | n | the vehicle's state, for the brake |
+    | ``input`` | m | what the actuators apply: always inside their limits |
+    | ``mode`` | 1 | a `VehicleMode` |
+
+    At the beginning of every simulator step a command that has arrived by then is
+    taken; between steps the input is held.
+
+    Args:
+        bus: Where commands come from.
+        model: The vehicle's f, g, E.
+        input_set: What its actuators can do.
+        settings: When to fall back, and how.
+        timeline: Tells the time of the context.
+
+    Attributes:
+        inbox: What arrived.
+        round_trip: From sending a state to the command that answers it.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        model: ControlAffineModel,
+        input_set: InputSet,
+        settings: Hardware,
+        timeline: Timeline,
+    ) -> None:
+        super().__init__()
+        self._bus, self._settings, self._timeline = bus, settings, timeline
+        self._model, self._input_set = model, input_set
+        m = model.num_inputs
+        self.round_trip = RoundTrip()
+        self.inbox = Inbox(
+            bus, command_format(m), settings.command_timeout, self._take_times
+        )
+        self._state = self.DeclareVectorInputPort("state", model.num_states)
+        # The input, and the mode.
+        self.DeclareDiscreteState(np.append(np.zeros(m), VehicleMode.WAITING))
+        self.DeclarePerStepUnrestrictedUpdateEvent(self._take_over)
+        needs = {self.xd_ticket()}
+        self.DeclareVectorOutputPort("input", m, self._calc_input, needs)
+        self.DeclareVectorOutputPort("mode", 1, self._calc_mode, needs)
+
+    def mode(self, context: Context) -> VehicleMode:
+        """Returns what the vehicle does."""
+        return VehicleMode(int(_held(context)[-1]))
+
+    def _take_over(self, context: Context, state: State) -> EventStatus:
+        self._bus.poll()
+        mode, u = self._choose(context)
+        state.get_mutable_discrete_state().set_value(np.append(u, mode))
+        return EventStatus.Succeeded()
+
+    def _choose(self, context: Context) -> tuple[VehicleMode, Array]:
+        command, mode = self.inbox.newest, self.mode(context)
+        u = _held(context)[:-1]
+        now = self._timeline.utime(context.get_time())
+        age = 1e-6 * (now - self.inbox.received_at)
+        if command is None or age < 0.0:  # It comes later than this step begins.
+            return mode, u
+        applies = command.mode in (CommandMode.APPLY, CommandMode.HOLD)
+        if applies and age <= self._settings.command_timeout:
+            return VehicleMode.FOLLOWING, self._input_set.project(command.input)
+        return VehicleMode.FALLBACK, fallback_input(
+            self._settings.fallback,
+            self._model,
+            self._input_set,
+            self._state.Eval(context),
+            self._settings.brake_rate,
+        )
+
+    def _calc_input(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(_held(context)[:-1])
+
+    def _calc_mode(self, context: Context, output: BasicVector) -> None:
+        output[0] = _held(context)[-1]
+
+    def _take_times(self, command: Any, now: int) -> None:
+        is_answer = command.state_session == self._bus.session
+        if is_answer and command.mode == CommandMode.APPLY:
+            self.round_trip.add(now - command.state_utime)
+
+
+def _held(context: Context) -> Array:
+    held: Array = context.get_discrete_state_vector().CopyToVector()
+    return held

@@ -1,0 +1,122 @@
+"""ControllerProcess: observer, controller and filter behind a bus, in real time."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from vcbf_drake.hil.bus import Bus
+from vcbf_drake.hil.command_sender import CommandSender
+from vcbf_drake.hil.hardware_loop import make_hardware_loop
+from vcbf_drake.hil.modes import CommandMode, VehicleMode
+from vcbf_drake.hil.plant_process import FAREWELLS
+from vcbf_drake.hil.report import ControllerRecord, controller_report
+from vcbf_drake.hil.state_receiver import StateReceiver
+from vcbf_drake.simulation.scenario import Scenario
+
+
+class ControllerProcess:
+    """Drives the hardware loop of a scenario: one tick for every state that comes.
+
+    The loop's time is the time of the state, so the observer's intervals are the
+    vehicle's, whatever the bus does. A vehicle that sends faster than the control
+    period is sampled. When no state comes, commands go on once a control period, as
+    the watchdog says.
+
+    Args:
+        scenario: A validated scenario.
+        bus: Carries the messages.
+
+    Attributes:
+        bus: The bus.
+    """
+
+    def __init__(self, scenario: Scenario, bus: Bus) -> None:
+        self.bus = bus
+        self._scenario = scenario
+        self._period = round(1e6 * scenario.period)  # [us]
+        self._loop = make_hardware_loop(scenario, bus)
+        self._receiver: StateReceiver = self._loop.GetSubsystemByName("state_receiver")
+        self._sender: CommandSender = self._loop.GetSubsystemByName("command_sender")
+        self._context = self._loop.CreateDefaultContext()
+        self._record = ControllerRecord()
+        self._sent_at = 0
+        self._stopping = False
+
+    @property
+    def time(self) -> float:
+        """The time of the last state that was acted on [s]."""
+        return float(self._context.get_time())
+
+    @property
+    def mode(self) -> CommandMode | None:
+        """What it asked of the vehicle last, None before the first time."""
+        status = self._sender.last_status
+        return None if status is None else CommandMode(status.mode)
+
+    def stop(self, *_: object) -> None:
+        """Makes `run` end soon; fit to be a signal's handler."""
+        self._stopping = True
+
+    def run(self) -> None:
+        """Runs until the vehicle ends, the scenario's duration is over, or `stop`."""
+        while not (self._stopping or self._is_over()):
+            self.bus.wait(self.bus.clock.utime() + self._period)
+            self.step()
+        self._say_farewell()
+
+    def step(self) -> None:
+        """Acts on the newest state; in a long silence, sends what the watchdog says."""
+        self.bus.poll()
+        if self._is_due():
+            self._tick()
+        elif self._sender.states_are_old() and self._has_been_silent():
+            self._send()
+
+    def report(self) -> dict[str, Any]:
+        """Returns what the filter did, and how the states arrived."""
+        return controller_report(self._scenario, self._receiver, self._record)
+
+    def _is_due(self) -> bool:
+        newest = self._receiver.inbox.newest
+        last = self._receiver.message(self._receiver_context())
+        if newest is None or newest is last:
+            return False
+        if last is None or newest.session != last.session or newest.time == last.time:
+            return True
+        return bool(newest.time - last.time > 0.9 * self._scenario.period)
+
+    def _tick(self) -> None:
+        """Takes the state over, updates filter, hold and observer, and sends."""
+        started = time.perf_counter()
+        self._loop.ExecuteForcedEvents(self._context, publish=False)
+        self._context.SetTime(self._receiver.time(self._receiver_context()))
+        self._context.SetDiscreteState(
+            self._loop.EvalUniquePeriodicDiscreteUpdate(self._context)
+        )
+        self._send()
+        self._record.add_tick(self._sender.last_status, time.perf_counter() - started)
+
+    def _send(self) -> None:
+        """Sends command and status, if there was a tick already."""
+        self._loop.ForcedPublish(self._context)
+        self._sent_at = self.bus.clock.utime()
+        if self._sender.last_status is not None:
+            self._record.add_mode(self._sender.last_status)
+
+    def _has_been_silent(self) -> bool:
+        return self.bus.clock.utime() - self._sent_at >= self._period
+
+    def _is_over(self) -> bool:
+        newest = self._receiver.inbox.newest
+        return newest is not None and bool(
+            newest.mode == VehicleMode.ENDED or newest.time >= self._scenario.duration
+        )
+
+    def _say_farewell(self) -> None:
+        self._sender.ending = True
+        for _ in range(FAREWELLS):
+            self._send()
+
+    def _receiver_context(self) -> Any:
+        return self._receiver.GetMyContextFromRoot(self._context)

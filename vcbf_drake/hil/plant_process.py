@@ -1,0 +1,112 @@
+"""PlantProcess: a simulated vehicle on the bus, in real time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydrake.systems.analysis import SimulatorStatus
+
+from vcbf_drake.hil.bus import Bus
+from vcbf_drake.hil.command_receiver import CommandReceiver
+from vcbf_drake.hil.modes import VehicleMode
+from vcbf_drake.hil.report import plant_report
+from vcbf_drake.hil.state_sender import StateSender
+from vcbf_drake.hil.timeline import Timeline
+from vcbf_drake.hil.vehicle import make_vehicle
+from vcbf_drake.simulation.run import make_simulator
+from vcbf_drake.simulation.scenario import Scenario
+
+# How often a last message is sent, for the bus may lose one.
+FAREWELLS = 3
+
+
+class PlantProcess:
+    """Simulates a scenario's plant behind a bus: states out, commands in.
+
+    The plant stands at its initial state until a first command comes.
+
+    Args:
+        scenario: A validated scenario.
+        bus: Carries the messages.
+
+    Attributes:
+        bus: The bus.
+        collided: Whether a barrier became negative, which ends the motion.
+    """
+
+    def __init__(self, scenario: Scenario, bus: Bus) -> None:
+        self.bus = bus
+        self.collided = False
+        self._scenario = scenario
+        self._timeline = Timeline(bus.clock)
+        self._diagram = make_vehicle(scenario, bus, self._timeline)
+        self._receiver: CommandReceiver = self._diagram.GetSubsystemByName(
+            "command_receiver"
+        )
+        self._sender: StateSender = self._diagram.GetSubsystemByName("state_sender")
+        self._simulator = make_simulator(self._diagram, scenario)
+        self._simulator.Initialize()
+        self._stopping = False
+        self._elapsed = 0.0
+
+    @property
+    def time(self) -> float:
+        """The time since the motion began [s]."""
+        return float(self._simulator.get_context().get_time())
+
+    @property
+    def mode(self) -> VehicleMode:
+        """What the vehicle does."""
+        context = self._simulator.get_context()
+        return self._receiver.mode(self._receiver.GetMyContextFromRoot(context))
+
+    def stop(self, *_: object) -> None:
+        """Makes `run` end soon; fit to be a signal's handler."""
+        self._stopping = True
+
+    def run(self) -> None:
+        """Runs in real time to the scenario's duration, a collision or `stop`."""
+        self._wait_for_command()
+        period, duration = self._scenario.period, self._scenario.duration
+        tick = 1
+        while not (self._stopping or self.collided or self.time >= duration):
+            goal = min(tick * period, duration)
+            self.bus.wait(self._timeline.utime(goal))
+            self.advance_to(min(self._timeline.time(), goal))
+            tick += self.time >= goal
+        self._elapsed = self._timeline.time()
+        self._say_farewell()
+
+    def advance_to(self, time: float) -> None:
+        """Simulates up to a time [s]; earlier ones and those after a collision do not.
+
+        A command is applied from the first step on that begins after it has come.
+        """
+        if self.collided or time <= self.time:
+            return
+        status = self._simulator.AdvanceTo(time)
+        self.collided = (
+            status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition
+        )
+
+    def report(self) -> dict[str, Any]:
+        """Returns what the motion came to, and how the bus did."""
+        report = plant_report(
+            self._scenario, self._diagram, self._simulator.get_context(), self.collided
+        )
+        if self._elapsed > 0.0:
+            report["real_time_rate"] = self.time / self._elapsed
+        return report
+
+    def _wait_for_command(self) -> None:
+        context = self._simulator.get_context()
+        while self._receiver.inbox.newest is None and not self._stopping:
+            self._timeline.restart()
+            self._diagram.ForcedPublish(context)
+            self.bus.wait(self._timeline.utime(self._scenario.period))
+        self._timeline.restart()
+
+    def _say_farewell(self) -> None:
+        self._sender.ending = True
+        for _ in range(FAREWELLS):
+            self._diagram.ForcedPublish(self._simulator.get_context())

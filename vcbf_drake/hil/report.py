@@ -1,0 +1,160 @@
+"""What each half of a run on hardware came to, in numbers."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Collection
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydrake.systems.framework import Context, Diagram
+
+from vcbf_drake.errors import Array
+from vcbf_drake.hil.command_receiver import CommandReceiver
+from vcbf_drake.hil.inbox import Inbox
+from vcbf_drake.hil.messages import vcbf_status
+from vcbf_drake.hil.modes import CommandMode, VehicleMode
+from vcbf_drake.hil.state_receiver import StateReceiver
+from vcbf_drake.safety import FilterStatus
+from vcbf_drake.simulation.collision_monitor import CollisionMonitor
+from vcbf_drake.simulation.loop import COLLISION_MONITOR, LOG_PREFIX
+from vcbf_drake.simulation.scenario import Scenario
+
+_REMEMBERED = 65_536
+
+
+class ModeChange(NamedTuple):
+    """When something else began, and why.
+
+    Attributes:
+        time: Since the motion began [s].
+        mode: What began.
+        reason: Why; empty where the mode says it all.
+    """
+
+    time: float
+    mode: CommandMode | VehicleMode
+    reason: str = ""
+
+
+class ControllerRecord:
+    """Collects what the filter did, tick by tick, in bounded memory.
+
+    Attributes:
+        ticks: How many, by what the filter did.
+        least_volume: The least V_v.
+        greatest_slack: The greatest abs(slack).
+        durations: How long the last ticks took, from state to command [s].
+        changes: What was asked of the vehicle, in time; the last 1000 changes.
+    """
+
+    def __init__(self) -> None:
+        self.ticks: Counter[FilterStatus] = Counter()
+        self.least_volume = np.inf
+        self.greatest_slack = 0.0
+        self.durations: deque[float] = deque(maxlen=_REMEMBERED)
+        self.changes: deque[ModeChange] = deque(maxlen=1000)
+
+    def add_tick(self, status: vcbf_status | None, duration: float) -> None:
+        """Adds a tick that took so long [s], and what it sent."""
+        if status is None:
+            return
+        self.ticks[FilterStatus(status.filter_status)] += 1
+        self.least_volume = float(np.fmin(self.least_volume, status.volume))
+        self.greatest_slack = float(np.fmax(self.greatest_slack, abs(status.slack)))
+        self.durations.append(duration)
+
+    def add_mode(self, status: vcbf_status) -> None:
+        """Adds what was asked of the vehicle, if that is new."""
+        mode = CommandMode(status.mode)
+        if not self.changes or self.changes[-1].mode is not mode:
+            self.changes.append(ModeChange(status.time, mode, status.reason))
+
+
+def controller_report(
+    scenario: Scenario, receiver: StateReceiver, record: ControllerRecord
+) -> dict[str, Any]:
+    """Returns what the filter did, and how the states arrived.
+
+    Args:
+        scenario: What was run.
+        receiver: Took the states.
+        record: Of the ticks.
+    """
+    ticks = sum(record.ticks.values())
+    return {
+        "scenario": scenario.name,
+        "method": scenario.method,
+        "ticks": ticks,
+        "infeasible_ticks": record.ticks[FilterStatus.INFEASIBLE],
+        "failed_ticks": record.ticks[FilterStatus.FAILED],
+        "min_volume": record.least_volume if ticks else None,
+        "max_abs_slack": record.greatest_slack,
+        "tick_ms": median_and_p99(1e3 * np.array(record.durations)),
+        "round_trip_ms": median_and_p99(receiver.round_trip.milliseconds),
+        "arrived": _arrived(receiver.inbox),
+        "changes": list(record.changes),
+    }
+
+
+def plant_report(
+    scenario: Scenario, diagram: Diagram, context: Context, collided: bool
+) -> dict[str, Any]:
+    """Returns what the motion came to, and how the commands arrived.
+
+    Args:
+        scenario: What was run.
+        diagram: The vehicle.
+        context: Its context, at the end.
+        collided: Whether a barrier became negative.
+    """
+    receiver: CommandReceiver = diagram.GetSubsystemByName("command_receiver")
+    monitor: CollisionMonitor = diagram.GetSubsystemByName(COLLISION_MONITOR)
+    times, path = _log(diagram, context, "path")
+    target = np.array(scenario.target)
+    distance = np.linalg.norm(path[:, : len(target)] - target, axis=1)
+    arrived = distance <= scenario.arrival_tolerance
+    reached_at = float(times[np.argmax(arrived)]) if arrived.any() else None
+    heights = monitor.barrier_set.values_along(path, times)
+    outcome = "timeout" if reached_at is None else "reached"
+    return {
+        "scenario": scenario.name,
+        "outcome": "collision" if collided else outcome,
+        "time": float(context.get_time()),
+        "reached_at": reached_at,
+        "final_distance": float(distance[-1]),
+        "min_barrier": float(np.nanmin(heights, initial=np.inf)),
+        "round_trip_ms": median_and_p99(receiver.round_trip.milliseconds),
+        "arrived": _arrived(receiver.inbox),
+        "changes": _vehicle_changes(*_log(diagram, context, "mode")),
+    }
+
+
+def _arrived(inbox: Inbox) -> dict[str, Any]:
+    return {
+        "accepted": inbox.accepted,
+        "lost": inbox.lost,
+        "late": inbox.late,
+        "rejected": {reason.value: count for reason, count in inbox.rejections.items()},
+    }
+
+
+def _vehicle_changes(times: Array, modes: Array) -> list[ModeChange]:
+    found: list[ModeChange] = []
+    for t, mode in zip(times.tolist(), modes[:, 0].tolist(), strict=True):
+        if not found or found[-1].mode != mode:
+            found.append(ModeChange(t, VehicleMode(int(mode))))
+    return found
+
+
+def _log(diagram: Diagram, context: Context, name: str) -> tuple[Array, Array]:
+    log = diagram.GetSubsystemByName(LOG_PREFIX + name).FindLog(context)
+    return log.sample_times().copy(), log.data().T.copy()
+
+
+def median_and_p99(values: Collection[float] | Array) -> dict[str, float | None]:
+    """Returns both percentiles of the values, None where there are none."""
+    if not len(values):
+        return {"median": None, "p99": None}
+    median, p99 = np.percentile(list(values), [50.0, 99.0])
+    return {"median": float(median), "p99": float(p99)}

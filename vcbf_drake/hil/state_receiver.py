@@ -1,0 +1,128 @@
+"""StateReceiver: the state of a vehicle that is on the bus."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    EventStatus,
+    LeafSystem,
+    State,
+)
+
+from vcbf_drake.errors import Array
+from vcbf_drake.hil.bus import Bus
+from vcbf_drake.hil.decoding import state_format
+from vcbf_drake.hil.inbox import Inbox
+from vcbf_drake.hil.round_trip import RoundTrip
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """The last state that was taken over, and the mean input applied before it."""
+
+    message: Any
+    applied_input: Array
+
+
+class StateReceiver(LeafSystem):
+    """Takes the place of a plant: its outputs are what the vehicle said last.
+
+    .. pydrake_system::
+
+        name: StateReceiver
+        output_ports:
+        - state
+        - applied_input
+
+    | port | size | |
+    | --- | --- | --- |
+    | ``state`` | n | the newest measured state; zeros before the first |
+    | ``applied_input`` | m | the mean of what was applied since the state before |
+
+    Messages are taken over at the beginning of a simulator's step, or at a forced
+    event; between events the outputs are constant.
+
+    Args:
+        bus: Where states come from.
+        num_states: n.
+        num_inputs: m.
+        max_age: How old a state may be when it arrives [s].
+
+    Attributes:
+        inbox: What arrived.
+        round_trip: From sending a command to learning that it came.
+    """
+
+    def __init__(
+        self, bus: Bus, num_states: int, num_inputs: int, max_age: float
+    ) -> None:
+        super().__init__()
+        self.round_trip = RoundTrip()
+        self._bus = bus
+        self._sizes = num_states, num_inputs
+        self._last_command = -1
+        self.inbox = Inbox(
+            bus, state_format(num_states, num_inputs), max_age, self._take_times
+        )
+        index = self.DeclareAbstractState(Value[object](None))
+        self._measured_index = index
+        self.DeclarePerStepUnrestrictedUpdateEvent(self._take_over)
+        self.DeclareForcedUnrestrictedUpdateEvent(self._take_over)
+        needs = {self.abstract_state_ticket(index)}
+        self.DeclareVectorOutputPort("state", num_states, self._calc_state, needs)
+        self.DeclareVectorOutputPort(
+            "applied_input", num_inputs, self._calc_applied_input, needs
+        )
+
+    def message(self, context: Context) -> Any | None:
+        """Returns the message that the outputs show, None before the first."""
+        measured = self._measured(context)
+        return None if measured is None else measured.message
+
+    def time(self, context: Context) -> float:
+        """Returns the vehicle's time of the state, 0 before the first [s]."""
+        measured = self._measured(context)
+        return 0.0 if measured is None else float(measured.message.time)
+
+    def _measured(self, context: Context) -> _Measured | None:
+        value: _Measured | None = context.get_abstract_state(
+            self._measured_index
+        ).get_value()
+        return value
+
+    def _take_over(self, context: Context, state: State) -> EventStatus:
+        self._bus.poll()
+        last, newest = self._measured(context), self.inbox.newest
+        if newest is None or (last is not None and newest is last.message):
+            return EventStatus.DidNothing()
+        applied = np.zeros(self._sizes[1])
+        if last is not None and newest.time > last.message.time:
+            change = np.subtract(newest.input_integral, last.message.input_integral)
+            applied = change / (newest.time - last.message.time)
+        state.get_mutable_abstract_state(self._measured_index).set_value(
+            _Measured(newest, applied)
+        )
+        return EventStatus.Succeeded()
+
+    def _calc_state(self, context: Context, output: BasicVector) -> None:
+        measured = self._measured(context)
+        zeros = np.zeros(self._sizes[0])
+        output.SetFromVector(zeros if measured is None else measured.message.state)
+
+    def _calc_applied_input(self, context: Context, output: BasicVector) -> None:
+        measured = self._measured(context)
+        zeros = np.zeros(self._sizes[1])
+        output.SetFromVector(zeros if measured is None else measured.applied_input)
+
+    def _take_times(self, message: Any, now: int) -> None:
+        """Notes the round trip of a command that the vehicle mentions first now."""
+        is_ours = message.command_utime >= self._bus.session
+        if is_ours and message.command_sequence > self._last_command:
+            self._last_command = message.command_sequence
+            self.round_trip.add(now - message.command_utime - message.command_age)
