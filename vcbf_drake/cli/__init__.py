@@ -9,6 +9,7 @@ from typing import Any
 
 from vcbf_drake.cli.application import app
 from vcbf_drake.cli.bench import bench
+from vcbf_drake.cli.hardware import controller, plant
 from vcbf_drake.cli.monte_carlo import monte_carlo
 from vcbf_drake.cli.reproduce import reproduce
 from vcbf_drake.cli.simulations import check, compare, diagram, list_scenarios, run
@@ -22,6 +23,8 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "monte-carlo": monte_carlo,
     "reproduce": reproduce,
     "bench": bench,
+    "plant": plant,
+    "controller": controller,
 }
 
 for _name, _command in _COMMANDS.items():

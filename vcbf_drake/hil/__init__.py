@@ -5,7 +5,7 @@ channel before anything sees it. The vehicle's half is `make_vehicle`, the contr
 `make_loop(scenario, hardware=True)`; a process around each lets it run in real time.
 """
 
-from vcbf_drake.hil.bus import Bus, BusError, check_bus
+from vcbf_drake.hil.bus import DEFAULT_URL, Bus, BusError, check_bus
 from vcbf_drake.hil.clock import SimulatedClock, WallClock
 from vcbf_drake.hil.controller_process import ControllerProcess
 from vcbf_drake.hil.decoding import MessageFormat, Reason, Rejection
@@ -19,6 +19,7 @@ from vcbf_drake.hil.plant_process import PlantProcess
 from vcbf_drake.hil.vehicle import make_vehicle
 
 __all__ = [
+    "DEFAULT_URL",
     "Bus",
     "BusError",
     "CommandMode",

@@ -12,6 +12,7 @@ from vcbf_drake.hil.modes import CommandMode, VehicleMode
 from vcbf_drake.hil.plant_process import FAREWELLS
 from vcbf_drake.hil.report import ControllerRecord, controller_report
 from vcbf_drake.hil.state_receiver import StateReceiver
+from vcbf_drake.hil.warm_up import warm_up
 from vcbf_drake.simulation.scenario import Scenario
 
 
@@ -29,16 +30,20 @@ class ControllerProcess:
 
     Attributes:
         bus: The bus.
+        diagram: The hardware loop.
+        context: Its context.
     """
 
     def __init__(self, scenario: Scenario, bus: Bus) -> None:
         self.bus = bus
         self._scenario = scenario
         self._period = round(1e6 * scenario.period)  # [us]
-        self._loop = make_hardware_loop(scenario, bus)
-        self._receiver: StateReceiver = self._loop.GetSubsystemByName("state_receiver")
-        self._sender: CommandSender = self._loop.GetSubsystemByName("command_sender")
-        self._context = self._loop.CreateDefaultContext()
+        self.diagram = make_hardware_loop(scenario, bus)
+        named = self.diagram.GetSubsystemByName
+        self._receiver: StateReceiver = named("state_receiver")
+        self._sender: CommandSender = named("command_sender")
+        warm_up(named("filter").model.num_inputs)
+        self.context = self.diagram.CreateDefaultContext()
         self._record = ControllerRecord()
         self._sent_at = 0
         self._stopping = False
@@ -46,7 +51,7 @@ class ControllerProcess:
     @property
     def time(self) -> float:
         """The time of the last state that was acted on [s]."""
-        return float(self._context.get_time())
+        return float(self.context.get_time())
 
     @property
     def mode(self) -> CommandMode | None:
@@ -89,17 +94,17 @@ class ControllerProcess:
     def _tick(self) -> None:
         """Takes the state over, updates filter, hold and observer, and sends."""
         started = time.perf_counter()
-        self._loop.ExecuteForcedEvents(self._context, publish=False)
-        self._context.SetTime(self._receiver.time(self._receiver_context()))
-        self._context.SetDiscreteState(
-            self._loop.EvalUniquePeriodicDiscreteUpdate(self._context)
+        self.diagram.ExecuteForcedEvents(self.context, publish=False)
+        self.context.SetTime(self._receiver.time(self._receiver_context()))
+        self.context.SetDiscreteState(
+            self.diagram.EvalUniquePeriodicDiscreteUpdate(self.context)
         )
         self._send()
         self._record.add_tick(self._sender.last_status, time.perf_counter() - started)
 
     def _send(self) -> None:
         """Sends command and status, if there was a tick already."""
-        self._loop.ForcedPublish(self._context)
+        self.diagram.ForcedPublish(self.context)
         self._sent_at = self.bus.clock.utime()
         if self._sender.last_status is not None:
             self._record.add_mode(self._sender.last_status)
@@ -119,4 +124,4 @@ class ControllerProcess:
             self._send()
 
     def _receiver_context(self) -> Any:
-        return self._receiver.GetMyContextFromRoot(self._context)
+        return self._receiver.GetMyContextFromRoot(self.context)

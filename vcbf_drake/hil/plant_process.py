@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pydrake.systems.analysis import SimulatorStatus
+from pydrake.systems.framework import Context
 
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.command_receiver import CommandReceiver
@@ -31,6 +32,7 @@ class PlantProcess:
 
     Attributes:
         bus: The bus.
+        diagram: The vehicle.
         collided: Whether a barrier became negative, which ends the motion.
     """
 
@@ -39,26 +41,30 @@ class PlantProcess:
         self.collided = False
         self._scenario = scenario
         self._timeline = Timeline(bus.clock)
-        self._diagram = make_vehicle(scenario, bus, self._timeline)
-        self._receiver: CommandReceiver = self._diagram.GetSubsystemByName(
+        self.diagram = make_vehicle(scenario, bus, self._timeline)
+        self._receiver: CommandReceiver = self.diagram.GetSubsystemByName(
             "command_receiver"
         )
-        self._sender: StateSender = self._diagram.GetSubsystemByName("state_sender")
-        self._simulator = make_simulator(self._diagram, scenario)
+        self._sender: StateSender = self.diagram.GetSubsystemByName("state_sender")
+        self._simulator = make_simulator(self.diagram, scenario)
         self._simulator.Initialize()
         self._stopping = False
         self._elapsed = 0.0
 
     @property
+    def context(self) -> Context:
+        """The diagram's context."""
+        return self._simulator.get_context()
+
+    @property
     def time(self) -> float:
         """The time since the motion began [s]."""
-        return float(self._simulator.get_context().get_time())
+        return float(self.context.get_time())
 
     @property
     def mode(self) -> VehicleMode:
         """What the vehicle does."""
-        context = self._simulator.get_context()
-        return self._receiver.mode(self._receiver.GetMyContextFromRoot(context))
+        return self._receiver.mode(self._receiver.GetMyContextFromRoot(self.context))
 
     def stop(self, *_: object) -> None:
         """Makes `run` end soon; fit to be a signal's handler."""
@@ -91,22 +97,19 @@ class PlantProcess:
 
     def report(self) -> dict[str, Any]:
         """Returns what the motion came to, and how the bus did."""
-        report = plant_report(
-            self._scenario, self._diagram, self._simulator.get_context(), self.collided
-        )
+        report = plant_report(self._scenario, self.diagram, self.context, self.collided)
         if self._elapsed > 0.0:
             report["real_time_rate"] = self.time / self._elapsed
         return report
 
     def _wait_for_command(self) -> None:
-        context = self._simulator.get_context()
         while self._receiver.inbox.newest is None and not self._stopping:
             self._timeline.restart()
-            self._diagram.ForcedPublish(context)
+            self.diagram.ForcedPublish(self.context)
             self.bus.wait(self._timeline.utime(self._scenario.period))
         self._timeline.restart()
 
     def _say_farewell(self) -> None:
         self._sender.ending = True
         for _ in range(FAREWELLS):
-            self._diagram.ForcedPublish(self._simulator.get_context())
+            self.diagram.ForcedPublish(self.context)

@@ -46,6 +46,7 @@ class ControllerRecord:
         greatest_slack: The greatest abs(slack).
         durations: How long the last ticks took, from state to command [s].
         changes: What was asked of the vehicle, in time; the last 1000 changes.
+        real_time_rate: How fast the vehicle's time goes, by the clock.
     """
 
     def __init__(self) -> None:
@@ -54,15 +55,26 @@ class ControllerRecord:
         self.greatest_slack = 0.0
         self.durations: deque[float] = deque(maxlen=_REMEMBERED)
         self.changes: deque[ModeChange] = deque(maxlen=1000)
+        self.real_time_rate: float | None = None
+        self._start: tuple[float, int] | None = None
 
     def add_tick(self, status: vcbf_status | None, duration: float) -> None:
         """Adds a tick that took so long [s], and what it sent."""
         if status is None:
             return
+        self._add_time(status.time, status.utime)
         self.ticks[FilterStatus(status.filter_status)] += 1
         self.least_volume = float(np.fmin(self.least_volume, status.volume))
         self.greatest_slack = float(np.fmax(self.greatest_slack, abs(status.slack)))
         self.durations.append(duration)
+
+    def _add_time(self, time: float, utime: int) -> None:
+        # The vehicle's time stands at 0 while it waits, and begins anew with it.
+        if self._start is None or time <= self._start[0]:
+            self._start, self.real_time_rate = (time, utime), None
+        elif utime > self._start[1]:
+            elapsed = 1e-6 * (utime - self._start[1])
+            self.real_time_rate = (time - self._start[0]) / elapsed
 
     def add_mode(self, status: vcbf_status) -> None:
         """Adds what was asked of the vehicle, if that is new."""
@@ -90,6 +102,7 @@ def controller_report(
         "failed_ticks": record.ticks[FilterStatus.FAILED],
         "min_volume": record.least_volume if ticks else None,
         "max_abs_slack": record.greatest_slack,
+        "real_time_rate": record.real_time_rate,
         "tick_ms": median_and_p99(1e3 * np.array(record.durations)),
         "round_trip_ms": median_and_p99(receiver.round_trip.milliseconds),
         "arrived": _arrived(receiver.inbox),

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from vcbf_drake.safety.assumptions import Assumption
     from vcbf_drake.simulation.scenario import Scenario
 
-_OUTCOME_STYLES = {
+OUTCOME_STYLES = {
     "reached": "green",
     "timeout": "yellow",
     "infeasible": "red",
@@ -91,18 +91,18 @@ def print_assumptions(scenario: Scenario, assumptions: Sequence[Assumption]) -> 
 def _cells(summary: Mapping[str, Any]) -> dict[str, str | Text]:
     outcome, cpu = summary["outcome"], summary["step_cpu_ms"]
     return {
-        "outcome": Text(outcome, _OUTCOME_STYLES[outcome]),
-        "running s": _number(summary["running_time"]),
-        "reached s": _number(summary["reached_at"]),
-        "infeasible s": _number(summary["infeasible_at"]),
-        "collided s": _number(summary["collided_at"]),
-        "min h": _number(summary["min_barrier"]),
-        "min V_v": _number(summary["min_volume"]),
-        "max |slack|": _number(summary["max_abs_slack"]),
-        "distance m": _number(summary["final_distance"]),
-        "CPU p50 ms": _number(cpu["median"]),
-        "CPU p99 ms": _number(cpu["p99"]),
-        "x real time": _number(summary["real_time_factor"]),
+        "outcome": Text(outcome, OUTCOME_STYLES[outcome]),
+        "running s": number_text(summary["running_time"]),
+        "reached s": number_text(summary["reached_at"]),
+        "infeasible s": number_text(summary["infeasible_at"]),
+        "collided s": number_text(summary["collided_at"]),
+        "min h": number_text(summary["min_barrier"]),
+        "min V_v": number_text(summary["min_volume"]),
+        "max |slack|": number_text(summary["max_abs_slack"]),
+        "distance m": number_text(summary["final_distance"]),
+        "CPU p50 ms": number_text(cpu["median"]),
+        "CPU p99 ms": number_text(cpu["p99"]),
+        "x real time": number_text(summary["real_time_factor"]),
     }
 
 
@@ -120,8 +120,11 @@ def _remarks(summary: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _numbers(numbers: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} = {_number(value)}" for name, value in numbers.items())
+    return ", ".join(
+        f"{name} = {number_text(value)}" for name, value in numbers.items()
+    )
 
 
-def _number(value: float | None) -> str:
+def number_text(value: float | None) -> str:
+    """Returns a number in three digits; a dash for none."""
     return "-" if value is None or math.isnan(value) else f"{value:.3g}"

@@ -1,0 +1,142 @@
+"""The commands plant and controller: the two halves of a loop over LCM."""
+
+from __future__ import annotations
+
+import signal
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vcbf_drake.cli.options import (
+    MethodOption,
+    OverrideOption,
+    ScenarioArgument,
+    load,
+)
+
+if TYPE_CHECKING:
+    from vcbf_drake.hil import Bus, ControllerProcess, PlantProcess
+    from vcbf_drake.simulation.scenario import Scenario
+
+_UrlOption = Annotated[
+    str | None,
+    typer.Option(
+        "--lcm-url",
+        metavar="URL",
+        show_default="udpm://239.255.76.67:7667?ttl=0",
+        help="The bus; by default it stays on this computer.",
+    ),
+]
+_DurationOption = Annotated[
+    float | None,
+    typer.Option(show_default="the scenario's", help="When to end, in seconds."),
+]
+_RateOption = Annotated[
+    float | None,
+    typer.Option(min=1.0, show_default="the scenario's", help="Messages a second."),
+]
+_DropOption = Annotated[
+    float,
+    typer.Option(min=0.0, max=1.0, help="Fault: share of arrivals that are lost."),
+]
+_DelayOption = Annotated[
+    float, typer.Option(min=0.0, help="Fault: seconds that every arrival is late.")
+]
+_JitterOption = Annotated[
+    float, typer.Option(min=0.0, help="Fault: the delay varies by as many seconds.")
+]
+_SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the faults.")]
+
+
+def plant(
+    scenario: ScenarioArgument,
+    override: OverrideOption = None,
+    lcm_url: _UrlOption = None,
+    duration: _DurationOption = None,
+    rate: _RateOption = None,
+    drop: _DropOption = 0.0,
+    delay: _DelayOption = 0.0,
+    jitter: _JitterOption = 0.0,
+    fault_seed: _SeedOption = 0,
+) -> None:
+    """Simulate a vehicle in real time on an LCM bus: states out, commands in.
+
+    It stands until the first command comes. When commands cease, it falls back to what
+    the scenario says, and recovers by itself. Ctrl-C ends it.
+    """
+    chosen = _load(scenario, override, None, duration, rate)
+    bus = _open_bus(lcm_url, drop, delay, jitter, fault_seed)
+    from vcbf_drake.hil import PlantProcess
+
+    _run(PlantProcess(chosen, bus), "vehicle", chosen, bus)
+
+
+def controller(
+    scenario: ScenarioArgument,
+    method: MethodOption = None,
+    override: OverrideOption = None,
+    lcm_url: _UrlOption = None,
+    duration: _DurationOption = None,
+    rate: _RateOption = None,
+    drop: _DropOption = 0.0,
+    delay: _DelayOption = 0.0,
+    jitter: _JitterOption = 0.0,
+    fault_seed: _SeedOption = 0,
+) -> None:
+    """Control a vehicle on an LCM bus: states in, commands and status out.
+
+    It acts on every state that comes, and ends with the vehicle. When states cease, it
+    holds its last command, then asks for the vehicle's fallback, and recovers by
+    itself. Ctrl-C ends it; its last command asks for the fallback.
+    """
+    chosen = _load(scenario, override, method, duration, rate)
+    bus = _open_bus(lcm_url, drop, delay, jitter, fault_seed)
+    from vcbf_drake.hil import ControllerProcess
+
+    _run(ControllerProcess(chosen, bus), "controller", chosen, bus)
+
+
+def _load(
+    scenario: str,
+    override: str | None,
+    method: str | None,
+    duration: float | None,
+    rate: float | None,
+) -> Scenario:
+    from vcbf_drake.simulation.validation import validate
+
+    chosen = load(scenario, override, method)
+    if duration is not None:
+        chosen.duration = duration
+    if rate is not None:
+        chosen.period = 1.0 / rate
+    validate(chosen)
+    return chosen
+
+
+def _open_bus(
+    url: str | None, drop: float, delay: float, jitter: float, seed: int
+) -> Bus:
+    from pydrake.lcm import DrakeLcm
+
+    from vcbf_drake.hil import DEFAULT_URL, Bus, LinkFaults, check_bus
+
+    try:
+        faults = LinkFaults(drop, delay, jitter, seed)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    check_bus(url or DEFAULT_URL)
+    return Bus(DrakeLcm(url or DEFAULT_URL), faults=faults)
+
+
+def _run(
+    process: PlantProcess | ControllerProcess, side: str, scenario: Scenario, bus: Bus
+) -> None:
+    from vcbf_drake.viz.hardware_report import print_hardware_report
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, process.stop)
+    rate = f"{1.0 / scenario.period:g} Hz"
+    typer.echo(f"{side} of {scenario.name} on {bus.lcm.get_lcm_url()} at {rate}")
+    process.run()
+    print_hardware_report(side, process.report())

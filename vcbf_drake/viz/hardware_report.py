@@ -1,0 +1,77 @@
+"""What the two halves of a loop over LCM print at their end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from vcbf_drake.viz.terminal import OUTCOME_STYLES, number_text
+
+_MOST_CHANGES = 12
+
+# Label, key and unit of what is a number.
+_NUMBERS = (
+    ("reached", "reached_at", "s"),
+    ("time", "time", "s"),
+    ("min h", "min_barrier", ""),
+    ("distance", "final_distance", "m"),
+    ("ticks", "ticks", ""),
+    ("infeasible ticks", "infeasible_ticks", ""),
+    ("failed ticks", "failed_ticks", ""),
+    ("min V_v", "min_volume", ""),
+    ("max |slack|", "max_abs_slack", ""),
+    ("real-time rate", "real_time_rate", ""),
+)
+
+
+def print_hardware_report(side: str, report: Mapping[str, Any]) -> None:
+    """Prints the report of a vehicle's or a controller's process.
+
+    Args:
+        side: Whose report it is.
+        report: What `PlantProcess.report` or `ControllerProcess.report` returned.
+    """
+    console = Console(highlight=False, markup=False)
+    console.print(f"\n{side} of {report['scenario']}")
+    table = Table.grid(padding=(0, 2))
+    if "outcome" in report:
+        outcome = report["outcome"]
+        table.add_row("outcome", Text(outcome, OUTCOME_STYLES[outcome]))
+    for label, key, unit in _NUMBERS:
+        if key in report:
+            table.add_row(label, f"{number_text(report[key])} {unit}".strip())
+    for label, key in (("tick", "tick_ms"), ("round trip", "round_trip_ms")):
+        if key in report:
+            table.add_row(label, _percentiles(report[key]))
+    arrived = report["arrived"]
+    table.add_row(
+        "messages",
+        ", ".join(f"{arrived[key]} {key}" for key in ("accepted", "lost", "late")),
+    )
+    rejected = arrived["rejected"].items()
+    table.add_row(
+        "rejected", ", ".join(f"{n} {reason}" for reason, n in rejected) or "none"
+    )
+    for index, line in enumerate(_changes(report["changes"])):
+        table.add_row("" if index else "mode", line)
+    console.print(table)
+
+
+def _percentiles(times: Mapping[str, float | None]) -> str:
+    median, p99 = (number_text(times[key]) for key in ("median", "p99"))
+    return f"{median} ms median, {p99} ms p99"
+
+
+def _changes(changes: Sequence[Any]) -> list[str]:
+    lines = [
+        f"{change.time:.2f} s: {change.mode.name.lower()}"
+        + (f", {change.reason}" if change.reason else "")
+        for change in changes[:_MOST_CHANGES]
+    ]
+    if len(changes) > _MOST_CHANGES:
+        lines.append(f"and {len(changes) - _MOST_CHANGES} more changes")
+    return lines
