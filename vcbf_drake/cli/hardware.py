@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +14,7 @@ from vcbf_drake.cli.options import (
     ScenarioArgument,
     load,
 )
+from vcbf_drake.cli.outputs import plain_json
 
 if TYPE_CHECKING:
     from vcbf_drake.hil import Bus, ControllerProcess, PlantProcess
@@ -45,6 +47,7 @@ _DelayOption = Annotated[
 _JitterOption = Annotated[
     float, typer.Option(min=0.0, help="Fault: the delay varies by as many seconds.")
 ]
+_JsonOption = Annotated[bool, typer.Option("--json", help="Print the report as JSON.")]
 _SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the faults.")]
 
 
@@ -58,6 +61,7 @@ def plant(
     delay: _DelayOption = 0.0,
     jitter: _JitterOption = 0.0,
     fault_seed: _SeedOption = 0,
+    as_json: _JsonOption = False,
 ) -> None:
     """Simulate a vehicle in real time on an LCM bus: states out, commands in.
 
@@ -68,7 +72,7 @@ def plant(
     bus = _open_bus(lcm_url, drop, delay, jitter, fault_seed)
     from vcbf_drake.hil import PlantProcess
 
-    _run(PlantProcess(chosen, bus), "vehicle", chosen, bus)
+    _run(PlantProcess(chosen, bus), "vehicle", as_json)
 
 
 def controller(
@@ -82,6 +86,7 @@ def controller(
     delay: _DelayOption = 0.0,
     jitter: _JitterOption = 0.0,
     fault_seed: _SeedOption = 0,
+    as_json: _JsonOption = False,
 ) -> None:
     """Control a vehicle on an LCM bus: states in, commands and status out.
 
@@ -93,7 +98,7 @@ def controller(
     bus = _open_bus(lcm_url, drop, delay, jitter, fault_seed)
     from vcbf_drake.hil import ControllerProcess
 
-    _run(ControllerProcess(chosen, bus), "controller", chosen, bus)
+    _run(ControllerProcess(chosen, bus), "controller", as_json)
 
 
 def _load(
@@ -129,14 +134,15 @@ def _open_bus(
     return Bus(DrakeLcm(url or DEFAULT_URL), faults=faults)
 
 
-def _run(
-    process: PlantProcess | ControllerProcess, side: str, scenario: Scenario, bus: Bus
-) -> None:
+def _run(process: PlantProcess | ControllerProcess, side: str, as_json: bool) -> None:
     from vcbf_drake.viz.hardware_report import print_hardware_report
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, process.stop)
-    rate = f"{1.0 / scenario.period:g} Hz"
-    typer.echo(f"{side} of {scenario.name} on {bus.lcm.get_lcm_url()} at {rate}")
+    url = process.bus.lcm.get_lcm_url()
+    typer.echo(f"{side} of {process.scenario.name} on {url}", err=True)
     process.run()
-    print_hardware_report(side, process.report())
+    if as_json:
+        typer.echo(json.dumps(plain_json(process.report()), indent=2))
+    else:
+        print_hardware_report(side, process.report())

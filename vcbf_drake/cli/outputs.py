@@ -36,5 +36,7 @@ def plain_json(value: Any) -> Any:
     """Returns the value with None for what JSON has no number for."""
     if isinstance(value, dict):
         return {key: plain_json(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [plain_json(item) for item in value]
     finite = not isinstance(value, float) or math.isfinite(value)
     return value if finite else None

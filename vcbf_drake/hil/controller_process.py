@@ -29,6 +29,7 @@ class ControllerProcess:
         bus: Carries the messages.
 
     Attributes:
+        scenario: What is run.
         bus: The bus.
         diagram: The hardware loop.
         context: Its context.
@@ -36,7 +37,7 @@ class ControllerProcess:
 
     def __init__(self, scenario: Scenario, bus: Bus) -> None:
         self.bus = bus
-        self._scenario = scenario
+        self.scenario = scenario
         self._period = round(1e6 * scenario.period)  # [us]
         self.diagram = make_hardware_loop(scenario, bus)
         named = self.diagram.GetSubsystemByName
@@ -80,16 +81,16 @@ class ControllerProcess:
 
     def report(self) -> dict[str, Any]:
         """Returns what the filter did, and how the states arrived."""
-        return controller_report(self._scenario, self._receiver, self._record)
+        return controller_report(self.scenario, self._receiver, self._record)
 
     def _is_due(self) -> bool:
-        newest = self._receiver.inbox.newest
-        last = self._receiver.message(self._receiver_context())
-        if newest is None or newest is last:
+        context = self._receiver_context()
+        if not self._receiver.has_news(context):
             return False
+        newest, last = self._receiver.inbox.newest, self._receiver.message(context)
         if last is None or newest.session != last.session or newest.time == last.time:
             return True
-        return bool(newest.time - last.time > 0.9 * self._scenario.period)
+        return bool(newest.time - last.time > 0.9 * self.scenario.period)
 
     def _tick(self) -> None:
         """Takes the state over, updates filter, hold and observer, and sends."""
@@ -115,7 +116,7 @@ class ControllerProcess:
     def _is_over(self) -> bool:
         newest = self._receiver.inbox.newest
         return newest is not None and bool(
-            newest.mode == VehicleMode.ENDED or newest.time >= self._scenario.duration
+            newest.mode == VehicleMode.ENDED or newest.time >= self.scenario.duration
         )
 
     def _say_farewell(self) -> None:

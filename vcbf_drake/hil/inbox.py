@@ -41,7 +41,7 @@ class Inbox:
         max_age: float,
         on_accept: Callable[[Any, int], None] | None = None,
     ) -> None:
-        self.newest: Any | None = None
+        self.newest: Any = None
         self.received_at = 0
         self.accepted = 0
         self.lost = 0

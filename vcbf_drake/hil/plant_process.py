@@ -31,6 +31,7 @@ class PlantProcess:
         bus: Carries the messages.
 
     Attributes:
+        scenario: What is run.
         bus: The bus.
         diagram: The vehicle.
         collided: Whether a barrier became negative, which ends the motion.
@@ -39,7 +40,7 @@ class PlantProcess:
     def __init__(self, scenario: Scenario, bus: Bus) -> None:
         self.bus = bus
         self.collided = False
-        self._scenario = scenario
+        self.scenario = scenario
         self._timeline = Timeline(bus.clock)
         self.diagram = make_vehicle(scenario, bus, self._timeline)
         self._receiver: CommandReceiver = self.diagram.GetSubsystemByName(
@@ -73,7 +74,7 @@ class PlantProcess:
     def run(self) -> None:
         """Runs in real time to the scenario's duration, a collision or `stop`."""
         self._wait_for_command()
-        period, duration = self._scenario.period, self._scenario.duration
+        period, duration = self.scenario.period, self.scenario.duration
         tick = 1
         while not (self._stopping or self.collided or self.time >= duration):
             goal = min(tick * period, duration)
@@ -97,7 +98,7 @@ class PlantProcess:
 
     def report(self) -> dict[str, Any]:
         """Returns what the motion came to, and how the bus did."""
-        report = plant_report(self._scenario, self.diagram, self.context, self.collided)
+        report = plant_report(self.scenario, self.diagram, self.context, self.collided)
         if self._elapsed > 0.0:
             report["real_time_rate"] = self.time / self._elapsed
         return report
@@ -106,7 +107,7 @@ class PlantProcess:
         while self._receiver.inbox.newest is None and not self._stopping:
             self._timeline.restart()
             self.diagram.ForcedPublish(self.context)
-            self.bus.wait(self._timeline.utime(self._scenario.period))
+            self.bus.wait(self._timeline.utime(self.scenario.period))
         self._timeline.restart()
 
     def _say_farewell(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Collection
-from typing import Any, NamedTuple
+from typing import Any, TypedDict
 
 import numpy as np
 from pydrake.systems.framework import Context, Diagram
@@ -23,18 +23,18 @@ from vcbf_drake.simulation.scenario import Scenario
 _REMEMBERED = 65_536
 
 
-class ModeChange(NamedTuple):
+class ModeChange(TypedDict):
     """When something else began, and why.
 
     Attributes:
         time: Since the motion began [s].
-        mode: What began.
+        mode: What began: the name of a `CommandMode` or `VehicleMode`.
         reason: Why; empty where the mode says it all.
     """
 
     time: float
-    mode: CommandMode | VehicleMode
-    reason: str = ""
+    mode: str
+    reason: str
 
 
 class ControllerRecord:
@@ -78,9 +78,11 @@ class ControllerRecord:
 
     def add_mode(self, status: vcbf_status) -> None:
         """Adds what was asked of the vehicle, if that is new."""
-        mode = CommandMode(status.mode)
-        if not self.changes or self.changes[-1].mode is not mode:
-            self.changes.append(ModeChange(status.time, mode, status.reason))
+        mode = CommandMode(status.mode).name.lower()
+        if not self.changes or self.changes[-1]["mode"] != mode:
+            self.changes.append(
+                ModeChange(time=status.time, mode=mode, reason=status.reason)
+            )
 
 
 def controller_report(
@@ -154,9 +156,10 @@ def _arrived(inbox: Inbox) -> dict[str, Any]:
 
 def _vehicle_changes(times: Array, modes: Array) -> list[ModeChange]:
     found: list[ModeChange] = []
-    for t, mode in zip(times.tolist(), modes[:, 0].tolist(), strict=True):
-        if not found or found[-1].mode != mode:
-            found.append(ModeChange(t, VehicleMode(int(mode))))
+    for time, code in zip(times.tolist(), modes[:, 0].tolist(), strict=True):
+        mode = VehicleMode(int(code)).name.lower()
+        if not found or found[-1]["mode"] != mode:
+            found.append(ModeChange(time=time, mode=mode, reason=""))
     return found
 
 

@@ -80,10 +80,19 @@ class StateReceiver(LeafSystem):
             "applied_input", num_inputs, self._calc_applied_input, needs
         )
 
-    def message(self, context: Context) -> Any | None:
+    def message(self, context: Context) -> Any:
         """Returns the message that the outputs show, None before the first."""
         measured = self._measured(context)
         return None if measured is None else measured.message
+
+    def has_news(self, context: Context) -> bool:
+        """Returns whether a newer message has come than the outputs show."""
+        shown, newest = self.message(context), self.inbox.newest
+        # A context holds copies: they are told apart by their numbers.
+        return newest is not None and (
+            shown is None
+            or (newest.session, newest.sequence) != (shown.session, shown.sequence)
+        )
 
     def time(self, context: Context) -> float:
         """Returns the vehicle's time of the state, 0 before the first [s]."""
@@ -98,9 +107,9 @@ class StateReceiver(LeafSystem):
 
     def _take_over(self, context: Context, state: State) -> EventStatus:
         self._bus.poll()
-        last, newest = self._measured(context), self.inbox.newest
-        if newest is None or (last is not None and newest is last.message):
+        if not self.has_news(context):
             return EventStatus.DidNothing()
+        last, newest = self._measured(context), self.inbox.newest
         applied = np.zeros(self._sizes[1])
         if last is not None and newest.time > last.message.time:
             change = np.subtract(newest.input_integral, last.message.input_integral)

@@ -66,10 +66,10 @@ def _percentiles(times: Mapping[str, float | None]) -> str:
     return f"{median} ms median, {p99} ms p99"
 
 
-def _changes(changes: Sequence[Any]) -> list[str]:
+def _changes(changes: Sequence[Mapping[str, Any]]) -> list[str]:
     lines = [
-        f"{change.time:.2f} s: {change.mode.name.lower()}"
-        + (f", {change.reason}" if change.reason else "")
+        f"{change['time']:.2f} s: {change['mode']}"
+        + (f", {change['reason']}" if change["reason"] else "")
         for change in changes[:_MOST_CHANGES]
     ]
     if len(changes) > _MOST_CHANGES:

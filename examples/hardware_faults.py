@@ -1,0 +1,146 @@
+"""A vehicle and its controller in two processes, over good and bad links.
+
+Runs the commands that it prints, each run in real time:
+
+* nothing wrong;
+* one message in five lost, both ways;
+* every message 30 ms late, give or take 10 ms, both ways;
+* the controller killed in mid-flight; half a second later another one, which has
+  been loaded already and knows nothing of the flight, takes over.
+
+    python examples/hardware_faults.py
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+
+from pydrake.lcm import DrakeLcm
+
+from vcbf_drake import load_scenario
+from vcbf_drake.hil import Bus, BusError, ControllerProcess, check_bus
+
+SCENARIO = "blimp-multiple-obstacles"
+COMMAND = [sys.executable, "-m", "vcbf_drake.cli"]
+FAULTS = {
+    "nothing wrong": [],
+    "20 % lost, both ways": ["--drop", "0.2"],
+    "30 ms late, both ways": ["--delay", "0.03", "--jitter", "0.01"],
+    "controller killed": [],
+}
+RATE = 100.0  # In Hz.
+KILLED_AT, DEAD_FOR = 6.0, 0.5  # In seconds.
+
+
+def start(side: str, url: str, options: list[str]) -> subprocess.Popen:
+    """Starts one of the two processes."""
+    arguments = [side, SCENARIO, "--lcm-url", url, "--json", *options]
+    print("  vcbf-drake", *arguments)
+    return subprocess.Popen(
+        [*COMMAND, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+
+
+def report(process: subprocess.Popen) -> dict:
+    """Waits for a process; what it says at its end."""
+    text, _ = process.communicate(timeout=120.0)
+    if process.returncode != 0:
+        sys.exit(f"a process ended with status {process.returncode}")
+    return json.loads(text)
+
+
+def load_standby(url: str) -> subprocess.Popen:
+    """Starts a controller that is loaded and waits for a line before it speaks."""
+    standby = subprocess.Popen(
+        [sys.executable, __file__, "--standby", url],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    standby.stdout.readline()
+    return standby
+
+
+def stand_by(url: str) -> None:
+    """What a standby runs: everything a controller is, but its first word."""
+    scenario = load_scenario(SCENARIO, {"period": 1.0 / RATE})
+    process = ControllerProcess(scenario, Bus(DrakeLcm(url)))
+    print("ready", flush=True)
+    sys.stdin.readline()
+    process.run()
+    print(json.dumps(process.report()))
+
+
+def kill_and_replace(
+    controller: subprocess.Popen, standby: subprocess.Popen
+) -> subprocess.Popen:
+    """Kills the controller in mid-flight; the standby takes over."""
+    time.sleep(KILLED_AT)
+    print("  kill -9 CONTROLLER; sleep 0.5; the standby takes over")
+    controller.kill()
+    controller.wait()
+    time.sleep(DEAD_FOR)
+    standby.stdin.write("go\n")
+    standby.stdin.flush()
+    return standby
+
+
+def fly(case: str, url: str, options: list[str]) -> None:
+    """Flies once and prints what both sides saw."""
+    print(case)
+    killed = case == "controller killed"
+    controller = start("controller", url, options)
+    standby = load_standby(url) if killed else None
+    plant = start("plant", url, options)
+    if standby is not None:
+        controller = kill_and_replace(controller, standby)
+    show("vehicle", report(plant))
+    show("controller", report(controller))
+
+
+def show(side: str, found: dict) -> None:
+    """Prints one side's numbers, and what it did when."""
+    link, trip = found["arrived"], found["round_trip_ms"]
+    if side == "vehicle":
+        reached = found["reached_at"]
+        when = "" if reached is None else f" at {reached:.1f} s"
+        print(f"  vehicle: {found['outcome']}{when}, min h {found['min_barrier']:.2f}")
+    print(
+        f"  {side}: round trip {trip['median']:.1f} ms, p99 {trip['p99']:.1f} ms;"
+        f" {link['accepted']} accepted, {link['lost']} lost, {link['late']} late;"
+        f" real-time rate {found['real_time_rate']:.3f}"
+    )
+    for change in found["changes"][:8]:
+        reason = f" ({change['reason']})" if change["reason"] else ""
+        print(f"    {change['time']:6.2f} s  {change['mode']}{reason}")
+
+
+def main() -> None:
+    """Flies every case, or the first one for a moment."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--short", action="store_true", help="2 s only, for a check")
+    parser.add_argument("--standby", metavar="URL", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.standby:
+        stand_by(arguments.standby)
+        return
+    # A port of its own, beside whatever else is on this computer.
+    url = f"udpm://239.255.76.67:{7700 + os.getpid() % 1000}?ttl=0"
+    try:
+        check_bus(url)
+    except BusError as error:
+        print(error)
+        return
+    length = ["--duration", "2"] if arguments.short else ["--rate", str(RATE)]
+    for case, faults in list(FAULTS.items())[: 1 if arguments.short else None]:
+        fly(case, url, [*length, *faults])
+
+
+if __name__ == "__main__":
+    main()
