@@ -2,11 +2,11 @@
 
 Runs the commands that it prints, each run in real time:
 
-* nothing wrong;
-* one message in five lost, both ways;
-* every message 30 ms late, give or take 10 ms, both ways;
-* the controller killed in mid-flight; half a second later another one, which has
-  been loaded already and knows nothing of the flight, takes over.
+* good: nothing wrong;
+* lossy: one message in five lost, both ways;
+* late: every message 30 ms late, give or take 10 ms, both ways;
+* killed: the controller killed in mid-flight; half a second later another one, which
+  has been loaded already and knows nothing of the flight, takes over.
 
     python examples/hardware_faults.py
 """
@@ -22,14 +22,15 @@ from pydrake.lcm import DrakeLcm
 
 from vcbf_drake import load_scenario
 from vcbf_drake.hil import Bus, BusError, ControllerProcess, check_bus
+from vcbf_drake.hil.messages import vcbf_state
 
 SCENARIO = "blimp-multiple-obstacles"
 COMMAND = [sys.executable, "-m", "vcbf_drake.cli"]
 FAULTS = {
-    "nothing wrong": [],
-    "20 % lost, both ways": ["--drop", "0.2"],
-    "30 ms late, both ways": ["--delay", "0.03", "--jitter", "0.01"],
-    "controller killed": [],
+    "good": [],
+    "lossy": ["--drop", "0.2"],
+    "late": ["--delay", "0.03", "--jitter", "0.01"],
+    "killed": [],
 }
 RATE = 100.0  # In Hz.
 KILLED_AT, DEAD_FOR = 6.0, 0.5  # In seconds.
@@ -77,11 +78,19 @@ def stand_by(url: str) -> None:
     print(json.dumps(process.report()))
 
 
+def wait_for_flight(url: str, instant: float) -> None:
+    """Listens to the vehicle until a time of its flight [s]."""
+    lcm, heard = DrakeLcm(url), [0.0]
+    lcm.Subscribe("VCBF_STATE", lambda data: heard.append(vcbf_state.decode(data).time))
+    while heard[-1] < instant:
+        lcm.HandleSubscriptions(100)
+
+
 def kill_and_replace(
-    controller: subprocess.Popen, standby: subprocess.Popen
+    url: str, controller: subprocess.Popen, standby: subprocess.Popen
 ) -> subprocess.Popen:
     """Kills the controller in mid-flight; the standby takes over."""
-    time.sleep(KILLED_AT)
+    wait_for_flight(url, KILLED_AT)
     print("  kill -9 CONTROLLER; sleep 0.5; the standby takes over")
     controller.kill()
     controller.wait()
@@ -94,12 +103,12 @@ def kill_and_replace(
 def fly(case: str, url: str, options: list[str]) -> None:
     """Flies once and prints what both sides saw."""
     print(case)
-    killed = case == "controller killed"
+    killed = case == "killed"
     controller = start("controller", url, options)
     standby = load_standby(url) if killed else None
     plant = start("plant", url, options)
     if standby is not None:
-        controller = kill_and_replace(controller, standby)
+        controller = kill_and_replace(url, controller, standby)
     show("vehicle", report(plant))
     show("controller", report(controller))
 
@@ -125,6 +134,7 @@ def main() -> None:
     """Flies every case, or the first one for a moment."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--short", action="store_true", help="2 s only, for a check")
+    parser.add_argument("--case", choices=FAULTS, help="only this one")
     parser.add_argument("--standby", metavar="URL", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.standby:
@@ -138,8 +148,9 @@ def main() -> None:
         print(error)
         return
     length = ["--duration", "2"] if arguments.short else ["--rate", str(RATE)]
-    for case, faults in list(FAULTS.items())[: 1 if arguments.short else None]:
-        fly(case, url, [*length, *faults])
+    case = "good" if arguments.short else arguments.case
+    for each in [case] if case else FAULTS:
+        fly(each, url, [*length, *FAULTS[each]])
 
 
 if __name__ == "__main__":

@@ -64,6 +64,23 @@ def test_search_reports_on_every_course(tmp_path):
     assert run("search_layouts.py", tmp_path).startswith("2 courses")
 
 
+def test_own_controller_drives_the_car(tmp_path):
+    text = run("own_controller_process.py", tmp_path)
+    if "carries no messages" in text:
+        pytest.skip("no route for multicast")
+    assert number(text, "answered") > 20
+    assert number(text, "min h") > 0.0
+
+
+@pytest.mark.slow
+def test_hardware_faults_reports_from_both_sides(tmp_path):
+    text = run("hardware_faults.py", tmp_path)
+    if "carries no messages" in text:
+        pytest.skip("no route for multicast")
+    assert number(text, "min h") > 0.0
+    assert text.count("round trip") == 2
+
+
 def test_gallery_lists_every_example_and_its_pictures_exist():
     gallery = (ROOT / "examples" / "README.md").read_text()
     programs = {path.name for path in (ROOT / "examples").glob("*.py")}

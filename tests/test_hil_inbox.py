@@ -112,6 +112,11 @@ def test_outbox_numbers_and_stamps() -> None:
     assert outbox.sent == 3
     assert bench.inbox.newest.session == bench.sender.session
     assert bench.inbox.newest.utime == bench.clock.now - MS
+    bench.sender.begin_session()
+    outbox.send(message)
+    bench.bus.poll()
+    assert bench.sequences == [0, 1, 2, 0]
+    assert bench.inbox.newest.session == bench.clock.now
 
 
 def test_taps_see_what_is_sent_and_what_arrives() -> None:

@@ -161,7 +161,7 @@ def test_the_last_command_asks_for_the_fallback() -> None:
     run.controller.stop()
     run.controller.run()
     run.plant.bus.poll()
-    assert [command.mode for command in commands] == 3 * [CommandMode.END]
+    assert [command.mode for command in commands] == 10 * [CommandMode.END]
     assert not any(commands[-1].input)
     run.kill_controller()
     run.advance_to(0.54)

@@ -7,8 +7,17 @@ channel before anything sees it. The vehicle's half is `make_vehicle`, the contr
 
 from vcbf_drake.hil.bus import DEFAULT_URL, Bus, BusError, check_bus
 from vcbf_drake.hil.clock import SimulatedClock, WallClock
+from vcbf_drake.hil.command_sender import command_message
 from vcbf_drake.hil.controller_process import ControllerProcess
-from vcbf_drake.hil.decoding import MessageFormat, Reason, Rejection
+from vcbf_drake.hil.decoding import (
+    MessageFormat,
+    Reason,
+    Rejection,
+    command_format,
+    obstacles_format,
+    state_format,
+    status_format,
+)
 from vcbf_drake.hil.faults import LinkFaults
 from vcbf_drake.hil.hardware_loop import make_hardware_loop
 from vcbf_drake.hil.in_process import InProcess
@@ -36,6 +45,11 @@ __all__ = [
     "VehicleMode",
     "WallClock",
     "check_bus",
+    "command_format",
+    "command_message",
     "make_hardware_loop",
     "make_vehicle",
+    "obstacles_format",
+    "state_format",
+    "status_format",
 ]

@@ -21,6 +21,7 @@ Handler = Callable[[bytes, int], None]
 # Takes the time [us], the channel and the bytes of a message.
 Tap = Callable[[int, str, bytes], None]
 
+_BETWEEN_PROCESSES = ("udpm://", "tcpq://")
 _CHECK_CHANNEL = "VCBF_BUS_CHECK"
 _CHECK_PATIENCE = 1.0  # [s]
 
@@ -43,7 +44,8 @@ class Bus:
     Attributes:
         lcm: The bus.
         clock: The clock.
-        session: When this bus was opened [us]; what it sends belongs to this session.
+        session: When what is sent now began [us]: when the bus was opened, or
+            `begin_session` called.
         taps: Called with everything that is published, and with everything that
             arrives on a subscribed channel, after the faults.
     """
@@ -60,6 +62,10 @@ class Bus:
         self.taps: list[Tap] = []
         self._link = FaultyLink(faults or LinkFaults())
         self._handlers: dict[str, list[Handler]] = {}
+
+    def begin_session(self) -> None:
+        """Makes what is sent from now on newer than anything that others send now."""
+        self.session = self.clock.utime()
 
     def publish(self, channel: str, data: bytes) -> None:
         """Sends the bytes."""
@@ -122,14 +128,12 @@ def check_bus(url: str, patience: float = _CHECK_PATIENCE) -> None:
         patience: How long to try [s].
 
     Raises:
-        BusError: Nothing arrived, or the URL is not one that LCM knows.
+        BusError: Nothing arrived, or the URL is not one of a bus between processes.
     """
-    if url.startswith("memq"):
-        raise BusError(f"{url} does not leave its process; use {DEFAULT_URL}")
-    try:
-        sender, receiver = DrakeLcm(url), DrakeLcm(url)
-    except RuntimeError as error:
-        raise BusError(f"{url} is not an LCM bus: {error}") from None
+    if not url.startswith(_BETWEEN_PROCESSES):
+        allowed = " and ".join(_BETWEEN_PROCESSES)
+        raise BusError(f"{url} is no bus between processes; {allowed} are")
+    sender, receiver = DrakeLcm(url), DrakeLcm(url)
     token = f"{os.getpid()} {time.monotonic_ns()}".encode()
     arrived: list[bytes] = []
     receiver.Subscribe(_CHECK_CHANNEL, arrived.append)

@@ -137,7 +137,7 @@ class CommandSender(LeafSystem):
         if state is None or math.isnan(sample["status"][0]):
             return
         verdict, u = self.verdict(context), self._input.Eval(context)
-        self._commands.send(command(u, verdict.mode, state))
+        self._commands.send(command_message(u, verdict.mode, state))
         status = self._status(sample, u, state)
         status.mode, status.reason = int(verdict.mode), verdict.reason
         status.conflicts = list(self.conflicts(context))
@@ -167,7 +167,7 @@ class CommandSender(LeafSystem):
         return message
 
 
-def command(u: Array, mode: CommandMode, state: Any) -> vcbf_command:
+def command_message(u: Array, mode: CommandMode, state: Any) -> vcbf_command:
     """Returns the command to apply an input, or zeros with a mode that applies none.
 
     Args:

@@ -7,9 +7,9 @@ from typing import Any
 
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.command_sender import CommandSender
+from vcbf_drake.hil.farewell import say_farewell
 from vcbf_drake.hil.hardware_loop import make_hardware_loop
 from vcbf_drake.hil.modes import CommandMode, VehicleMode
-from vcbf_drake.hil.plant_process import FAREWELLS
 from vcbf_drake.hil.report import ControllerRecord, controller_report
 from vcbf_drake.hil.state_receiver import StateReceiver
 from vcbf_drake.hil.warm_up import warm_up
@@ -65,11 +65,16 @@ class ControllerProcess:
         self._stopping = True
 
     def run(self) -> None:
-        """Runs until the vehicle ends, the scenario's duration is over, or `stop`."""
+        """Runs until the vehicle ends, the scenario's duration is over, or `stop`.
+
+        It takes over from any controller that speaks already.
+        """
+        self.bus.begin_session()
         while not (self._stopping or self._is_over()):
             self.bus.wait(self.bus.clock.utime() + self._period)
             self.step()
-        self._say_farewell()
+        self._sender.ending = True
+        say_farewell(self._send)
 
     def step(self) -> None:
         """Acts on the newest state; in a long silence, sends what the watchdog says."""
@@ -118,11 +123,6 @@ class ControllerProcess:
         return newest is not None and bool(
             newest.mode == VehicleMode.ENDED or newest.time >= self.scenario.duration
         )
-
-    def _say_farewell(self) -> None:
-        self._sender.ending = True
-        for _ in range(FAREWELLS):
-            self._send()
 
     def _receiver_context(self) -> Any:
         return self._receiver.GetMyContextFromRoot(self.context)

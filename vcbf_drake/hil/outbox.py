@@ -22,12 +22,15 @@ class Outbox:
     def __init__(self, bus: Bus, channel: str) -> None:
         self.sent = 0
         self._bus, self._channel = bus, channel
+        self._session, self._next = bus.session, 0
 
     def send(self, message: Any) -> None:
         """Fills in what all messages have in common, and publishes."""
+        if self._session != self._bus.session:
+            self._session, self._next = self._bus.session, 0
         message.version = VERSION
-        message.session = self._bus.session
-        message.sequence = self.sent
+        message.session, message.sequence = self._session, self._next
         message.utime = self._bus.clock.utime()
         self._bus.publish(self._channel, message.encode())
+        self._next += 1
         self.sent += 1

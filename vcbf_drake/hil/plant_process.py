@@ -9,6 +9,7 @@ from pydrake.systems.framework import Context
 
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.command_receiver import CommandReceiver
+from vcbf_drake.hil.farewell import say_farewell
 from vcbf_drake.hil.modes import VehicleMode
 from vcbf_drake.hil.report import plant_report
 from vcbf_drake.hil.state_sender import StateSender
@@ -16,9 +17,6 @@ from vcbf_drake.hil.timeline import Timeline
 from vcbf_drake.hil.vehicle import make_vehicle
 from vcbf_drake.simulation.run import make_simulator
 from vcbf_drake.simulation.scenario import Scenario
-
-# How often a last message is sent, for the bus may lose one.
-FAREWELLS = 3
 
 
 class PlantProcess:
@@ -73,6 +71,7 @@ class PlantProcess:
 
     def run(self) -> None:
         """Runs in real time to the scenario's duration, a collision or `stop`."""
+        self.bus.begin_session()
         self._wait_for_command()
         period, duration = self.scenario.period, self.scenario.duration
         tick = 1
@@ -82,7 +81,8 @@ class PlantProcess:
             self.advance_to(min(self._timeline.time(), goal))
             tick += self.time >= goal
         self._elapsed = self._timeline.time()
-        self._say_farewell()
+        self._sender.ending = True
+        say_farewell(lambda: self.diagram.ForcedPublish(self.context))
 
     def advance_to(self, time: float) -> None:
         """Simulates up to a time [s]; earlier ones and those after a collision do not.
@@ -109,8 +109,3 @@ class PlantProcess:
             self.diagram.ForcedPublish(self.context)
             self.bus.wait(self._timeline.utime(self.scenario.period))
         self._timeline.restart()
-
-    def _say_farewell(self) -> None:
-        self._sender.ending = True
-        for _ in range(FAREWELLS):
-            self.diagram.ForcedPublish(self.context)

@@ -57,10 +57,13 @@ class StateSender(LeafSystem):
 
     def _send(self, context: Context) -> None:
         message, command = vcbf_state(), self._commands.newest
+        mode = VehicleMode(int(self._mode.Eval(context)[0]))
+        message.mode = VehicleMode.ENDED if self.ending else mode
         message.time = context.get_time()
         message.utime_measured = self._timeline.utime(message.time)
-        mode = int(self._mode.Eval(context)[0])
-        message.mode = int(VehicleMode.ENDED) if self.ending else mode
+        if message.mode in (VehicleMode.WAITING, VehicleMode.ENDED):
+            # Its time stands still, as it does: what is true now is measured now.
+            message.utime_measured = self._clock.utime()
         message.command_sequence = -1
         if command is not None:
             message.command_sequence = command.sequence

@@ -1,0 +1,143 @@
+"""Two real processes on a real bus, where it carries messages."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+from pydrake.lcm import DrakeLcm
+import pytest
+
+from vcbf_drake.hil import DEFAULT_URL, Bus, BusError, SimulatedClock, WallClock
+from vcbf_drake.hil.bus import check_bus
+from vcbf_drake.hil.messages import vcbf_command, vcbf_state
+
+URL = f"udpm://239.255.76.67:{9700 + os.getpid() % 1000}?ttl=0"
+COMMAND = [sys.executable, "-W", "error", "-m", "vcbf_drake.cli"]
+
+
+def bus_works() -> bool:
+    try:
+        check_bus(URL)
+    except BusError:
+        return False
+    return True
+
+
+needs_bus = pytest.mark.skipif(
+    not bus_works(), reason="no route for multicast: ip route add 224.0.0.0/4 dev lo"
+)
+
+
+def start(side: str, *options: str) -> subprocess.Popen:
+    arguments = [*COMMAND, side, "car-avoidance", "--lcm-url", URL, "--json"]
+    pipe = subprocess.PIPE
+    return subprocess.Popen([*arguments, *options], stdout=pipe, stderr=pipe, text=True)
+
+
+def report(process: subprocess.Popen) -> dict:
+    out, err = process.communicate(timeout=120.0)
+    assert process.returncode == 0, err
+    return json.loads(out)
+
+
+@needs_bus
+@pytest.mark.slow
+def test_two_processes_drive_the_car_and_report() -> None:
+    controller = start("controller", "--duration", "4")
+    plant = start("plant", "--duration", "4")
+    car, pilot = report(plant), report(controller)
+    assert car["outcome"] in ("reached", "timeout")
+    assert car["min_barrier"] > 0.0
+    assert car["final_distance"] < 4.0
+    assert pilot["ticks"] > 50
+    for side in (car, pilot):
+        assert side["arrived"]["accepted"] > 50
+        assert not side["arrived"]["rejected"].get("another type")
+        trip = side["round_trip_ms"]
+        assert 0.0 < trip["median"] <= trip["p99"]
+        assert side["real_time_rate"] == pytest.approx(1.0, abs=0.2)
+    assert pilot["changes"][-1]["mode"] == "end"
+
+
+@needs_bus
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stopped_controller_leaves_the_fallback_as_its_last_command(number) -> None:
+    lcm, commands, states = DrakeLcm(URL), [], []
+    lcm.Subscribe("VCBF_COMMAND", lambda d: commands.append(vcbf_command.decode(d)))
+    lcm.Subscribe("VCBF_STATE", lambda d: states.append(vcbf_state.decode(d)))
+    controller, plant = start("controller"), start("plant")
+    deadline = time.monotonic() + 60.0
+    while not (commands and states and states[-1].time > 0.3):
+        lcm.HandleSubscriptions(50)
+        assert time.monotonic() < deadline
+    controller.send_signal(number)
+    while controller.poll() is None or lcm.HandleSubscriptions(100):
+        lcm.HandleSubscriptions(20)
+        if states[-1].mode == 2:
+            break
+    assert report(controller)["changes"][-1]["mode"] == "end"
+    assert commands[-1].mode == 3
+    assert not any(commands[-1].input)
+    plant.send_signal(number)
+    assert report(plant)["changes"][-1]["mode"] == "fallback"
+
+
+# The bus itself --------------------------------------------------------------------
+
+
+@needs_bus
+def test_a_bus_waits_for_a_message_and_no_longer() -> None:
+    sender, receiver = Bus(DrakeLcm(URL)), Bus(DrakeLcm(URL))
+    arrived: list[bytes] = []
+    receiver.subscribe("WAITED_FOR", lambda data, now: arrived.append(data))
+    start = receiver.clock.utime()
+    assert receiver.wait(start + 5_500) == 0
+    assert receiver.clock.utime() >= start + 5_500
+    sender.publish("WAITED_FOR", b"abc")
+    assert receiver.wait(receiver.clock.utime() + 10_000_000) == 1
+    assert arrived == [b"abc"]
+
+
+def test_without_a_route_the_check_fails_and_says_how_to_mend_it() -> None:
+    """In a network namespace of its own there is no route for multicast."""
+    unshare = shutil.which("unshare")
+    isolated = [unshare, "-rn"] if unshare else []
+    if not unshare or subprocess.run([*isolated, "true"], check=False).returncode:
+        pytest.skip("this computer gives no network namespace")
+    for side in ("plant", "controller"):
+        done = subprocess.run(
+            [*isolated, *COMMAND, side, "car-avoidance"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 1
+        last = done.stderr.strip().splitlines()[-1]
+        assert f"{DEFAULT_URL} carries no messages" in last
+        assert "sudo ip route add 224.0.0.0/4 dev lo" in last
+
+
+@pytest.mark.parametrize("url", ["memq://", "nonsense://"])
+def test_a_url_that_is_no_bus_between_processes_is_refused(url: str) -> None:
+    with pytest.raises(BusError, match=f"{url} is no bus between processes"):
+        check_bus(url)
+
+
+def test_a_default_stays_on_this_computer() -> None:
+    assert DEFAULT_URL.endswith("ttl=0")
+
+
+def test_clocks() -> None:
+    wall = WallClock()
+    assert abs(wall.utime() - 1e6 * time.time()) < 1e6
+    assert wall.utime() <= wall.utime()
+    simulated = SimulatedClock(5)
+    simulated.now += 2
+    assert simulated.utime() == 7
