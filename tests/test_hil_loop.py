@@ -117,7 +117,7 @@ def simulation_with_a_second_hold(name: str, duration: float) -> np.ndarray:
         bounds=bounds,
         method=loaded.method,
         volume_barrier=loaded.volume,
-        observer=make_observer(loaded, model, bounds),
+        observer=make_observer(loaded, model, bounds, period=loaded.period),
     )
     builder.Connect(added.hold.get_output_port(), late.get_input_port())
     builder.Connect(late.get_output_port(), plant.GetInputPort("input"))
