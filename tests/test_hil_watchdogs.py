@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from vcbf_drake import Blimp, Car, ControlAffineModel, InputSet, load_scenario
-from vcbf_drake.hil import CommandMode, InProcess, LinkFaults, VehicleMode
+from vcbf_drake.hil import (
+    Bus,
+    CommandMode,
+    ControllerProcess,
+    InProcess,
+    LinkFaults,
+    VehicleMode,
+)
 from vcbf_drake.hil.fallback import fallback_input
 from vcbf_drake.hil.messages import vcbf_command, vcbf_status
 
@@ -152,6 +159,35 @@ def test_an_infeasible_filter_asks_for_the_fallback_and_names_the_rows() -> None
         assert status.reason == f"no input satisfies {', '.join(status.conflicts)}"
     assert "fallback" in [c["mode"] for c in run.plant.report()["changes"]]
     assert not run.plant.collided
+
+
+def test_a_vehicle_among_other_obstacles_is_sent_into_its_fallback() -> None:
+    run = loop()
+    run.advance_to(0.3)
+    assert run.controller.mode is CommandMode.APPLY
+    run.kill_controller()
+    other = load_scenario("blimp-multiple-obstacles")
+    other.obstacles[2].center[1] += 0.4
+    other.obstacles[2].radius -= 0.1
+    run.controller = ControllerProcess(other, Bus(run.lcm, run.clock))
+    statuses = heard(run, vcbf_status)
+    run.advance_to(1.1)
+    assert run.plant.mode is VehicleMode.FALLBACK
+    assert statuses[-1].mode == CommandMode.FALLBACK
+    assert statuses[-1].reason == (
+        "the vehicle's obstacle 3 is 0.40 m away from the scenario's and +0.10 m larger"
+    )
+
+
+def test_a_vehicle_with_fewer_obstacles_is_sent_into_its_fallback() -> None:
+    run = loop()
+    other = load_scenario("blimp-multiple-obstacles")
+    other.obstacles.pop()
+    run.controller = ControllerProcess(other, Bus(run.lcm, run.clock))
+    statuses = heard(run, vcbf_status)
+    run.advance_to(0.6)
+    assert run.plant.mode is VehicleMode.FALLBACK
+    assert statuses[-1].reason == "the vehicle does not know of 6 obstacles"
 
 
 def test_the_last_command_asks_for_the_fallback() -> None:

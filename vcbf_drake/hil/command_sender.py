@@ -14,6 +14,7 @@ from vcbf_drake.hil.decoding import command_format, status_format
 from vcbf_drake.hil.inbox import Inbox
 from vcbf_drake.hil.messages import vcbf_command, vcbf_status
 from vcbf_drake.hil.modes import CommandMode
+from vcbf_drake.hil.obstacle_watch import ObstacleWatch
 from vcbf_drake.hil.outbox import Outbox
 from vcbf_drake.hil.state_watchdog import StateWatchdog, Verdict
 from vcbf_drake.safety import FilterStatus, SafetyFilter, unpack_feasible_set
@@ -39,7 +40,7 @@ class CommandSender(LeafSystem):
     `input` is the held input; everything else is sampled at the ticks. It sends
     periodically and at forced events, from the first tick on. A `StateWatchdog` says
     whether the input may be applied. An infeasible tick whose policy is ``stop`` asks
-    for the vehicle's fallback, too.
+    for the vehicle's fallback, too, and so do obstacles that the filter does not know.
 
     Args:
         bus: Where to.
@@ -48,6 +49,7 @@ class CommandSender(LeafSystem):
         period: The control period [s].
         states: The states that arrived.
         watchdog: Looks at their age.
+        obstacles: Compares the vehicle's with those of the filter.
         method: The filter's name.
 
     Attributes:
@@ -63,13 +65,14 @@ class CommandSender(LeafSystem):
         period: float,
         states: Inbox,
         watchdog: StateWatchdog,
+        obstacles: ObstacleWatch,
         method: str,
     ) -> None:
         super().__init__()
         self.ending = False
         self.last_status: vcbf_status | None = None
         self._filter, self._states, self._watchdog = safety_filter, states, watchdog
-        self._method = method
+        self._obstacles, self._method = obstacles, method
         m, n_barriers = safety_filter.model.num_inputs, safety_filter.barrier_set.size
         self._commands = Outbox(bus, command_format(m).channel)
         self._statuses = Outbox(
@@ -104,6 +107,8 @@ class CommandSender(LeafSystem):
         """Returns what is asked of the vehicle now, and why."""
         if self.ending:
             return Verdict(CommandMode.END, "the controller ends")
+        if self._obstacles.difference:
+            return Verdict(CommandMode.FALLBACK, self._obstacles.difference)
         verdict = self._watchdog.verdict()
         if verdict.mode is CommandMode.APPLY and self._filter.infeasible == "stop":
             conflicts = self.conflicts(context)

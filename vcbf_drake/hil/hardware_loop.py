@@ -7,6 +7,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.check_timing import check_timing
 from vcbf_drake.hil.command_sender import CommandSender
+from vcbf_drake.hil.obstacle_watch import ObstacleWatch
 from vcbf_drake.hil.state_receiver import StateReceiver
 from vcbf_drake.hil.state_watchdog import StateWatchdog
 from vcbf_drake.plants import ControlAffineModel
@@ -72,6 +73,7 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
             scenario.period,
             receiver.inbox,
             watchdog,
+            ObstacleWatch(bus, scenario),
             scenario.method,
         ),
     )
