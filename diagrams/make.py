@@ -7,8 +7,10 @@ from pathlib import Path
 import sys
 
 from vcbf_drake import load_scenario, make_loop
+from vcbf_drake.hil import InProcess
 from vcbf_drake.viz.diagram import write_diagram
 from vcbf_drake.viz.filter_diagram import write_filter_diagram
+from vcbf_drake.viz.hardware_diagram import write_hardware_diagram
 
 
 def make(directory: Path) -> None:
@@ -16,6 +18,8 @@ def make(directory: Path) -> None:
     for name in ("car-avoidance", "blimp-multiple-obstacles"):
         loop = make_loop(load_scenario(name))
         write_diagram(loop, directory, name)
+    both = InProcess(load_scenario("blimp-multiple-obstacles"))
+    write_hardware_diagram(both, directory, "two-processes")
     write_filter_diagram(loop.GetSubsystemByName("filter"), directory, "safety-filter")
 
 

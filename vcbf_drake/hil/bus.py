@@ -63,6 +63,11 @@ class Bus:
         self._link = FaultyLink(faults or LinkFaults())
         self._handlers: dict[str, list[Handler]] = {}
 
+    @property
+    def subscribed(self) -> tuple[str, ...]:
+        """The channels that someone listens to here."""
+        return tuple(self._handlers)
+
     def begin_session(self) -> None:
         """Makes what is sent from now on newer than anything that others send now."""
         self.session = self.clock.utime()

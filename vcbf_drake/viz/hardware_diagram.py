@@ -1,0 +1,85 @@
+"""The two processes of a loop over LCM, with the channels between them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pydrake.systems.framework import Diagram
+from pydrake.systems.primitives import VectorLogSink
+
+from vcbf_drake.viz.blocks import (
+    Block,
+    BlockSheet,
+    Pin,
+    Place,
+    Wire,
+    sheet_dot,
+    write_dot,
+)
+
+if TYPE_CHECKING:
+    from vcbf_drake.hil import Bus, InProcess
+
+
+def write_hardware_diagram(run: InProcess, directory: Path, name: str) -> list[Path]:
+    """Writes the picture of both processes as DOT and, with Graphviz, as SVG.
+
+    Args:
+        run: Both of them, at their start.
+        directory: Where to write; it is made.
+        name: The file name without its ending.
+
+    Returns:
+        The paths written.
+    """
+    return write_dot(sheet_dot(hardware_sheet(run), name), directory, name)
+
+
+def hardware_sheet(run: InProcess) -> BlockSheet:
+    """Returns what the picture shows: what each process holds, sends and hears.
+
+    Both are run for a second, in which everything is sent once.
+
+    Raises:
+        ValueError: The controller is dead.
+    """
+    controller, vehicle = run.controller, run.plant
+    if controller is None:
+        raise ValueError("controller: None; the picture needs both processes")
+    passing = {each: _passing_channels(each.bus) for each in (controller, vehicle)}
+    run.advance_to(1.0)
+    blocks = tuple(
+        Block(
+            name,
+            command,
+            tuple(process.bus.subscribed),
+            tuple(c for c in passing[process] if c not in process.bus.subscribed),
+            place,
+            _systems(process.diagram),
+        )
+        for name, command, process, place in (
+            ("controller process", "vcbf-drake controller", controller, Place(0)),
+            ("vehicle process", "vcbf-drake plant", vehicle, Place(0, 1, True)),
+        )
+    )
+    wires = [
+        Wire(Pin(source.name, True, i), Pin(sink.name, False, j), 0)
+        for source, sink in (blocks, blocks[::-1])
+        for i, channel in enumerate(source.outputs)
+        for j, heard in enumerate(sink.inputs)
+        if heard == channel
+    ]
+    return BlockSheet(blocks, tuple(wires))
+
+
+def _passing_channels(bus: Bus) -> dict[str, None]:
+    """Returns the channels of what is sent or arrives from now on."""
+    channels: dict[str, None] = {}
+    bus.taps.append(lambda utime, channel, data: channels.setdefault(channel))
+    return channels
+
+
+def _systems(diagram: Diagram) -> tuple[str, ...]:
+    systems = diagram.GetSystems()
+    return tuple(s.get_name() for s in systems if not isinstance(s, VectorLogSink))
