@@ -57,14 +57,9 @@ class Perception(LeafSystem):
     def _calc_obstacles(self, context, output):
         x, t = self._state.Eval(context), context.get_time()
         away = [np.linalg.norm(x[[*blimp]] - ball(t)) for blimp in (FIRST, SECOND)]
-        seen = [t] if min(away) < RANGE else []
-        output.SetFromVector(
-            SPHERES.pack(
-                [ball(t) for t in seen],
-                [ball_velocity(t) for t in seen],
-                [BALL for _ in seen],
-            )
-        )
+        found = min(away) < RANGE
+        spheres = ([ball(t)], [ball_velocity(t)], [BALL]) if found else ([], [], [])
+        output.SetFromVector(SPHERES.pack(*spheres))
 
 
 def pair():

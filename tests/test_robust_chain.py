@@ -82,7 +82,8 @@ def test_rows_of_a_wall_by_hand(model):
 
 def test_without_a_bound_the_row_is_the_plain_one(model):
     """Of the same plant without a disturbance, where nothing is early."""
-    ball = SphereObstacle([3.0, 1.0], 0.5, velocity=[0.2, -0.1]).barrier(GAINS)
+    moving = SphereObstacle([3.0, 1.0], 0.5, velocity=[0.2, -0.1], form="squared")
+    ball = moving.barrier(GAINS)
     calm = ControlAffineModel(
         model.state,
         model.drift_expressions,
@@ -153,13 +154,13 @@ def test_a_slow_actuator_keeps_off_a_wall_in_the_worst_wind():
 
 
 def test_perceived_spheres_can_be_robust_too(model):
-    spheres = PerceivedSpheres(capacity=2, dimensions=2)
+    spheres = PerceivedSpheres(capacity=2, dimensions=2, form="squared")
     barriers = [each.robust_to(BOUND) for each in spheres.barriers(GAINS)]
-    ball = SphereObstacle([2.0, 0.5], 0.5, velocity=[0.1, 0.0]).barrier(GAINS)
+    ball = SphereObstacle([2.0, 0.5], 0.5, velocity=[0.1, 0.0], form="squared")
     slots = spheres.pack([[2.0, 0.5]], [[0.1, 0.0]], [0.5])
     state = np.array([0.1, 0.2, 0.3, -0.4, 0.5, 0.6])
     seen = BarrierSet(model, barriers).rows(state, 0.0, slots)
-    known = BarrierSet(model, [ball.robust_to(BOUND)]).rows(state, 0.0)
+    known = BarrierSet(model, [ball.barrier(GAINS).robust_to(BOUND)]).rows(state, 0.0)
     assert seen.b[0] == pytest.approx(known.b[0])
     assert seen.A[0] == pytest.approx(known.A[0])
     assert seen.b[1] == 1.0
