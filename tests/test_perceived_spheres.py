@@ -15,7 +15,8 @@ from vcbf_drake import (
 )
 from vcbf_drake.barriers import BarrierSet, HalfSpace, PerceivedSpheres
 from vcbf_drake.disturbances import DisturbanceBounds
-from vcbf_drake.safety import FilterStatus
+from vcbf_drake.safety import FilterStatus, VolumeBarrier
+from vcbf_drake.safety.feasibility_measure import MEASURES
 
 GAINS = [3.0, 2.0]
 LIMITS = InputSet.box([-1.0, -1.0], [1.0, 1.0])
@@ -99,21 +100,25 @@ def outputs(safety_filter, context, *names):
     return [safety_filter.GetOutputPort(name).Eval(context) for name in names]
 
 
-def perceiving(model, capacity=4):
-    spheres = PerceivedSpheres(capacity, dimensions=2)
-    return spheres, SafetyFilter(
-        model, spheres.barriers(GAINS), LIMITS, method="vcbf-qp"
-    )
+def perceiving(model, **options):
+    spheres = PerceivedSpheres(capacity=4, dimensions=2)
+    barriers = spheres.barriers(GAINS)
+    return spheres, SafetyFilter(model, barriers, LIMITS, method="vcbf-qp", **options)
 
 
-def test_empty_slots_drop_out_exactly(model):
+@pytest.mark.parametrize("measure", MEASURES)
+@pytest.mark.parametrize("widening", [1.0, 2.0])
+def test_empty_slots_drop_out_exactly(model, measure, widening):
     """Bit for bit the filter that was built with these obstacles and no slots."""
-    spheres, safety_filter = perceiving(model)
+    barrier = VolumeBarrier(measure=measure, widening=widening, guard="inradius")
+    spheres, safety_filter = perceiving(model, volume_barrier=barrier)
     standing = [
         SphereObstacle(c, r, v).barrier(GAINS)
         for c, v, r in zip(*SEEN.values(), strict=True)
     ]
-    built = SafetyFilter(model, standing, LIMITS, method="vcbf-qp")
+    built = SafetyFilter(
+        model, standing, LIMITS, method="vcbf-qp", volume_barrier=barrier
+    )
     names = ("input", "volume", "slack", "status")
     expected = outputs(built, fixed(built), *names)
     slots = spheres.pack(**SEEN).reshape(4, -1)
