@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+import shlex
 import signal
 import subprocess
 import sys
@@ -20,7 +21,7 @@ from vcbf_drake.cli import app
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.simulation import load_scenario, simulate
 from vcbf_drake.studies import Trial, share_interval
-from vcbf_drake.studies.reproduction import QUICK, SECTIONS, reproduce
+from vcbf_drake.studies.reproduction import QUICK, SECTIONS, Settings, reproduce
 from vcbf_drake.studies.reproduction.clearance import clearance
 from vcbf_drake.studies.reproduction.estimation import estimation
 import vcbf_drake.studies.reproduction.results as results_module
@@ -34,7 +35,7 @@ from vcbf_drake.studies.reproduction.shares import (
 from vcbf_drake.studies.reproduction.verdicts import CLAIMS, verdicts
 
 ROOT = Path(__file__).parents[1]
-CAR = "car-avoidance"
+CAR, BLIMP = "car-avoidance", "blimp-multiple-obstacles"
 METHODS = ("dob-cbf-qp", "dob-vcbf-qp")
 
 
@@ -122,10 +123,8 @@ def test_a_run_cut_short_or_changed_is_run_again(tmp_path):
 def test_a_directory_is_for_one_reproduction(tmp_path):
     run_tiny(tmp_path)
     with pytest.raises(ScenarioError, match="other settings or versions"):
-        reproduce(tmp_path, SECTIONS_SETTINGS, only=("tiny",))
+        reproduce(tmp_path, Settings(trials=3), only=("tiny",))
 
-
-SECTIONS_SETTINGS = type(QUICK)(trials=3)
 
 KILLED = """
 import sys
@@ -191,8 +190,63 @@ def test_every_run_and_study_of_a_section_loads(name):
         trials[0].load()
 
 
+def test_studies_come_to_numbers_in_pairs(tmp_path, monkeypatch):
+    """Every study's section, evaluated on made-up outcomes."""
+
+    def made_up(scenario, step_time):
+        stops = scenario.method == "dob-cbf-qp" and not scenario.name.endswith("0")
+        numbers = summary("infeasible" if stops else "reached")
+        numbers["running_time"] = 4.0 if stops else scenario.duration
+        return SimpleNamespace(summary=numbers)
+
+    monkeypatch.setattr("vcbf_drake.studies.trial.simulate", made_up)
+    few = Settings(True, 2, 3, 2, 1, 1, 1)
+    names = ("table_1", "population_blimp", "population_car", "ablation", "knobs")
+    data = reproduce(tmp_path, few, only=names)
+
+    case = data["table_1"]["case_1"]
+    assert (case["T1"]["mean"], case["T2"]["mean"]) == (20.0, 4.0)
+    assert (case["worse"], case["errors"]) == ([], [])
+    assert (tmp_path / case["file"]).is_file()
+    rates = data["population_blimp"]["rates"]
+    # Course 0 alone is made to succeed.
+    assert rates["dob-cbf-qp fails"] == share(2, 3)
+    assert rates["of its failures, dob-vcbf-qp reaches"] == share(2, 2)
+    car = data["population_car"]
+    assert car["rates"]["dob-cbf-qp fails"]["count"] == 5
+    assert car["layouts_with_a_failure"]["dob-cbf-qp"] == share(1, 2)
+    variants = data["ablation"]["variants"]
+    assert [variant["outcomes"] for variant in variants] == [{"reached": 1}] * 6
+    rate = data["knobs"]["rate"]["points"]
+    assert [point["value"] for point in rate] == [20.0, 50.0, 100.0, 200.0, 500.0]
+    assert all(point["dob-cbf-qp"]["trials"] == 1 for point in rate)
+    for key in names:
+        assert data[key]["command"] == f"vcbf-drake reproduce --quick --only {key}"
+
+
+def test_a_worse_trial_is_listed_with_its_command(tmp_path, monkeypatch):
+    def made_up(scenario, step_time):
+        worse = scenario.method == "dob-vcbf-qp"
+        numbers = summary("infeasible" if worse else "reached")
+        numbers["running_time"] = 4.0 if worse else scenario.duration
+        return SimpleNamespace(summary=numbers)
+
+    monkeypatch.setattr("vcbf_drake.studies.trial.simulate", made_up)
+    few = Settings(True, 1, 1, 1, 1, 1, 1)
+    data = reproduce(tmp_path, few, only=("table_1", "population_blimp"))
+    (worse,) = data["table_1"]["case_1"]["worse"]
+    (course,) = data["population_blimp"]["comparisons"][0]["worse_trials"]
+    for listed, name in ((worse, BLIMP), (course, "blimp-course-0")):
+        words = shlex.split(listed["replay"])
+        assert words[:5] == ["vcbf-drake", "run", BLIMP, "--method", "dob-vcbf-qp"]
+        assert words[5] == "--override"
+        assert load_scenario(BLIMP, words[6]).name == name
+    assert worse["seed"] == 0
+    assert data["table_1"]["command"] == "vcbf-drake reproduce --quick --only table_1"
+
+
 def test_full_settings_are_what_the_paper_needs():
-    full = {name: make(type(QUICK)()) for name, make in SECTIONS.items()}
+    full = {name: make(Settings()) for name, make in SECTIONS.items()}
     for trials in full["table_1"].studies.values():
         assert len(trials) >= 2 * 200
     assert len(full["population_blimp"].studies["population_blimp"]) >= 2 * 600
