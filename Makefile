@@ -3,14 +3,15 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: demo test lint format bench clean help
+.PHONY: demo reproduce test lint format bench clean help
 
 help:
-	@echo "make demo    the paper's Test 2 with and without the volume barrier, in out/"
-	@echo "make test    every test"
-	@echo "make lint    format, lint and type checks"
-	@echo "make bench   benchmarks (CPU time)"
-	@echo "make clean   removes .venv and out/"
+	@echo "make demo       the paper's Test 2 with and without the volume barrier, in out/"
+	@echo "make reproduce  everything the paper shows, in out/reproduction"
+	@echo "make test       every test"
+	@echo "make lint       format, lint and type checks"
+	@echo "make bench      benchmarks (CPU time)"
+	@echo "make clean      removes .venv and out/"
 
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv .venv
@@ -20,6 +21,9 @@ $(STAMP): pyproject.toml
 
 demo: $(STAMP)
 	$(BIN)/vcbf-drake compare blimp-multiple-obstacles --methods dob-cbf-qp,dob-vcbf-qp
+
+reproduce: $(STAMP)
+	$(BIN)/vcbf-drake reproduce
 
 test: $(STAMP)
 	$(BIN)/python -m pytest
