@@ -122,8 +122,15 @@ def test_a_run_cut_short_or_changed_is_run_again(tmp_path):
 @pytest.mark.usefixtures("only_tiny")
 def test_a_directory_is_for_one_reproduction(tmp_path):
     run_tiny(tmp_path)
-    with pytest.raises(ScenarioError, match="other settings or versions"):
+    before = results(tmp_path)
+    with pytest.raises(ScenarioError, match="other settings, versions or code"):
         reproduce(tmp_path, Settings(trials=3), only=("tiny",))
+    settings = tmp_path / "settings.json"
+    other_code = json.loads(settings.read_text()) | {"code": "0123456789abcdef"}
+    settings.write_text(json.dumps(other_code))
+    with pytest.raises(ScenarioError, match="other settings, versions or code"):
+        run_tiny(tmp_path)
+    assert results(tmp_path) == before
 
 
 KILLED = """

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import dataclasses
+import hashlib
 from importlib.metadata import version
 import json
 import os
 from pathlib import Path
 from typing import Any
 
+import vcbf_drake
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.studies.reproduction.ablation import ablation
 from vcbf_drake.studies.reproduction.archive import Archive
@@ -40,6 +42,16 @@ SECTIONS: dict[str, Callable[[Settings], Section]] = {
 }
 
 RESULTS = "reproduction.json"
+
+# What a simulation runs.
+_SIMULATED = (
+    "barriers",
+    "control",
+    "disturbances",
+    "plants",
+    "safety",
+    "simulation",
+)
 
 Progress = Callable[[str, float], None]
 
@@ -117,17 +129,29 @@ def _command(name: str, settings: Settings) -> str:
 def _claim(directory: Path, settings: Settings) -> dict[str, Any]:
     """Returns the settings, after checking that the directory is for none but them."""
     claimed = dataclasses.asdict(settings) | {
-        "versions": {name: version(name) for name in ("drake", "numpy")}
+        "versions": {name: version(name) for name in ("drake", "numpy")},
+        "code": _fingerprint(),
     }
     path = directory / "settings.json"
     if path.exists() and json.loads(path.read_text()) != claimed:
         raise ScenarioError(
-            f"{directory}: holds a reproduction with other settings or versions"
+            f"{directory}: holds a reproduction with other settings, versions or code"
             f" ({path.name}); give another directory"
         )
     directory.mkdir(parents=True, exist_ok=True)
     _write(path, claimed)
     return claimed
+
+
+def _fingerprint() -> str:
+    """A hash of the code that simulates: what two versions ran must not be mixed."""
+    package, digest = Path(vcbf_drake.__file__).parent, hashlib.sha256()
+    for room in _SIMULATED:
+        for path in sorted((package / room).rglob("*")):
+            if path.suffix in (".py", ".yaml"):
+                digest.update(path.relative_to(package).as_posix().encode())
+                digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def _write(path: Path, data: dict[str, Any]) -> None:
