@@ -322,6 +322,13 @@ def test_one_case_of_the_table_is_enough(tmp_path):
     assert "Left out: `case_2`, not run." in text
 
 
+def test_crashed_trials_are_told(tmp_path):
+    data = {"table_1": Maker(tmp_path).table_1()}
+    crashed = {"index": 5, "replay": "vcbf-drake run the-one-that-crashed"}
+    data["table_1"]["case_1"]["errors"] = [crashed]
+    assert crashed["replay"] in reproduction_markdown(data)
+
+
 def test_no_reproduction_is_an_error(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"reproduction\.json"):
         write_report(tmp_path)

@@ -39,7 +39,7 @@ def _compared(
             numbers["command"],
         ),
         tally_table(
-            f"The same in numbers, {words}; the slack is 0 only where it says 0.",
+            f"The same in numbers, {words}. A slack of 0 is exactly 0.",
             [Column("corrections")],
             [([label], tally) for label, tally in rows],
             numbers["command"],

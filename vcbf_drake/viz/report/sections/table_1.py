@@ -106,3 +106,9 @@ def _pairs(key: str, case: Mapping[str, Any], saved: Reproduction) -> Iterator[B
         )
     else:
         yield Paragraph(f"{title}: in no trial did the volume barrier do worse.")
+    if case["errors"]:
+        yield Commands(
+            f"{title}: the {len(case['errors'])} trials that crashed, and are in no"
+            " mean; each command runs one again.",
+            [trial["replay"] for trial in case["errors"]],
+        )
