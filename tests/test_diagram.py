@@ -30,7 +30,12 @@ LOOPS = {
     "no estimate": ("car-avoidance", {"method": "cbf-qp"}),
     "noise": ("car-avoidance", {"noise": {"std": [0.01, 0.01, 0.01, 0.01]}}),
 }
-COMMITTED = ("blimp-multiple-obstacles", "car-avoidance", "safety-filter")
+COMMITTED = (
+    "blimp-multiple-obstacles",
+    "car-avoidance",
+    "safety-filter",
+    "two-processes",
+)
 
 Connection = tuple[str, str, str, str, str]
 

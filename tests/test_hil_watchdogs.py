@@ -12,6 +12,7 @@ from vcbf_drake.hil import (
     ControllerProcess,
     InProcess,
     LinkFaults,
+    PlantProcess,
     VehicleMode,
 )
 from vcbf_drake.hil.fallback import fallback_input
@@ -202,6 +203,37 @@ def test_the_last_command_asks_for_the_fallback() -> None:
     run.kill_controller()
     run.advance_to(0.54)
     assert run.plant.mode is VehicleMode.FALLBACK
+
+
+def test_a_vehicle_that_sends_faster_than_the_period_is_sampled() -> None:
+    run = loop("{period: 0.005}")
+    slow = load_scenario("blimp-multiple-obstacles", {"period": 0.02})
+    run.controller = ControllerProcess(slow, Bus(run.lcm, run.clock))
+    commands, statuses = heard(run, vcbf_command), heard(run, vcbf_status)
+    run.advance_to(1.0)
+    assert len(commands) == pytest.approx(51, abs=1)
+    assert np.diff([s.time for s in statuses]) == pytest.approx(0.02)
+    # Each answers the state it acted on: one in four, the first ones aside.
+    assert set(np.diff([c.state_sequence for c in commands]).tolist()) == {4}
+
+
+def test_a_vehicle_that_starts_again_is_followed_from_its_beginning() -> None:
+    run = loop()
+    run.advance_to(2.0)
+    statuses = heard(run, vcbf_status)
+    run.clock.now += 3_000_000
+    run.plant = PlantProcess(run.plant.scenario, Bus(run.lcm, run.clock))
+    start = run.clock.now
+    for tick in range(1, 20):
+        run.clock.now = start + 20_000 * tick
+        run.plant.advance_to(0.02 * tick)
+        run.controller.step()
+        run.plant.bus.poll()
+    assert statuses[-1].time == pytest.approx(0.38)
+    assert statuses[-1].mode == CommandMode.APPLY
+    assert run.plant.mode is VehicleMode.FOLLOWING
+    first = next(s for s in statuses if s.time < 1.0)
+    assert first.error_bound == max(s.error_bound for s in statuses)
 
 
 # The observer after a gap ----------------------------------------------------------

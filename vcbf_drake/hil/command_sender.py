@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import math
-from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
@@ -12,10 +12,11 @@ from vcbf_drake.errors import Array
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.decoding import command_format, status_format
 from vcbf_drake.hil.inbox import Inbox
-from vcbf_drake.hil.messages import vcbf_command, vcbf_status
+from vcbf_drake.hil.messages import vcbf_command, vcbf_state, vcbf_status
 from vcbf_drake.hil.modes import CommandMode
 from vcbf_drake.hil.obstacle_watch import ObstacleWatch
 from vcbf_drake.hil.outbox import Outbox
+from vcbf_drake.hil.state_receiver import StateStamp
 from vcbf_drake.hil.state_watchdog import StateWatchdog, Verdict
 from vcbf_drake.safety import FilterStatus, SafetyFilter, unpack_feasible_set
 
@@ -36,6 +37,7 @@ class CommandSender(LeafSystem):
         - feasible_set
         - disturbance_estimate
         - error_bound
+        - stamp
 
     `input` is the held input; everything else is sampled at the ticks. It sends
     periodically and at forced events, from the first tick on. A `StateWatchdog` says
@@ -47,7 +49,7 @@ class CommandSender(LeafSystem):
         safety_filter: The filter whose ports are connected.
         num_disturbances: q of the observer.
         period: The control period [s].
-        states: The states that arrived.
+        states: The states that arrived, for the status.
         watchdog: Looks at their age.
         obstacles: Compares the vehicle's with those of the filter.
         method: The filter's name.
@@ -88,6 +90,7 @@ class CommandSender(LeafSystem):
             "feasible_set": safety_filter.GetOutputPort("feasible_set").size(),
             "disturbance_estimate": num_disturbances,
             "error_bound": 1,
+            "stamp": len(StateStamp._fields),
         }
         self._sampled = [
             self.DeclareVectorInputPort(name, size) for name, size in sizes.items()
@@ -138,8 +141,9 @@ class CommandSender(LeafSystem):
         }
 
     def _send(self, context: Context) -> None:
-        sample, state = self._sample_of(context), self._states.newest
-        if state is None or math.isnan(sample["status"][0]):
+        sample = self._sample_of(context)
+        state = StateStamp(*sample["stamp"].tolist())
+        if math.isnan(state.sequence):  # There was no tick yet.
             return
         verdict, u = self.verdict(context), self._input.Eval(context)
         self._commands.send(command_message(u, verdict.mode, state))
@@ -150,10 +154,12 @@ class CommandSender(LeafSystem):
         self._statuses.send(status)
         self.last_status = status
 
-    def _status(self, sample: dict[str, Array], u: Array, state: Any) -> vcbf_status:
+    def _status(
+        self, sample: dict[str, Array], u: Array, state: StateStamp
+    ) -> vcbf_status:
         message = vcbf_status()
         message.method = self._method
-        message.state_sequence, message.time = state.sequence, state.time
+        message.state_sequence, message.time = int(state.sequence), state.time
         message.state_age = self._watchdog.state_age()
         message.filter_status = int(sample["status"][0])
         message.num_inputs, message.input = len(u), u.tolist()
@@ -172,18 +178,20 @@ class CommandSender(LeafSystem):
         return message
 
 
-def command_message(u: Array, mode: CommandMode, state: Any) -> vcbf_command:
+def command_message(
+    u: Sequence[float] | Array, mode: CommandMode, state: StateStamp | vcbf_state
+) -> vcbf_command:
     """Returns the command to apply an input, or zeros with a mode that applies none.
 
     Args:
         u: The input, shape (m,).
         mode: What the vehicle is to do.
-        state: The state's message that it answers.
+        state: The state that it answers: its stamp, or its message.
     """
     message = vcbf_command()
-    message.state_session = state.session
-    message.state_sequence = state.sequence
-    message.state_utime = state.utime
+    message.state_session = int(state.session)
+    message.state_sequence = int(state.sequence)
+    message.state_utime = int(state.utime)
     message.mode = int(mode)
     applies = mode in (CommandMode.APPLY, CommandMode.HOLD)
     message.num_inputs = len(u)

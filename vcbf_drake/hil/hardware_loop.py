@@ -85,6 +85,7 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
         builder.Connect(loop.filter.GetOutputPort(name), sender.GetInputPort(name))
     for name in ("disturbance_estimate", "error_bound"):
         builder.Connect(loop.observer.GetOutputPort(name), sender.GetInputPort(name))
+    builder.Connect(receiver.GetOutputPort("stamp"), sender.GetInputPort("stamp"))
     diagram = builder.Build()
     diagram.set_name(f"{scenario.name}_controller")
     return diagram

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.common.value import Value
@@ -20,6 +21,22 @@ from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.decoding import state_format
 from vcbf_drake.hil.inbox import Inbox
 from vcbf_drake.hil.round_trip import RoundTrip
+
+
+class StateStamp(NamedTuple):
+    """Which state it is.
+
+    Attributes:
+        session: The sender's session [us].
+        sequence: Its number there.
+        utime: When it was sent [us].
+        time: When it was measured, since the motion began [s].
+    """
+
+    session: float
+    sequence: float
+    utime: float
+    time: float
 
 
 @dataclass(frozen=True)
@@ -39,11 +56,13 @@ class StateReceiver(LeafSystem):
         output_ports:
         - state
         - applied_input
+        - stamp
 
     | port | size | |
     | --- | --- | --- |
     | ``state`` | n | the newest measured state; zeros before the first |
     | ``applied_input`` | m | the mean of what was applied since the state before |
+    | ``stamp`` | 4 | what that state's message says, a `StateStamp`; nan before |
 
     Messages are taken over at the beginning of a simulator's step, or at a forced
     event; between events the outputs are constant.
@@ -79,6 +98,8 @@ class StateReceiver(LeafSystem):
         self.DeclareVectorOutputPort(
             "applied_input", num_inputs, self._calc_applied_input, needs
         )
+        size = len(StateStamp._fields)
+        self.DeclareVectorOutputPort("stamp", size, self._calc_stamp, needs)
 
     def message(self, context: Context) -> Any:
         """Returns the message that the outputs show, None before the first."""
@@ -128,6 +149,15 @@ class StateReceiver(LeafSystem):
         measured = self._measured(context)
         zeros = np.zeros(self._sizes[1])
         output.SetFromVector(zeros if measured is None else measured.applied_input)
+
+    def _calc_stamp(self, context: Context, output: BasicVector) -> None:
+        message = self.message(context)
+        output.SetFromVector(
+            [
+                math.nan if message is None else getattr(message, name)
+                for name in StateStamp._fields
+            ]
+        )
 
     def _take_times(self, message: Any, now: int) -> None:
         """Notes the round trip of a command that the vehicle mentions first now."""
