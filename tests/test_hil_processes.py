@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 import json
 import os
 import shutil
@@ -13,7 +14,15 @@ import time
 from pydrake.lcm import DrakeLcm
 import pytest
 
-from vcbf_drake.hil import DEFAULT_URL, Bus, BusError, SimulatedClock, WallClock
+from vcbf_drake.hil import (
+    DEFAULT_URL,
+    Bus,
+    BusError,
+    CommandMode,
+    SimulatedClock,
+    VehicleMode,
+    WallClock,
+)
 from vcbf_drake.hil.bus import check_bus
 from vcbf_drake.hil.messages import vcbf_command, vcbf_state
 
@@ -34,10 +43,25 @@ needs_bus = pytest.mark.skipif(
 )
 
 
-def start(side: str, *options: str) -> subprocess.Popen:
-    arguments = [*COMMAND, side, "car-avoidance", "--lcm-url", URL, "--json"]
-    pipe = subprocess.PIPE
-    return subprocess.Popen([*arguments, *options], stdout=pipe, stderr=pipe, text=True)
+@pytest.fixture
+def start() -> Iterator[Callable[..., subprocess.Popen]]:
+    """Starts one side; at the end of a test whatever still runs is killed."""
+    processes: list[subprocess.Popen] = []
+
+    def start_side(side: str, *options: str) -> subprocess.Popen:
+        arguments = [*COMMAND, side, "car-avoidance", "--lcm-url", URL, "--json"]
+        pipe = subprocess.PIPE
+        processes.append(
+            subprocess.Popen(
+                [*arguments, *options], stdout=pipe, stderr=pipe, text=True
+            )
+        )
+        return processes[-1]
+
+    yield start_side
+    for process in processes:
+        process.kill()
+        process.communicate()
 
 
 def report(process: subprocess.Popen) -> dict:
@@ -48,7 +72,7 @@ def report(process: subprocess.Popen) -> dict:
 
 @needs_bus
 @pytest.mark.slow
-def test_two_processes_drive_the_car_and_report() -> None:
+def test_two_processes_drive_the_car_and_report(start) -> None:
     controller = start("controller", "--duration", "4")
     plant = start("plant", "--duration", "4")
     car, pilot = report(plant), report(controller)
@@ -68,25 +92,29 @@ def test_two_processes_drive_the_car_and_report() -> None:
 @needs_bus
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_stopped_controller_leaves_the_fallback_as_its_last_command(number) -> None:
+def test_a_stopped_controller_leaves_the_fallback_as_its_last_command(
+    number, start
+) -> None:
     lcm, commands, states = DrakeLcm(URL), [], []
     lcm.Subscribe("VCBF_COMMAND", lambda d: commands.append(vcbf_command.decode(d)))
     lcm.Subscribe("VCBF_STATE", lambda d: states.append(vcbf_state.decode(d)))
+
+    def listen_until(condition: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + 60.0
+        while not condition():
+            assert time.monotonic() < deadline
+            lcm.HandleSubscriptions(20)
+
     controller, plant = start("controller"), start("plant")
-    deadline = time.monotonic() + 60.0
-    while not (commands and states and states[-1].time > 0.3):
-        lcm.HandleSubscriptions(50)
-        assert time.monotonic() < deadline
+    listen_until(lambda: bool(commands and states) and states[-1].time > 0.3)
     controller.send_signal(number)
-    while controller.poll() is None or lcm.HandleSubscriptions(100):
-        lcm.HandleSubscriptions(20)
-        if states[-1].mode == 2:
-            break
-    assert report(controller)["changes"][-1]["mode"] == "end"
-    assert commands[-1].mode == 3
+    listen_until(lambda: commands[-1].mode == CommandMode.END)
     assert not any(commands[-1].input)
+    listen_until(lambda: states[-1].mode == VehicleMode.FALLBACK)
+    assert report(controller)["changes"][-1]["mode"] == "end"
     plant.send_signal(number)
     assert report(plant)["changes"][-1]["mode"] == "fallback"
+    assert commands[-1].mode == CommandMode.END
 
 
 # The bus itself --------------------------------------------------------------------
