@@ -13,10 +13,12 @@ from vcbf_drake import (
     AddSafetyFilter,
     BlimpController,
     CarController,
+    InputSet,
     load_scenario,
     make_loop,
     simulate,
 )
+from vcbf_drake.disturbances import DisturbanceBounds
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.hil import Bus, InProcess, SimulatedClock, make_vehicle
 from vcbf_drake.hil.timeline import Timeline
@@ -147,3 +149,18 @@ def test_time_limits_below_the_period_are_refused() -> None:
     loaded = load_scenario("car-avoidance", {"hardware": {"command_timeout": 1e-3}})
     with pytest.raises(ScenarioError, match=r"hardware\.command_timeout: 0\.001 s"):
         InProcess(loaded)
+
+
+def test_a_plant_elsewhere_needs_its_model_and_a_state() -> None:
+    builder = DiagramBuilder()
+    pilot = builder.AddSystem(BlimpController([1.0, 0.0, 0.0]))
+    with pytest.raises(ValueError, match="model and state must be given"):
+        AddSafetyFilter(
+            builder,
+            plant=None,
+            reference=pilot.GetOutputPort("reference"),
+            barriers=[],
+            input_set=InputSet.box([-1.0] * 3, [1.0] * 3),
+            period=0.02,
+            bounds=DisturbanceBounds(0.0, 0.0, 0.0),
+        )
