@@ -81,6 +81,17 @@ def test_hardware_faults_reports_from_both_sides(tmp_path):
     assert text.count("round trip") == 2
 
 
+def test_tuning_study_counts_every_flight(tmp_path):
+    lines = run("tuning_study.py", tmp_path).splitlines()
+    kept = {line[:26].strip(): line[26:].split()[:3] for line in lines[1:]}
+    assert len(kept) == 4
+    # Within the 5 s of the check, the paper's form loses two of its three courses.
+    assert kept["the paper's form"] == ["3", "1", "0"]
+    assert kept["8 x as wide, gain 0.1"] == ["3", "3", "0"]
+    picture = tmp_path / "out" / "examples" / "tuning_study.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
 def test_gallery_lists_every_example_and_its_pictures_exist():
     gallery = (ROOT / "examples" / "README.md").read_text()
     programs = {path.name for path in (ROOT / "examples").glob("*.py")}
