@@ -4,6 +4,7 @@ from vcbf_drake.safety.add_safety_filter import AddedSafetyFilter, AddSafetyFilt
 from vcbf_drake.safety.assumptions import Assumption, assumptions
 from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
 from vcbf_drake.safety.ellipsoid import Ellipsoid, inscribed_ellipsoid
+from vcbf_drake.safety.feasibility_measure import MEASURES, FeasibilityMeasure
 from vcbf_drake.safety.feasible_set import DisturbanceKnowledge, FeasibleSet
 from vcbf_drake.safety.filter_qp import (
     INFEASIBLE_POLICIES,
@@ -28,6 +29,7 @@ from vcbf_drake.safety.volume_barrier import Volume, VolumeBarrier
 __all__ = [
     "FIDELITIES",
     "INFEASIBLE_POLICIES",
+    "MEASURES",
     "METHODS",
     "AddSafetyFilter",
     "AddedSafetyFilter",
@@ -36,6 +38,7 @@ __all__ = [
     "DisturbanceKnowledge",
     "Ellipsoid",
     "Emptiness",
+    "FeasibilityMeasure",
     "FeasibleSet",
     "Fidelity",
     "FilterDecision",

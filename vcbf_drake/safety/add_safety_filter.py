@@ -92,7 +92,7 @@ def AddSafetyFilter(
         corrections: The errata to apply, in place of those of the fidelity.
         infeasible: When no input satisfies the barrier rows: ``stop`` the simulation,
             apply the input of ``least_violation``, or ``hold`` the last one.
-        volume_barrier: Threshold and gain of the volume barrier.
+        volume_barrier: What the volume row keeps positive, and its gain.
         observer: Used in place of the method's own with its default gains.
         state: The measured state; the plant's output named ``state`` or its only one
             by default.

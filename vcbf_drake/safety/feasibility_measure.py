@@ -13,7 +13,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 import math
-from typing import Literal
 
 import numpy as np
 
@@ -23,10 +22,6 @@ from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver
 from vcbf_drake.safety.face_volumes import MOST_DIMENSIONS, face_volumes
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.inscribed_ball import inscribed_ball
-
-MeasureName = Literal[
-    "volume", "log_volume", "root_volume", "polytope_volume", "inradius"
-]
 
 # No ellipsoid or polytope thinner than this is told from an empty one.
 _THINNEST = 1e-7

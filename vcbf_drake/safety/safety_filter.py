@@ -132,7 +132,7 @@ class SafetyFilter(LeafSystem):
             fidelity: ``corrected``, or ``paper`` for the equations as printed.
             corrections: The errata to apply, in place of those of the fidelity.
             infeasible: What to apply when no input satisfies the barrier rows.
-            volume_barrier: Threshold and gain of the volume barrier.
+            volume_barrier: What the volume row keeps positive, and its gain.
             disturbance_bound: delta1, for the methods that take the worst case
                 [m/s^2].
             estimate_gain: The observer's `estimate_gain` [1/s].
