@@ -5,24 +5,25 @@ each setting of the barrier, and counts: feasible to the end, arrived, when, how
 
     python examples/tuning_study.py
 
-The whole population of examples/search_layouts.py, from the record it leaves (half an
-hour a setting on one core):
+Of the first 600 courses of examples/search_layouts.py, all that the filter without a
+volume barrier loses (an interrupted study resumes):
 
-    python examples/tuning_study.py --record out/search_layouts.jsonl
+    python examples/tuning_study.py --courses 600 --workers 2
 """
 
 import argparse
-import json
+from dataclasses import asdict
 from pathlib import Path
 from statistics import median
 
 from matplotlib.figure import Figure
 import numpy as np
 from pictures import COLORS
-from search_layouts import draw_course
 
 from vcbf_drake import simulate
 from vcbf_drake.safety import VolumeBarrier
+from vcbf_drake.simulation.scenario_file import merge_overrides
+from vcbf_drake.studies import BLIMP_COURSES, Trial, run_study
 
 SETTINGS = {
     "the paper's form": VolumeBarrier(),
@@ -33,11 +34,16 @@ SETTINGS = {
 COURSES = [84, 9, 197]
 
 
-def fly(seed, barrier, duration):
-    """Returns the result of one flight, at most `duration` long [s]."""
-    course = draw_course(seed)
-    course.volume, course.duration = barrier, duration
-    return simulate(course)
+def flight(course, barrier, duration):
+    """Returns the trial of one course, at most `duration` long [s]."""
+    overrides = merge_overrides({"duration": duration, "volume": asdict(barrier)})
+    return Trial(
+        "blimp-multiple-obstacles",
+        "dob-vcbf-qp",
+        course,
+        variation=BLIMP_COURSES,
+        overrides=overrides,
+    )
 
 
 def is_kept(summary):
@@ -56,21 +62,19 @@ def room(result):
 def report(flights):
     """Prints one line a setting."""
     print(f"{'':<26}courses  kept  arrived   median [s]  median min h [m]")
-    for name, results in flights.items():
-        summaries = [result.summary for result in results]
+    for name, summaries in flights.items():
         times = [s["reached_at"] for s in summaries if s["reached_at"] is not None]
         print(
-            f"{name:<26}{len(results):7}{sum(map(is_kept, summaries)):6}"
+            f"{name:<26}{len(summaries):7}{sum(map(is_kept, summaries)):6}"
             f"{len(times):9}{median(times or [np.nan]):13.1f}"
             f"{median(s['min_barrier'] for s in summaries):18.2f}"
         )
 
 
-def draw(flights, seeds):
+def draw(flights):
     """Writes out/examples/tuning_study.png: distance left, and the room for inputs."""
-    count = min(len(seeds), 3)
-    figure = Figure(figsize=(3.0 * count, 4.4), layout="constrained")
-    panels = figure.subplots(2, count, sharex="col", sharey="row", squeeze=False)
+    figure = Figure(figsize=(9.0, 4.4), layout="constrained")
+    panels = figure.subplots(2, len(COURSES), sharex="col", sharey="row")
     # Thinner and thinner, for some of them fly the same way.
     styles = zip(COLORS, (4.0, 2.5, 1.5, 1.5), strict=False)
     for (name, results), (color, width) in zip(flights.items(), styles, strict=False):
@@ -83,8 +87,8 @@ def draw(flights, seeds):
                 axes.plot(log["time"][:stop], values[:stop], **line)
                 if not is_kept(result.summary):
                     axes.plot(log["time"][-1], values[-1], "x", color=color, ms=9)
-    for seed, axes in zip(seeds, panels[0], strict=False):
-        axes.set_title(f"course {seed}", fontsize=10)
+    for course, axes in zip(COURSES, panels[0], strict=True):
+        axes.set_title(f"course {course}", fontsize=10)
     panels[0, 0].set(ylabel="to the target [m]")
     panels[1, 0].set(ylabel="room, det B [-]")
     for axes in panels[1]:
@@ -96,27 +100,38 @@ def draw(flights, seeds):
     figure.savefig(path, dpi=100)
 
 
-def failing(record):
-    """Returns the courses of a search on which the barrier had to be switched on."""
-    lines = map(json.loads, record.read_text().splitlines())
-    return sorted(line["seed"] for line in lines if "dob-vcbf-qp" in line)
+def lost(count, workers):
+    """Returns the courses that the filter without a volume barrier loses in 20 s."""
+    trials = [
+        Trial("blimp-multiple-obstacles", "dob-cbf-qp", i, variation=BLIMP_COURSES)
+        for i in range(count)
+    ]
+    records = run_study(trials, Path("out/tuning_study/none.jsonl"), None, workers)
+    return [r["index"] for r in records if r["outcome"] == "infeasible"]
 
 
 def main() -> None:
-    """Flies every course with every setting, then reports and draws."""
+    """Flies the courses with every setting, then reports, and draws the three."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--record", type=Path, help="what search_layouts.py left")
-    parser.add_argument("--duration", type=float, default=40.0, help="at most [s]")
+    parser.add_argument("--courses", type=int, help="this many, of which the lost ones")
+    parser.add_argument("--workers", type=int, default=2, help="how many processes")
     parser.add_argument("--short", action="store_true", help="5 s only, for a check")
     options = parser.parse_args()
-    seeds = failing(options.record) if options.record else COURSES
-    duration = 5.0 if options.short else options.duration
+    duration = 5.0 if options.short else 40.0
+    if options.courses:
+        courses, records = lost(options.courses, options.workers), {}
+        for i, (name, barrier) in enumerate(SETTINGS.items()):
+            trials = [flight(course, barrier, duration) for course in courses]
+            path = Path(f"out/tuning_study/setting-{i + 1}.jsonl")
+            records[name] = run_study(trials, path, None, options.workers)
+        report(records)
+        return
     flights = {
-        name: [fly(seed, barrier, duration) for seed in seeds]
+        name: [simulate(flight(c, barrier, duration).load()) for c in COURSES]
         for name, barrier in SETTINGS.items()
     }
-    report(flights)
-    draw(flights, seeds)
+    report({name: [r.summary for r in results] for name, results in flights.items()})
+    draw(flights)
 
 
 if __name__ == "__main__":
