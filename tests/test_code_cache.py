@@ -108,13 +108,24 @@ def test_a_hit_is_the_same_code(cache: Path, written: list[str]) -> None:
     np.testing.assert_allclose(second(*POINT), VALUES, rtol=1e-14)
 
 
-def test_names_and_their_history_do_not_matter(cache: Path, written: list[str]) -> None:
-    compiled()
-    b, a = Variable("a + 1"), Variable("a + 1")  # The other one is older here.
-    renamed = [e.Substitute({x: Expression(a), y: Expression(b)}) for e in EXPRESSIONS]
-    function = compile_expressions([a, b], renamed)
-    np.testing.assert_allclose(function(*POINT), VALUES, rtol=1e-14)
+@pytest.mark.parametrize("name", ["a + 1", "a"])
+def test_equal_names_and_their_history_do_not_matter(
+    cache: Path, written: list[str], name: str
+) -> None:
+    older, newer = Variable(name), Variable(name)
+    for a, b in ((older, newer), (newer, older)):
+        renamed = {x: Expression(a), y: Expression(b)}
+        function = compile_expressions(
+            [a, b], [e.Substitute(renamed) for e in EXPRESSIONS]
+        )
+        np.testing.assert_allclose(function(*POINT), VALUES, rtol=1e-14)
     assert len(written) == 1
+
+
+def test_a_name_that_reads_like_a_formula_is_no_formula(cache: Path) -> None:
+    product = Variable("x * y")
+    assert compile_expressions([x, y, product], [product])(2.0, 3.0, 5.0) == [5.0]
+    assert compile_expressions([x, y, product], [x * y])(2.0, 3.0, 5.0) == [6.0]
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
+import re
 from typing import TypeAlias
 
 import numpy as np
@@ -15,6 +16,8 @@ from vcbf_drake.plants.generated_code import function_of
 
 Expressions: TypeAlias = NDArray[np.object_]
 CompiledFunction: TypeAlias = Callable[..., list[float]]
+
+_PLAIN_NAME = re.compile(r"[\w$]+(\(\d+\))?")  # x, $x_0, x(0)
 
 
 def compile_expressions(
@@ -51,31 +54,38 @@ def compile_expressions(
         for e in np.asarray(expressions, dtype=object).flat
     ]
     _require_known(variables, flat, name)
-    function: CompiledFunction = function_of(
-        _code(*_by_position(variables, flat)), name
-    )
+    function: CompiledFunction = function_of(_code(variables, flat), name)
     return function
 
 
-def _by_position(
-    variables: list[Variable], expressions: list[Expression]
-) -> tuple[list[Variable], list[Expression]]:
-    """The same, in variables named by position: then text says what is meant."""
-    arguments = [Variable(f"a{i}") for i in range(len(variables))]
-    renamed = {v: Expression(a) for v, a in zip(variables, arguments, strict=True)}
-    return arguments, [e.Substitute(renamed) for e in expressions]
-
-
-def _code(arguments: list[Variable], expressions: list[Expression]) -> str:
+def _code(variables: list[Variable], expressions: list[Expression]) -> str:
+    variables, expressions = _clearly_named(variables, expressions)
     generator = Path(__file__).with_name("float_code.py").read_text(encoding="utf-8")
-    key = cache_key(generator, str(len(arguments)), *map(str, expressions))
+    names = " ".join(v.get_name() for v in variables)
+    key = cache_key(generator, names, *map(str, expressions))
     code = load_code(key)
     if code is None:
         from vcbf_drake.plants.float_code import float_code  # SymPy's import is slow.
 
-        code = float_code(arguments, expressions)
+        code = float_code(variables, expressions)
         store_code(key, code)
     return code
+
+
+def _clearly_named(
+    variables: list[Variable], expressions: list[Expression]
+) -> tuple[list[Variable], list[Expression]]:
+    """The same, in variables whose names make the expressions' text say what is meant.
+
+    Renaming visits shared subexpressions as often as they are used, which takes minutes
+    for some barriers, so it is done only where names are repeated or could be formulas.
+    """
+    names = [v.get_name() for v in variables]
+    if len(set(names)) == len(names) and all(map(_PLAIN_NAME.fullmatch, names)):
+        return variables, expressions
+    arguments = [Variable(f"a{i}") for i in range(len(variables))]
+    renamed = {v: Expression(a) for v, a in zip(variables, arguments, strict=True)}
+    return arguments, [e.Substitute(renamed) for e in expressions]
 
 
 def _require_known(
