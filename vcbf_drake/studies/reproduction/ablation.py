@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from vcbf_drake.studies.reproduction.archive import Archive
@@ -26,25 +27,23 @@ _VARIANTS: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
     "all": ("all three", ("exact_slack", "total_derivative", "error_floor")),
 }
-_DRAWS: dict[str, Variation | Courses] = {
-    "starts": TABLE_I[1],
-    "courses": BLIMP_COURSES,
-}
+_STARTS = TABLE_I[1]
 
 
 def ablation(settings: Settings) -> Section:
     """Returns the section: sets of corrections, on Test 2's trials and on courses."""
-    studies = {
-        _file(variant, draws): paired_trials(
+    trials = [
+        trial
+        for variant in _VARIANTS
+        for draws in (_STARTS, BLIMP_COURSES)
+        for trial in paired_trials(
             SCENARIO,
             settings.ablation_trials,
-            variation,
+            draws,
             text(_overrides(variant)),
             methods=(WITH,),
         )
-        for variant in _VARIANTS
-        for draws, variation in _DRAWS.items()
-    }
+    ]
 
     def evaluate(archive: Archive, records: Records) -> Record:
         variants = [
@@ -52,8 +51,8 @@ def ablation(settings: Settings) -> Section:
                 "name": variant,
                 "label": label,
                 "overrides": text(_overrides(variant)),
-                **describe(records[_file(variant, "starts")], WITH),
-                "courses": describe(records[_file(variant, "courses")], WITH),
+                **_describe(records["ablation"], variant, _STARTS),
+                "courses": _describe(records["ablation"], variant, BLIMP_COURSES),
             }
             for variant, (label, _) in _VARIANTS.items()
         ]
@@ -63,11 +62,15 @@ def ablation(settings: Settings) -> Section:
             "variants": variants,
         }
 
-    return Section("ablation", evaluate, studies=studies)
+    return Section("ablation", evaluate, studies={"ablation": trials})
 
 
-def _file(variant: str, draws: str) -> str:
-    return f"ablation_{variant}_{draws}"
+def _describe(
+    records: Sequence[Record], variant: str, draws: Variation | Courses
+) -> Record:
+    wanted = text(_overrides(variant)), draws.name
+    own = [r for r in records if (r["overrides"], r["variation"]) == wanted]
+    return describe(own, WITH)
 
 
 def _overrides(variant: str) -> dict[str, Any]:

@@ -39,17 +39,18 @@ class Knob:
 
 def knobs(settings: Settings) -> Section:
     """Returns the section: each value from the same random starts."""
-    studies = {
-        _file(name, value): paired_trials(
+    trials = [
+        trial
+        for knob in KNOBS.values()
+        for value in knob.values
+        for trial in paired_trials(
             SCENARIO,
             settings.knob_trials,
             TABLE_I[1],
             text(knob.overrides(value)),
             knob.methods,
         )
-        for name, knob in KNOBS.items()
-        for value in knob.values
-    }
+    ]
 
     def evaluate(archive: Archive, records: Records) -> Record:
         return {"description": _DESCRIPTION} | {
@@ -57,25 +58,23 @@ def knobs(settings: Settings) -> Section:
                 "label": knob.label,
                 "unit": knob.unit,
                 "points": [
-                    {
-                        "value": value,
-                        "overrides": text(knob.overrides(value)),
-                        **{
-                            method: describe(records[_file(name, value)], method)
-                            for method in knob.methods
-                        },
-                    }
-                    for value in knob.values
+                    _point(knob, value, records["knobs"]) for value in knob.values
                 ],
             }
             for name, knob in KNOBS.items()
         }
 
-    return Section("knobs", evaluate, studies=studies)
+    return Section("knobs", evaluate, studies={"knobs": trials})
 
 
-def _file(name: str, value: float) -> str:
-    return f"knob_{name}_{value:g}"
+def _point(knob: Knob, value: float, records: Sequence[Record]) -> Record:
+    overrides = text(knob.overrides(value))
+    own = [record for record in records if record["overrides"] == overrides]
+    return {
+        "value": value,
+        "overrides": overrides,
+        **{method: describe(own, method) for method in knob.methods},
+    }
 
 
 def _gain(value: float) -> dict[str, Any]:
