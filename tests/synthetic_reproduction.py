@@ -25,7 +25,12 @@ def write_reproduction(directory):
     """Writes runs/, studies/ and reproduction.json."""
     maker = Maker(directory)
     data = {
-        "settings": {"quick": True, "trials": 8, "versions": {"drake": "1.51.1"}},
+        "settings": {
+            "quick": True,
+            "trials": 8,
+            "code": "99128a01",
+            "versions": {"drake": "1.51.1"},
+        },
         "verdicts": verdicts(),
         "test_1": maker.test_1(),
         "test_2": maker.test_2(),

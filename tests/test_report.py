@@ -289,6 +289,14 @@ def test_inline_svg_keeps_what_it_needs_alone():
     assert "metadata" not in svg and "<style" not in svg and "http" not in svg
 
 
+def test_the_settings_are_told(data):
+    told = "few trials, wide intervals. trials: 8; drake 1.51.1, code `99128a01`."
+    assert told in reproduction_markdown(data)
+    full = data | {"settings": {"quick": False, "trials": 200}}
+    text = reproduction_markdown(full)
+    assert "trials: 200." in text and "quick" not in text
+
+
 def test_what_is_missing_is_left_out_and_told(tmp_path):
     maker = Maker(tmp_path)
     write_data(tmp_path, {"test_2": maker.test_2(), "table_1": maker.table_1()})

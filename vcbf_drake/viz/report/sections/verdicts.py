@@ -46,15 +46,16 @@ def verdicts(claims: Sequence[Mapping[str, Any]], saved: Reproduction) -> list[B
 
 
 def _settings(settings: Mapping[str, Any]) -> str:
-    """How much was run, with which versions."""
+    """How much was run, with which code."""
     counts = [
         f"{key.replace('_', ' ')}: {value}"
         for key, value in settings.items()
-        if key not in ("quick", "versions")
+        if isinstance(value, int) and not isinstance(value, bool)
     ]
-    versions = [f"{name} {each}" for name, each in settings.get("versions", {}).items()]
-    parts = [", ".join(counts), ", ".join(versions)]
-    text = "; ".join(part for part in parts if part) + "."
+    code = [f"{name} {each}" for name, each in settings.get("versions", {}).items()]
+    if "code" in settings:
+        code.append(f"code `{settings['code']}`")
+    text = "; ".join(", ".join(part) for part in (counts, code) if part) + "."
     if settings.get("quick"):
         text = f"*A quick run:* few trials, wide intervals. {text}"
     return text
