@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -23,14 +23,19 @@ def knobs(numbers: Mapping[str, Any], saved: Reproduction) -> list[Block]:
         Paragraph(numbers["description"]),
         Figure(
             "knobs",
-            "One setting varied at a time, a column each, the others as in Test 2"
-            " (grey: Test 2's own value): above, the mean running time with its 95 %"
-            " interval; below, the share of trials that arrive.",
+            "One setting varied at a time, a column each, the others as in Test 2:"
+            " above, the mean running time with its 95 % interval; below, the share of"
+            f" trials that arrive.{_usual(chosen)}",
             lambda: knob_figure([_typeset(knob) for knob in chosen]),
             command,
         ),
         *(_table(knob, command) for knob in chosen),
     ]
+
+
+def _usual(knobs: Sequence[Knob]) -> str:
+    known = any(knob.usual is not None for knob in knobs)
+    return " The grey band is at Test 2's own value." if known else ""
 
 
 def _is_knob(entry: Any) -> bool:
