@@ -26,10 +26,7 @@ numbers = st.one_of(
     st.floats(-1e9, 1e9),
     st.sampled_from([0.0, np.nan, np.inf, -np.inf]),
 )
-# Rounded: rows that are opposite but for 1e-11 may be left without a certificate.
-tame = st.one_of(
-    st.floats(-2.0, 2.0).map(lambda x: round(x, 7)), st.sampled_from([0.0, 1.0, -1.0])
-)
+tame = st.one_of(st.floats(-2.0, 2.0), st.sampled_from([0.0, 1.0, -1.0]))
 
 
 @st.composite
@@ -96,7 +93,7 @@ def test_nothing_illegal_leaves(situation, input_set, exact_slack, policy):
 @settings(max_examples=1000, deadline=None, derandomize=True)
 @given(situations(tame), st.sampled_from([BOX, TRIANGLE]))
 def test_the_status_is_true(situation, input_set):
-    feasible, decision = decide(situation, input_set, "corrected", "least_violation")
+    feasible, decision = decide(situation, input_set, True, "least_violation")
     assert decision.status != FilterStatus.FAILED
     v = (decision.input - input_set.center) / input_set.scale
     # A row that no input can move (R33) is reported as such, not kept to its own size.

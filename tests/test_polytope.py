@@ -228,3 +228,20 @@ def test_recession_along_a_face():
     # The positive quadrant's strip: only e_2 never ends, and two rows contain it.
     d = recession_direction([[1.0, 0.0], [-1.0, 0.0], [0.0, -1.0]])
     np.testing.assert_allclose(d, [0.0, 1.0], atol=1e-15)
+
+
+@pytest.mark.parametrize("exponent", range(-14, -7))
+def test_rows_that_are_nearly_opposite_are_proven_empty(exponent: int) -> None:
+    rng = np.random.default_rng(exponent + 20)
+    for _ in range(20):
+        a, turn = rng.normal(size=(2, 3))
+        a /= np.linalg.norm(a)
+        A = np.vstack([np.eye(3), -np.eye(3), a, -a + 10.0**exponent * turn])
+        b = np.array([1.0] * 6 + [-0.3, rng.uniform(-0.3, 0.29)])
+        proof = emptiness_certificate(A, b)
+        assert proof is not None
+        y = proof.multipliers
+        assert y.min() >= 0.0
+        # For every u in the box |y'A u| is at most the sum of |y'A|.
+        assert y @ b + np.abs(y @ A).sum() < 0.0
+        assert {6, 7} <= set(proof.rows) and len(proof.rows) <= 4

@@ -18,6 +18,7 @@ from pydrake.solvers import (
 )
 
 from vcbf_drake.errors import Array, EmptySetError, SolverError
+from vcbf_drake.safety.active_set import nonnegative_multipliers
 from vcbf_drake.safety.polytope import emptiness_certificate
 
 # A verified solution leaves no row, measured as a distance, by more than this.
@@ -102,7 +103,7 @@ def _on_rows(
     Returns None when the result is not an optimum: another row matters too.
     """
     multipliers = np.zeros(len(b))
-    multipliers[rows] = _active_set(A[rows], b[rows], reference)
+    multipliers[rows] = nonnegative_multipliers(A[rows], b[rows], reference)
     point = reference - multipliers @ A
     if not _is_optimal(A, b, point, multipliers):
         return None
@@ -117,51 +118,6 @@ def _is_optimal(A: Array, b: Array, point: Array, multipliers: Array) -> bool:
         slack.min() >= -FEASIBILITY_TOLERANCE
         and abs(multipliers @ slack) <= GAP_TOLERANCE * scale
     )
-
-
-def _active_set(A: Array, b: Array, reference: Array) -> Array:
-    """Returns the y >= 0 that minimises 1/2 |A'y|^2 - y'(A reference - b).
-
-    The dual of the projection, by Lawson and Hanson's active-set iterations: the row
-    that is violated most joins, rows that would push leave. They end after finitely
-    many when the rows have a common point; a limit ends them when they have none.
-    """
-    violation = A @ reference - b
-    tolerance = 1e-12 * (1.0 + float(np.abs(violation).max(initial=0.0)))
-    y, active = np.zeros(len(b)), np.zeros(len(b), dtype=bool)
-    for _ in range(3 * len(b)):
-        excess = violation - A @ (y @ A)
-        excess[active] = -np.inf
-        worst = excess.argmax()
-        if excess[worst] <= tolerance:
-            break
-        active[worst] = True
-        target = _restricted_minimiser(A, violation, active)
-        while target.min() < 0.0:  # Walk towards the target; drop what blocks.
-            falling = active & (target <= 0.0)
-            step = np.min(y[falling] / (y[falling] - target[falling]))
-            y = y + step * (target - y)
-            active &= ~(falling & (y <= 1e-14))
-            y[~active] = 0.0
-            target = _restricted_minimiser(A, violation, active)
-        y = target
-    return y
-
-
-def _restricted_minimiser(A: Array, violation: Array, active: Array) -> Array:
-    """The minimiser with y = 0 off the active rows: A A'y = violation on them.
-
-    Solved as A s = violation, A'y = s: A A' would square how nearly parallel rows are.
-    """
-    y = np.zeros(len(violation))
-    index = active.nonzero()[0]
-    if len(index) == 1:
-        y[index] = violation[index] / (A[index[0]] @ A[index[0]])
-    elif len(index) > 1:
-        rows = A[index]
-        step = np.linalg.lstsq(rows, violation[index], rcond=1e-12)[0]
-        y[index] = np.linalg.lstsq(rows.T, step, rcond=1e-12)[0]
-    return y
 
 
 class _Program:

@@ -7,6 +7,7 @@ its products with the rows. The solver only proposes.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.solvers import ClpSolver, MathematicalProgram
 
 from vcbf_drake.errors import Array, SolverError, UnboundedSetError
+from vcbf_drake.safety.active_set import nonnegative_multipliers
 
 # A point that leaves every row, measured as a distance, by no more than this counts as
 # a point of the set [units of u].
@@ -95,7 +97,7 @@ def emptiness_certificate(A: ArrayLike, b: ArrayLike) -> Emptiness | None:
         multipliers[rows.conflict] = 1.0
         return Emptiness(multipliers, np.array([rows.conflict]), -np.inf)
     try:
-        ball = largest_ball(rows)
+        ball = _decisive_ball(rows)
     except UnboundedSetError:
         return None
     if ball.radius >= -_FEASIBILITY_TOLERANCE:
@@ -234,9 +236,45 @@ class Ball:
         self.gap = self.bound - self.radius
         # Of the rows it touches, |b_i| = |a_i center + radius|.
         self.rounding = 1e-15 * float(np.linalg.norm(center) + abs(self.radius))
+        self.is_largest = self.gap <= max(1e-12 * abs(self.radius), self.rounding)
 
 
 def largest_ball(rows: UnitRows) -> Ball:
+    """Solves the Chebyshev program; the answer's gap is closed to rounding.
+
+    Raises:
+        SolverError: No answer could be verified.
+        UnboundedSetError: The set holds balls of every size.
+    """
+    gap = np.inf
+    for ball in _ever_larger_balls(rows):
+        if ball.is_largest:
+            return ball
+        gap = ball.gap
+    raise SolverError("no verified Chebyshev ball", *rows.given, f"gap {gap:.2g}")
+
+
+def _decisive_ball(rows: UnitRows) -> Ball:
+    """Returns the largest ball or, failing that, one that tells if there is a point.
+
+    Between rows that are opposite but for 1e-11 the largest ball may lie too far away
+    to be found exactly, while every ball's multipliers prove the set empty.
+    """
+    decisive = None
+    for ball in _ever_larger_balls(rows):
+        if ball.is_largest:
+            return ball
+        y = _balanced_by_others(rows.A, ball.multipliers)
+        proof = Ball(rows, ball.center, y / y.sum()) if y.any() else ball
+        has_point = proof.radius >= -_FEASIBILITY_TOLERANCE
+        if has_point or proof.bound < -_FEASIBILITY_TOLERANCE:
+            decisive = decisive or proof
+    if decisive is None:
+        raise SolverError("neither a point nor a proof of emptiness", *rows.given)
+    return decisive
+
+
+def _ever_larger_balls(rows: UnitRows) -> Iterator[Ball]:
     """Solves the Chebyshev program, again and again around its best centre.
 
     The solver's tolerances are absolute. So its answer is made exact on the rows it
@@ -252,11 +290,9 @@ def largest_ball(rows: UnitRows) -> Ball:
         center, y, is_far = _chebyshev_program(rows, ball, frame, resolution)
         candidates = [Ball(rows, c, y) for c in (center, _touching(rows, center, y))]
         ball = min(candidates, key=lambda ball: ball.gap)
-        if ball.gap <= max(1e-12 * abs(ball.radius), ball.rounding):
-            return ball
+        yield ball
         resolution *= 1.0 if is_far else 1e-4
         frame = dikin_frame(A, ball.slack - ball.radius + resolution)
-    raise SolverError("no verified Chebyshev ball", *rows.given, f"gap {ball.gap:.2g}")
 
 
 def _chebyshev_program(
@@ -312,6 +348,13 @@ def _balanced(A: Array, y: Array) -> Array:
     balanced = np.zeros_like(y)
     balanced[support] = y[support] + np.linalg.lstsq(columns, error, rcond=1e-12)[0]
     return np.maximum(balanced, 0.0)
+
+
+def _balanced_by_others(A: Array, y: Array) -> Array:
+    """Restores A'y = 0 on all rows, for rows that are nearly opposite."""
+    imbalance = y @ A
+    size = float(np.linalg.norm(imbalance)) or 1.0
+    return y + size * nonnegative_multipliers(A, np.zeros(len(A)), -imbalance / size)
 
 
 def _touching(rows: UnitRows, center: Array, y: Array) -> Array:
