@@ -10,6 +10,7 @@ from typing import Any
 from vcbf_drake.cli.application import app
 from vcbf_drake.cli.bench import bench
 from vcbf_drake.cli.hardware import controller, plant
+from vcbf_drake.cli.hardware_logs import replay_log
 from vcbf_drake.cli.monte_carlo import monte_carlo
 from vcbf_drake.cli.reproduce import reproduce
 from vcbf_drake.cli.simulations import check, compare, diagram, list_scenarios, run
@@ -25,6 +26,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "bench": bench,
     "plant": plant,
     "controller": controller,
+    "replay-log": replay_log,
 }
 
 for _name, _command in _COMMANDS.items():

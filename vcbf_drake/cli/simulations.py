@@ -50,8 +50,8 @@ def run(
     with whole_or_not_at_all(directory) as staging:
         results = _simulate([chosen])
         results[0].save(staging)
-        _write_pictures(results, staging, replay=replay, figures=figures)
-    _report(results, directory)
+        write_pictures(results, staging, replay=replay, figures=figures)
+    report_results(results, directory)
 
 
 def compare(
@@ -73,8 +73,8 @@ def compare(
         results = _simulate(chosen)
         for result in results:
             result.save(staging / result.scenario.method)
-        _write_pictures(results, staging)
-    _report(results, directory)
+        write_pictures(results, staging)
+    report_results(results, directory)
 
 
 def check(
@@ -131,9 +131,10 @@ def _simulate(scenarios: list[Scenario]) -> list[Result]:
         return [simulate_one(scenario) for scenario in scenarios]
 
 
-def _write_pictures(
+def write_pictures(
     results: list[Result], directory: Path, replay: bool = True, figures: bool = True
 ) -> None:
+    """Writes the figures of results, and their replay."""
     if figures:
         from vcbf_drake.viz.figures import write_figures
 
@@ -145,7 +146,8 @@ def _write_pictures(
         write_replay(results, directory / "replay.html")
 
 
-def _report(results: list[Result], directory: Path) -> None:
+def report_results(results: list[Result], directory: Path) -> None:
+    """Prints the summaries, and where the results are."""
     from vcbf_drake.viz.terminal import print_summaries
 
     print_summaries([result.summary for result in results])

@@ -185,7 +185,7 @@ class DisturbanceObserver(LeafSystem):
         elif elapsed > 1e-6 * self._period:
             x_0, x_1 = stored[2 : self._memory_start], self._state.Eval(context)
             if _is_finite(x_1):
-                mean = self._mean_disturbance(
+                mean = self.mean_disturbance(
                     x_0, x_1, self._input.Eval(context), elapsed
                 )
                 if _is_finite(mean):
@@ -193,13 +193,19 @@ class DisturbanceObserver(LeafSystem):
         memory.setflags(write=False)
         posterior.set_value(memory)
 
-    def _mean_disturbance(
+    def mean_disturbance(
         self, x_0: Array, x_1: Array, u: Array, elapsed: float
     ) -> Array:
         """Returns the mean of d between two measured states with u held (E46).
 
         The mean of f + g u is Simpson's, with the middle state on the cubic Hermite
         curve between the two.
+
+        Args:
+            x_0: The state at the beginning, shape (n,).
+            x_1: The state at the end, shape (n,).
+            u: The input, shape (m,).
+            elapsed: The time between them [s].
         """
         rate_0, rate_1 = self._nominal_rate(x_0, u), self._nominal_rate(x_1, u)
         x_middle = (x_0 + x_1) / 2 + elapsed / 8 * (rate_0 - rate_1)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import time
 from typing import Any
+
+from pydrake.systems.framework import Context
 
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.command_sender import CommandSender
@@ -33,6 +36,8 @@ class ControllerProcess:
         bus: The bus.
         diagram: The hardware loop.
         context: Its context.
+        tick_taps: Called with the context at every tick, before its discrete state
+            changes.
     """
 
     def __init__(self, scenario: Scenario, bus: Bus) -> None:
@@ -45,6 +50,7 @@ class ControllerProcess:
         self._sender: CommandSender = named("command_sender")
         warm_up(named("filter").model.num_inputs)
         self.context = self.diagram.CreateDefaultContext()
+        self.tick_taps: list[Callable[[Context], None]] = []
         self._record = ControllerRecord()
         self._sent_at = 0
         self._stopping = False
@@ -102,6 +108,8 @@ class ControllerProcess:
         started = time.perf_counter()
         self.diagram.ExecuteForcedEvents(self.context, publish=False)
         self.context.SetTime(self._receiver.time(self._receiver_context()))
+        for tap in self.tick_taps:
+            tap(self.context)
         self.context.SetDiscreteState(
             self.diagram.EvalUniquePeriodicDiscreteUpdate(self.context)
         )

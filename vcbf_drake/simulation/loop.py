@@ -37,6 +37,7 @@ from vcbf_drake.safety import (
     AddedSafetyFilter,
     AddSafetyFilter,
     InfeasiblePolicy,
+    SafetyFilter,
 )
 from vcbf_drake.simulation.collision_monitor import CollisionMonitor
 from vcbf_drake.simulation.measurement_noise import MeasurementNoise
@@ -291,6 +292,22 @@ def add_collision_monitor(
     builder.Connect(state, monitor.GetInputPort("state"))
 
 
+def logged_ports(
+    controller: LeafSystem, safety_filter: SafetyFilter, observer: DisturbanceObserver
+) -> dict[str, OutputPort]:
+    """Returns the ports that a log of a run has, beside those of the plant, by name."""
+    names = ("input", "slack", "volume", "barriers", "authority", "status")
+    observed = [
+        name for name, _ in observer_ports(safety_filter.model.num_disturbances)
+    ]
+    return {
+        "reference": controller.GetOutputPort("reference"),
+        **{name: observer.GetOutputPort(name) for name in observed},
+        **{name: safety_filter.GetOutputPort(name) for name in names},
+        "feasible_set": safety_filter.GetOutputPort("feasible_set"),
+    }
+
+
 def _add_logs(
     builder: DiagramBuilder,
     scenario: Scenario,
@@ -303,20 +320,8 @@ def _add_logs(
     ports = {
         "state": state,
         "disturbance": source.get_output_port(),
-        "reference": controller.GetOutputPort("reference"),
+        **logged_ports(controller, loop.filter, loop.observer),
     }
-    for name, _ in observer_ports(loop.filter.model.num_disturbances):
-        ports[name] = loop.observer.GetOutputPort(name)
-    for name in (
-        "input",
-        "slack",
-        "volume",
-        "barriers",
-        "authority",
-        "status",
-        "feasible_set",
-    ):
-        ports[name] = loop.filter.GetOutputPort(name)
     for name, port in ports.items():
         log = LogVectorOutput(port, builder, scenario.period)
         log.set_name(LOG_PREFIX + name)

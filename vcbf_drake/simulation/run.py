@@ -46,7 +46,7 @@ def simulate(
     """
     diagram = make_loop(scenario)
     simulator = make_simulator(diagram, scenario)
-    found = _assumptions(scenario, diagram, simulator.get_context())
+    found = loop_assumptions(scenario, diagram, simulator.get_context())
     started = time.process_time()
     ending = _advance(simulator, scenario, progress)
     cpu_time = time.process_time() - started
@@ -66,7 +66,7 @@ def check_assumptions(scenario: Scenario) -> tuple[Assumption, ...]:
     """Returns the theorems' hypotheses with numbers, before anything moves."""
     diagram = make_loop(scenario)
     simulator = make_simulator(diagram, scenario)
-    return _assumptions(scenario, diagram, simulator.get_context())
+    return loop_assumptions(scenario, diagram, simulator.get_context())
 
 
 def make_simulator(diagram: Diagram, scenario: Scenario) -> Simulator:
@@ -89,9 +89,10 @@ def make_simulator(diagram: Diagram, scenario: Scenario) -> Simulator:
     return simulator
 
 
-def _assumptions(
+def loop_assumptions(
     scenario: Scenario, diagram: Diagram, context: Context
 ) -> tuple[Assumption, ...]:
+    """Returns the hypotheses with the numbers of a loop, at what its context holds."""
     safety_filter: SafetyFilter = diagram.GetSubsystemByName("filter")
     return assumptions(
         safety_filter,
@@ -141,8 +142,18 @@ def _read_log(diagram: Diagram, context: Context) -> dict[str, Array]:
             continue
         times, data = _find(diagram, context, name)
         log["time"] = times
-        log[name] = data[:, 0] if name in _SCALARS else data
-    safety_filter: SafetyFilter = diagram.GetSubsystemByName("filter")
+        log[name] = data
+    return finish_log(log, diagram.GetSubsystemByName("filter"))
+
+
+def finish_log(log: dict[str, Array], safety_filter: SafetyFilter) -> dict[str, Array]:
+    """Returns the log of a `Result` from the values of ports at the ticks.
+
+    Args:
+        log: Arrays (T, size) by the names of `logged_ports`, and others.
+        safety_filter: The filter that ran.
+    """
+    log = {name: v[:, 0] if name in _SCALARS else v for name, v in log.items()}
     packed = unpack_feasible_set(
         log.pop("feasible_set"), safety_filter.num_rows, safety_filter.model.num_inputs
     )

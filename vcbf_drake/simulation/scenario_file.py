@@ -70,7 +70,27 @@ def load_scenario(
             what is allowed.
     """
     path = _find(str(name_or_path))
-    name, node = _select(_compose(_read(path), str(path)), path, scenario_name)
+    return parse_scenario(_read(path), str(path), overrides, scenario_name)
+
+
+def parse_scenario(
+    text: str,
+    source: str,
+    overrides: str | Mapping[str, Any] | None = None,
+    scenario_name: str | None = None,
+) -> Scenario:
+    """Returns the scenario of a YAML text, validated; see `load_scenario`.
+
+    Args:
+        text: What a scenario file holds.
+        source: Where the text is from, for messages.
+        overrides: As for `load_scenario`.
+        scenario_name: As for `load_scenario`.
+
+    Raises:
+        ScenarioError: One line that says where, what was found and what is allowed.
+    """
+    name, node = _select(_compose(text, source), source, scenario_name)
     if overrides is not None:
         node = _merge(node, _compose_overrides(overrides))
     try:
@@ -140,20 +160,20 @@ def _read(path: Path) -> str:
         raise ScenarioError(f"{path}: not a UTF-8 text file") from None
 
 
-def _select(root: Node, path: Path, name: str | None) -> tuple[str, Node]:
+def _select(root: Node, source: str, name: str | None) -> tuple[str, Node]:
     entries = {key.value: value for key, value in root.value if key.value[:1] != "_"}
     if not entries:
-        raise ScenarioError(f"{path}: holds no scenario")
+        raise ScenarioError(f"{source}: holds no scenario")
     if name is None and len(entries) == 1:
         return next(iter(entries.items()))
     if name is None:
         raise ScenarioError(
-            f"{path}: holds {len(entries)} scenarios; scenario_name must be one of"
+            f"{source}: holds {len(entries)} scenarios; scenario_name must be one of"
             f" {', '.join(entries)}"
         )
     if name not in entries:
         raise ScenarioError(
-            f"{path}: no scenario {name!r}; {did_you_mean(name, entries)}"
+            f"{source}: no scenario {name!r}; {did_you_mean(name, entries)}"
         )
     return name, entries[name]
 

@@ -33,7 +33,8 @@ def print_hardware_report(side: str, report: Mapping[str, Any]) -> None:
 
     Args:
         side: Whose report it is.
-        report: What `PlantProcess.report` or `ControllerProcess.report` returned.
+        report: What `PlantProcess.report` or `ControllerProcess.report` returned, or
+            that of a `LogReplay`.
     """
     console = Console(highlight=False, markup=False)
     console.print(f"\n{side} of {report['scenario']}")
@@ -56,6 +57,8 @@ def print_hardware_report(side: str, report: Mapping[str, Any]) -> None:
     table.add_row(
         "rejected", ", ".join(f"{n} {reason}" for reason, n in rejected) or "none"
     )
+    if "commands" in report:
+        table.add_row("commands", _sameness(report["commands"]))
     for index, line in enumerate(_changes(report["changes"])):
         table.add_row("" if index else "mode", line)
     console.print(table)
@@ -64,6 +67,14 @@ def print_hardware_report(side: str, report: Mapping[str, Any]) -> None:
 def _percentiles(times: Mapping[str, float | None]) -> str:
     median, p99 = (number_text(times[key]) for key in ("median", "p99"))
     return f"{median} ms median, {p99} ms p99"
+
+
+def _sameness(commands: Mapping[str, Any]) -> str:
+    difference = number_text(commands["largest_difference"])
+    return (
+        f"{commands['same']} of {commands['logged']} logged ones came out again bit for"
+        f" bit; largest difference {difference}"
+    )
 
 
 def _changes(changes: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -1,0 +1,55 @@
+"""The command replay-log: what a log of the bus tells, as `run` tells a simulation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from vcbf_drake.cli.options import OverrideOption, load, out_option
+from vcbf_drake.cli.outputs import whole_or_not_at_all
+from vcbf_drake.cli.simulations import report_results, write_pictures
+
+
+def replay_log(
+    log: Annotated[
+        Path, typer.Argument(metavar="FILE", help="What --log wrote, or an LCM log.")
+    ],
+    scenario: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[SCENARIO]",
+            help="What was run.",
+            show_default="what the log says",
+        ),
+    ] = None,
+    override: OverrideOption = None,
+    out: Annotated[Path | None, out_option("out/FILE")] = None,
+    replay: Annotated[
+        bool, typer.Option("--replay/--no-replay", help="Write a Meshcat replay.")
+    ] = True,
+    figures: Annotated[
+        bool, typer.Option("--figures/--no-figures", help="Write the figures.")
+    ] = True,
+) -> None:
+    """Tell a run on hardware from its log: results, figures, a replay and a summary.
+
+    Observer, controller and filter run again on the logged states, the same every time.
+    The disturbance is what the states tell with hindsight.
+    """
+    from vcbf_drake.hil.log_replay import replay_log
+    from vcbf_drake.viz.hardware_report import print_hardware_report
+
+    if override is not None and scenario is None:
+        raise typer.BadParameter("--override needs a SCENARIO")
+    chosen = None if scenario is None else load(scenario, override, None)
+    found = replay_log(log, chosen)
+    directory = out or Path("out") / log.stem
+    with whole_or_not_at_all(directory) as staging:
+        found.result.save(staging)
+        write_pictures([found.result], staging, replay=replay, figures=figures)
+    if found.damage:
+        typer.echo(found.damage, err=True)
+    report_results([found.result], directory)
+    print_hardware_report("controller", found.report)

@@ -1,0 +1,144 @@
+"""LoggedController: a controller that an event log drives, the same every time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import numpy as np
+from pydrake.lcm import DrakeLcm
+
+from vcbf_drake.hil.bus import Bus
+from vcbf_drake.hil.clock import SimulatedClock
+from vcbf_drake.hil.controller_process import ControllerProcess
+from vcbf_drake.hil.decoding import Rejection, command_format, state_format
+from vcbf_drake.hil.event_log import Event
+from vcbf_drake.hil.inbox import Inbox
+from vcbf_drake.hil.messages import vcbf_command
+from vcbf_drake.hil.modes import CommandMode
+from vcbf_drake.simulation.scenario import Scenario
+
+# Session and sequence of a message.
+_Key = tuple[int, int]
+
+
+class LoggedController:
+    """Feeds the states of an event log to a controller, over ``memq://``.
+
+    The clock is the log's. The controller acts on the states that the log has commands
+    for, when those were sent, and on every state if the log has no commands at all. A
+    controller that started again in the log starts again here. So the log of a
+    controller makes the same commands again, bit for bit; the log of a vehicle does so
+    as far as all messages arrived.
+
+    Args:
+        scenario: A validated scenario.
+        events: The log's events.
+
+    Attributes:
+        controller: The controller, the last one if there were several.
+        logged: The log's commands by the state they answer first: session, sequence.
+        sent: The commands that were made, likewise.
+        on_start: Called with every controller before it is driven.
+        on_state: Called with every state that is accepted.
+    """
+
+    controller: ControllerProcess
+
+    def __init__(self, scenario: Scenario, events: Iterable[Event]) -> None:
+        self.on_start: Callable[[ControllerProcess], None] = lambda controller: None
+        self.on_state: Callable[[Any], None] = lambda state: None
+        self.sent: dict[_Key, vcbf_command] = {}
+        self._scenario, self._events = scenario, list(events)
+        m = len(scenario.input_set.lower)
+        self._states = state_format(len(scenario.initial_state), m).channel
+        self._commands = command_format(m)
+        self.logged: dict[_Key, vcbf_command] = {}
+        self._repeated: dict[_Key, vcbf_command] = {}
+        for command in self._logged_commands():
+            if command.mode == CommandMode.END:
+                continue  # Somebody's decision, not the controller's.
+            state = command.state_session, command.state_sequence
+            if self.logged.setdefault(state, command) is not command:
+                self._repeated[_key(command)] = command
+
+    def run(self) -> None:
+        """Drives the controller through the whole log."""
+        first = min(self.logged.values(), key=lambda c: c.session, default=None)
+        self._start(first.session if first else self._events[0].utime)
+        for event in self._events:
+            if event.channel == self._states:
+                self._take_state(event)
+            elif event.channel == self._commands.channel:
+                self._repeat(event)
+
+    def differences(self) -> list[float]:
+        """Returns how far the commands made are from those logged, state by state.
+
+        In the inputs' units; infinite where mode or size differ.
+        """
+        return [
+            _difference(command, self.sent[state])
+            for state, command in self.logged.items()
+            if state in self.sent
+        ]
+
+    def _logged_commands(self) -> Iterator[vcbf_command]:
+        for event in self._events:
+            if event.channel == self._commands.channel:
+                message = self._commands.decode(event.data, event.utime)
+                if not isinstance(message, Rejection):
+                    yield message
+
+    def _start(self, session: int) -> None:
+        self._clock = SimulatedClock(session)
+        self._bus = Bus(DrakeLcm("memq://"), self._clock)
+        self._bus.taps.append(self._take_command)
+        self.controller = ControllerProcess(self._scenario, self._bus)
+        receiver = self.controller.diagram.GetSubsystemByName("state_receiver")
+        self._inbox: Inbox = receiver.inbox
+        self.on_start(self.controller)
+
+    def _take_state(self, event: Event) -> None:
+        before = self._inbox.newest
+        self._hear(event)
+        newest = self._inbox.newest
+        if newest is before:
+            return
+        self.on_state(newest)
+        answer = self.logged.get(_key(newest))
+        if answer is not None and answer.session > self._bus.session:
+            self._start(answer.session)
+            self._hear(event)
+        if answer is not None:
+            self._clock.now = answer.utime
+        if answer is not None or not self.logged:
+            self.controller.step()
+
+    def _hear(self, event: Event) -> None:
+        self._clock.now = event.utime
+        self._bus.lcm.Publish(event.channel, event.data)
+        self._bus.poll()
+
+    def _repeat(self, event: Event) -> None:
+        """Has a command sent again that was sent without a new state."""
+        message = self._commands.decode(event.data, event.utime)
+        if not isinstance(message, Rejection) and _key(message) in self._repeated:
+            self._clock.now = message.utime
+            self.controller.step()
+
+    def _take_command(self, utime: int, channel: str, data: bytes) -> None:
+        if channel == self._commands.channel:
+            command = vcbf_command.decode(data)
+            state = command.state_session, command.state_sequence
+            self.sent.setdefault(state, command)
+
+
+def _key(message: Any) -> _Key:
+    return message.session, message.sequence
+
+
+def _difference(logged: vcbf_command, made: vcbf_command) -> float:
+    if logged.mode != made.mode or logged.num_inputs != made.num_inputs:
+        return np.inf
+    return float(np.max(np.abs(np.subtract(logged.input, made.input)), initial=0.0))
