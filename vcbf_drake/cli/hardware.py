@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 import json
+from pathlib import Path
 import signal
 from typing import TYPE_CHECKING, Annotated
 
@@ -47,6 +50,15 @@ _DelayOption = Annotated[
 _JitterOption = Annotated[
     float, typer.Option(min=0.0, help="Fault: the delay varies by as many seconds.")
 ]
+_LogOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--log",
+        metavar="FILE",
+        dir_okay=False,
+        help="Write an LCM log of what this side sends and receives.",
+    ),
+]
 _JsonOption = Annotated[bool, typer.Option("--json", help="Print the report as JSON.")]
 _SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the faults.")]
 
@@ -61,6 +73,7 @@ def plant(
     delay: _DelayOption = 0.0,
     jitter: _JitterOption = 0.0,
     fault_seed: _SeedOption = 0,
+    log: _LogOption = None,
     as_json: _JsonOption = False,
 ) -> None:
     """Simulate a vehicle in real time on an LCM bus: states out, commands in.
@@ -72,7 +85,8 @@ def plant(
     bus = _open_bus(lcm_url, drop, delay, jitter, fault_seed)
     from vcbf_drake.hil import PlantProcess
 
-    _run(PlantProcess(chosen, bus), "vehicle", as_json)
+    with _logging(bus, chosen, log):
+        _run(PlantProcess(chosen, bus), "vehicle", as_json)
 
 
 def controller(
@@ -86,6 +100,7 @@ def controller(
     delay: _DelayOption = 0.0,
     jitter: _JitterOption = 0.0,
     fault_seed: _SeedOption = 0,
+    log: _LogOption = None,
     as_json: _JsonOption = False,
 ) -> None:
     """Control a vehicle on an LCM bus: states in, commands and status out.
@@ -98,7 +113,8 @@ def controller(
     bus = _open_bus(lcm_url, drop, delay, jitter, fault_seed)
     from vcbf_drake.hil import ControllerProcess
 
-    _run(ControllerProcess(chosen, bus), "controller", as_json)
+    with _logging(bus, chosen, log):
+        _run(ControllerProcess(chosen, bus), "controller", as_json)
 
 
 def _load(
@@ -132,6 +148,23 @@ def _open_bus(
         raise typer.BadParameter(str(error)) from None
     check_bus(url or DEFAULT_URL)
     return Bus(DrakeLcm(url or DEFAULT_URL), faults=faults)
+
+
+@contextmanager
+def _logging(bus: Bus, scenario: Scenario, path: Path | None) -> Iterator[None]:
+    """Logs what the bus sends and receives, if that is wanted."""
+    if path is None:
+        yield
+        return
+    from vcbf_drake.hil import EventLogError, start_log
+
+    try:
+        log = start_log(bus, scenario, path)
+    except EventLogError as error:
+        raise typer.BadParameter(str(error)) from None
+    with log:
+        yield
+    typer.echo(log.failure or f"log written to {path}", err=True)
 
 
 def _run(process: PlantProcess | ControllerProcess, side: str, as_json: bool) -> None:

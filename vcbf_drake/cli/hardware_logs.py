@@ -38,13 +38,16 @@ def replay_log(
     Observer, controller and filter run again on the logged states, the same every time.
     The disturbance is what the states tell with hindsight.
     """
-    from vcbf_drake.hil.log_replay import replay_log
+    from vcbf_drake.hil import EventLogError, replay_log
     from vcbf_drake.viz.hardware_report import print_hardware_report
 
     if override is not None and scenario is None:
         raise typer.BadParameter("--override needs a SCENARIO")
     chosen = None if scenario is None else load(scenario, override, None)
-    found = replay_log(log, chosen)
+    try:
+        found = replay_log(log, chosen)
+    except EventLogError as error:
+        raise typer.BadParameter(str(error)) from None
     directory = out or Path("out") / log.stem
     with whole_or_not_at_all(directory) as staging:
         found.result.save(staging)

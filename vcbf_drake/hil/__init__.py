@@ -18,10 +18,19 @@ from vcbf_drake.hil.decoding import (
     state_format,
     status_format,
 )
+from vcbf_drake.hil.event_log import (
+    Event,
+    EventLog,
+    EventLogError,
+    EventLogWriter,
+    read_event_log,
+)
 from vcbf_drake.hil.faults import LinkFaults
 from vcbf_drake.hil.hardware_loop import make_hardware_loop
 from vcbf_drake.hil.in_process import InProcess
 from vcbf_drake.hil.inbox import Inbox
+from vcbf_drake.hil.log_replay import LogReplay, replay_log, start_log
+from vcbf_drake.hil.logged_controller import LoggedController
 from vcbf_drake.hil.modes import CommandMode, VehicleMode
 from vcbf_drake.hil.outbox import Outbox
 from vcbf_drake.hil.plant_process import PlantProcess
@@ -33,9 +42,15 @@ __all__ = [
     "BusError",
     "CommandMode",
     "ControllerProcess",
+    "Event",
+    "EventLog",
+    "EventLogError",
+    "EventLogWriter",
     "InProcess",
     "Inbox",
     "LinkFaults",
+    "LogReplay",
+    "LoggedController",
     "MessageFormat",
     "Outbox",
     "PlantProcess",
@@ -50,6 +65,9 @@ __all__ = [
     "make_hardware_loop",
     "make_vehicle",
     "obstacles_format",
+    "read_event_log",
+    "replay_log",
+    "start_log",
     "state_format",
     "status_format",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydrake.lcm import DrakeLcm
 
-from vcbf_drake.hil.bus import Bus
+from vcbf_drake.hil.bus import Bus, Tap
 from vcbf_drake.hil.clock import SimulatedClock
 from vcbf_drake.hil.controller_process import ControllerProcess
 from vcbf_drake.hil.faults import LinkFaults
@@ -24,6 +24,7 @@ class InProcess:
         vehicle_faults: Injected into the commands.
         controller_faults: Injected into the states.
         grid: How many times in a control period messages are handled.
+        tap: Told of everything that the controller's side sends and receives.
 
     Attributes:
         clock: What both sides take for the time.
@@ -38,12 +39,13 @@ class InProcess:
         vehicle_faults: LinkFaults | None = None,
         controller_faults: LinkFaults | None = None,
         grid: int = 1,
+        tap: Tap | None = None,
     ) -> None:
         self.clock = SimulatedClock()
         self.lcm = DrakeLcm("memq://")
         self.controller: ControllerProcess | None = None
         self._scenario, self._faults = scenario, controller_faults
-        self._grid, self._instant = grid, 0
+        self._grid, self._instant, self._tap = grid, 0, tap
         self._epoch = self.clock.now
         self.start_controller()
         self.plant = PlantProcess(scenario, Bus(self.lcm, self.clock, vehicle_faults))
@@ -52,6 +54,8 @@ class InProcess:
     def start_controller(self) -> None:
         """Starts a controller, or another one, which knows nothing of the first."""
         bus = Bus(self.lcm, self.clock, self._faults)
+        if self._tap is not None:
+            bus.taps.append(self._tap)
         self.controller = ControllerProcess(self._scenario, bus)
 
     def kill_controller(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,17 +90,21 @@ def replay_log(path: str | Path, scenario: Scenario | None = None) -> LogReplay:
     account = _Account(scenario)
     logged.on_start, logged.on_state = account.add_controller, account.add_state
     logged.run()
-    report = logged.controller.report()
+    reports = [controller.report() for controller in logged.controllers]
+    arrived = _total([report["arrived"] for report in reports])
     if account.recorder.is_empty:
-        raise EventLogError(_no_states(path, scenario, report["arrived"]["rejected"]))
+        raise EventLogError(_no_states(path, scenario, arrived["rejected"]))
     differences = logged.differences()
-    commands = {
-        "logged": len(logged.logged),
-        "same": differences.count(0.0),
-        "largest_difference": max(differences, default=0.0),
+    about = {
+        "scenario": scenario.name,
+        "arrived": arrived,
+        "changes": [change for report in reports for change in report["changes"]],
+        "commands": {
+            "logged": len(logged.logged),
+            "same": differences.count(0.0),
+            "largest_difference": max(differences, default=0.0),
+        },
     }
-    keys = ("scenario", "arrived", "changes")
-    about = {key: report[key] for key in keys} | {"commands": commands}
     return LogReplay(account.result(), damage, about)
 
 
@@ -171,6 +176,16 @@ def _rate(first: Any, last: Any) -> float:
     """The vehicle's time by the clock's, between two states."""
     elapsed = 1e-6 * (last.utime_measured - first.utime_measured)
     return float(last.time - first.time) / elapsed if elapsed else np.nan
+
+
+def _total(arrived: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """How the states arrived at one controller after the other."""
+    rejected: Counter[str] = Counter()
+    for each in arrived:
+        rejected.update(each["rejected"])
+    keys = ("accepted", "lost", "late")
+    total: dict[str, Any] = {key: sum(each[key] for each in arrived) for key in keys}
+    return total | {"rejected": dict(rejected)}
 
 
 def _no_states(path: str | Path, scenario: Scenario, rejected: dict[str, int]) -> str:

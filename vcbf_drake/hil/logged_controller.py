@@ -11,7 +11,12 @@ from pydrake.lcm import DrakeLcm
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.clock import SimulatedClock
 from vcbf_drake.hil.controller_process import ControllerProcess
-from vcbf_drake.hil.decoding import Rejection, command_format, state_format
+from vcbf_drake.hil.decoding import (
+    Rejection,
+    command_format,
+    obstacles_format,
+    state_format,
+)
 from vcbf_drake.hil.event_log import Event
 from vcbf_drake.hil.inbox import Inbox
 from vcbf_drake.hil.messages import vcbf_command
@@ -23,7 +28,7 @@ _Key = tuple[int, int]
 
 
 class LoggedController:
-    """Feeds the states of an event log to a controller, over ``memq://``.
+    """Feeds what a vehicle said, as logged, to a controller, over ``memq://``.
 
     The clock is the log's. The controller acts on the states that the log has commands
     for, when those were sent, and on every state if the log has no commands at all. A
@@ -36,22 +41,23 @@ class LoggedController:
         events: The log's events.
 
     Attributes:
-        controller: The controller, the last one if there were several.
+        controllers: The controllers, one after the other.
         logged: The log's commands by the state they answer first: session, sequence.
         sent: The commands that were made, likewise.
         on_start: Called with every controller before it is driven.
         on_state: Called with every state that is accepted.
     """
 
-    controller: ControllerProcess
-
     def __init__(self, scenario: Scenario, events: Iterable[Event]) -> None:
         self.on_start: Callable[[ControllerProcess], None] = lambda controller: None
         self.on_state: Callable[[Any], None] = lambda state: None
+        self.controllers: list[ControllerProcess] = []
         self.sent: dict[_Key, vcbf_command] = {}
         self._scenario, self._events = scenario, list(events)
         m = len(scenario.input_set.lower)
         self._states = state_format(len(scenario.initial_state), m).channel
+        sizes = len(scenario.obstacles), len(scenario.target)
+        self._obstacles = obstacles_format(*sizes).channel
         self._commands = command_format(m)
         self.logged: dict[_Key, vcbf_command] = {}
         self._repeated: dict[_Key, vcbf_command] = {}
@@ -69,6 +75,8 @@ class LoggedController:
         for event in self._events:
             if event.channel == self._states:
                 self._take_state(event)
+            elif event.channel == self._obstacles:
+                self._hear(event)
             elif event.channel == self._commands.channel:
                 self._repeat(event)
 
@@ -94,10 +102,11 @@ class LoggedController:
         self._clock = SimulatedClock(session)
         self._bus = Bus(DrakeLcm("memq://"), self._clock)
         self._bus.taps.append(self._take_command)
-        self.controller = ControllerProcess(self._scenario, self._bus)
-        receiver = self.controller.diagram.GetSubsystemByName("state_receiver")
+        controller = ControllerProcess(self._scenario, self._bus)
+        receiver = controller.diagram.GetSubsystemByName("state_receiver")
         self._inbox: Inbox = receiver.inbox
-        self.on_start(self.controller)
+        self.controllers.append(controller)
+        self.on_start(controller)
 
     def _take_state(self, event: Event) -> None:
         before = self._inbox.newest
@@ -113,7 +122,7 @@ class LoggedController:
         if answer is not None:
             self._clock.now = answer.utime
         if answer is not None or not self.logged:
-            self.controller.step()
+            self.controllers[-1].step()
 
     def _hear(self, event: Event) -> None:
         self._clock.now = event.utime
@@ -125,7 +134,7 @@ class LoggedController:
         message = self._commands.decode(event.data, event.utime)
         if not isinstance(message, Rejection) and _key(message) in self._repeated:
             self._clock.now = message.utime
-            self.controller.step()
+            self.controllers[-1].step()
 
     def _take_command(self, utime: int, channel: str, data: bytes) -> None:
         if channel == self._commands.channel:

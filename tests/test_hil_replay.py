@@ -1,0 +1,285 @@
+"""Logs of runs on hardware: the controller again, and the result that they tell."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from vcbf_drake import load_scenario, simulate
+from vcbf_drake.cli import app
+from vcbf_drake.errors import ScenarioError
+from vcbf_drake.hil import (
+    CommandMode,
+    Event,
+    EventLogError,
+    EventLogWriter,
+    InProcess,
+    LinkFaults,
+    LoggedController,
+    read_event_log,
+    replay_log,
+    start_log,
+)
+from vcbf_drake.hil.messages import vcbf_command, vcbf_status
+from vcbf_drake.simulation.scenario_file import dump_scenario
+import vcbf_drake.viz.figures as figures_module
+import vcbf_drake.viz.replay as replay_module
+
+BAD_LINK = LinkFaults(drop=0.2, delay=0.03, jitter=0.01)
+
+
+def scenario(name: str = "blimp-multiple-obstacles", **overrides):
+    loaded = load_scenario(name, overrides)
+    loaded.hardware.longest_interval = loaded.period
+    return loaded
+
+
+def recorded(loaded, duration: float, **options) -> list[Event]:
+    """A controller's log of a run in one process."""
+    events: list[Event] = []
+    run = InProcess(loaded, tap=lambda *event: events.append(Event(*event)), **options)
+    run.advance_to(duration)
+    return events
+
+
+def write(path, events, loaded=None):
+    with EventLogWriter(path) as log:
+        if loaded is not None:
+            text = dump_scenario(loaded).encode()
+            log(events[0].utime, "VCBF_SCENARIO", text)
+        for event in events:
+            log(*event)
+    return path
+
+
+def driven(loaded, events) -> list[Event]:
+    """What a controller sends that the log drives."""
+    logged = LoggedController(loaded, events)
+    sent: list[Event] = []
+    logged.on_start = lambda controller: controller.bus.taps.append(
+        lambda *event: sent.append(Event(*event))
+    )
+    logged.run()
+    return sent
+
+
+def of(events, channel) -> list[bytes]:
+    return [event.data for event in events if event.channel == channel]
+
+
+# The controller again --------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("car-avoidance", {}),
+        ("blimp-multiple-obstacles", {"controller_faults": BAD_LINK, "grid": 5}),
+    ],
+)
+def test_a_log_makes_the_same_bytes_again_every_time(name, options) -> None:
+    """Commands and statuses, stamps and counters included, of two further runs."""
+    loaded = scenario(name)
+    events = recorded(loaded, 2.0, **options)
+    first, second = (driven(scenario(name), events) for _ in range(2))
+    for channel in ("VCBF_COMMAND", "VCBF_STATUS"):
+        logged = of(events, channel)
+        assert len(logged) > 60
+        assert of(first, channel) == logged
+        assert of(second, channel) == logged
+    inputs = {tuple(vcbf_command.decode(d).input) for d in of(first, "VCBF_COMMAND")}
+    assert len(inputs) > 50
+
+
+def test_silence_and_a_controller_that_starts_again_come_out_again() -> None:
+    loaded = scenario(hardware={"max_state_age": 0.1, "hold_time": 0.1})
+    events: list[Event] = []
+    run = InProcess(loaded, tap=lambda *event: events.append(Event(*event)))
+    run.advance_to(0.5)
+    measured = run.clock.now
+    for age in np.arange(0.02, 0.4, 0.02):  # The vehicle is silent.
+        run.clock.now = measured + round(1e6 * age)
+        run.controller.step()
+    run.advance_to(1.2)
+    run.start_controller()
+    run.advance_to(1.6)
+    commands = [vcbf_command.decode(data) for data in of(events, "VCBF_COMMAND")]
+    assert {command.mode for command in commands} == {
+        CommandMode.APPLY,
+        CommandMode.HOLD,
+        CommandMode.FALLBACK,
+    }
+    assert len({command.session for command in commands}) == 2
+    again = driven(loaded, events)
+    assert of(again, "VCBF_COMMAND") == of(events, "VCBF_COMMAND")
+
+
+def test_a_log_without_commands_has_every_state_acted_on() -> None:
+    loaded = scenario("car-avoidance")
+    events = recorded(loaded, 1.0)
+    states = [event for event in events if event.channel == "VCBF_STATE"]
+    sent = driven(loaded, states)
+    inputs = [vcbf_command.decode(data).input for data in of(sent, "VCBF_COMMAND")]
+    logged = [vcbf_command.decode(data).input for data in of(events, "VCBF_COMMAND")]
+    assert inputs == logged
+
+
+def test_commands_of_another_filter_are_told_from_ours(tmp_path) -> None:
+    """The report can say no: one input changed in its last bit, one mode."""
+    loaded = scenario("car-avoidance")
+    events = recorded(loaded, 1.0)
+    assert replay_log(write(tmp_path / "a.log", events), loaded).report["commands"] == {
+        "logged": 51,
+        "same": 51,
+        "largest_difference": 0.0,
+    }
+    places = [k for k, event in enumerate(events) if event.channel == "VCBF_COMMAND"]
+    changed = vcbf_command.decode(events[places[20]].data)
+    changed.input = [np.nextafter(changed.input[0], 9.0), *changed.input[1:]]
+    events[places[20]] = events[places[20]]._replace(data=changed.encode())
+    found = replay_log(write(tmp_path / "b.log", events), loaded).report["commands"]
+    assert found["same"] == 50
+    assert 0.0 < found["largest_difference"] < 1e-15
+    other = vcbf_command.decode(events[places[30]].data)
+    other.mode = CommandMode.FALLBACK
+    events[places[30]] = events[places[30]]._replace(data=other.encode())
+    found = replay_log(write(tmp_path / "c.log", events), loaded).report["commands"]
+    assert (found["same"], found["largest_difference"]) == (49, np.inf)
+
+
+# The result ------------------------------------------------------------------------
+
+
+def test_the_result_of_a_log_is_that_of_the_simulation(tmp_path) -> None:
+    """A run without faults is the simulation, and so is what its log tells."""
+    loaded = scenario("car-avoidance", duration=4.0)
+    path = write(tmp_path / "a.log", recorded(loaded, 4.0), loaded)
+    found, expected = replay_log(path).result, simulate(loaded)
+    ticks = len(found.log["time"])
+    assert ticks >= len(expected.log["time"]) - 1
+    assert found.log.keys() == expected.log.keys()
+    for name in found.log.keys() - {"disturbance"}:
+        np.testing.assert_allclose(
+            found.log[name], expected.log[name][:ticks], atol=2e-7, err_msg=name
+        )
+    # The mean over the tick before is the disturbance half a tick ago.
+    late = np.interp(
+        expected.log["time"][1:ticks] - loaded.period / 2,
+        expected.log["time"],
+        expected.log["disturbance"][:, 0],
+    )
+    np.testing.assert_allclose(found.log["disturbance"][1:, 0], late, atol=1e-3)
+    assert np.ptp(late) > 0.05
+    measured = {"step_cpu_ms", "real_time_factor", "assumptions"}
+    for name in expected.summary.keys() - measured:
+        same = found.summary[name] == expected.summary[name]
+        close = name in ("min_barrier", "final_distance", "min_volume", "reached_at")
+        assert same or close, name
+    for name in ("min_barrier", "final_distance", "reached_at"):
+        value = expected.summary[name]
+        assert found.summary[name] == (
+            None if value is None else pytest.approx(value, abs=0.02)
+        )
+    assert found.summary["real_time_factor"] == pytest.approx(1.0)
+
+
+def test_a_collision_is_found_in_the_states(tmp_path) -> None:
+    loaded = scenario(method="nominal")
+    events: list[Event] = []
+    run = InProcess(loaded, tap=lambda *event: events.append(Event(*event)))
+    run.advance_to(20.0)
+    summary = replay_log(write(tmp_path / "a.log", events), loaded).result.summary
+    assert run.plant.collided
+    assert summary["outcome"] == "collision"
+    assert summary["collided_at"] == pytest.approx(run.plant.time, abs=0.021)
+
+
+def test_a_truncated_log_tells_what_it_has(tmp_path) -> None:
+    loaded = scenario("car-avoidance")
+    path = write(tmp_path / "a.log", recorded(loaded, 1.0), loaded)
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    found = replay_log(path)
+    assert "no whole events" in found.damage
+    assert 10 < len(found.result.log["time"]) < 40
+
+
+# What cannot be replayed -----------------------------------------------------------
+
+
+def test_a_log_that_does_not_fit_is_refused_in_one_line(tmp_path) -> None:
+    loaded = scenario("car-avoidance")
+    events = recorded(loaded, 0.5)
+    path = write(tmp_path / "a.log", events)
+    with pytest.raises(EventLogError, match=r"a\.log: carries no scenario; it must be"):
+        replay_log(path)
+    with pytest.raises(
+        EventLogError,
+        match=r"no state of blimp-multiple-obstacles on VCBF_STATE, with 8 numbers and"
+        r" 3 inputs \(26 array of another size\)",
+    ):
+        replay_log(path, scenario())
+    write(path, [Event(1, "OTHER", b"")])
+    with pytest.raises(EventLogError, match=r"\(nothing on that channel\)"):
+        replay_log(path, loaded)
+    write(path, [Event(1, "VCBF_SCENARIO", b"{a: {perod: 1}}\n")])
+    with pytest.raises(ScenarioError, match="channel VCBF_SCENARIO:1: perod: unknown"):
+        replay_log(path)
+
+
+# The commands ----------------------------------------------------------------------
+
+
+def test_start_log_carries_the_scenario(tmp_path) -> None:
+    loaded = scenario("car-avoidance", duration=3.5)
+    run = InProcess(loaded)
+    with start_log(run.controller.bus, loaded, tmp_path / "a.log"):
+        run.advance_to(0.2)
+    events, damage = read_event_log(tmp_path / "a.log")
+    assert events[0].channel == "VCBF_SCENARIO"
+    assert {event.channel for event in events[1:]} == {
+        "VCBF_STATE",
+        "VCBF_COMMAND",
+        "VCBF_STATUS",
+    }
+    assert not damage
+    assert replay_log(tmp_path / "a.log").result.scenario.duration == 3.5
+
+
+def test_replay_log_writes_what_run_writes(tmp_path, monkeypatch) -> None:
+    drawn = []
+    monkeypatch.setattr(
+        figures_module, "write_figures", lambda results, directory: drawn.append("png")
+    )
+    monkeypatch.setattr(
+        replay_module, "write_replay", lambda results, path: drawn.append(path.name)
+    )
+    loaded = scenario("car-avoidance", duration=1.0)
+    path = write(tmp_path / "flight.log", recorded(loaded, 1.0), loaded)
+    with open(path, "ab") as file:
+        file.write(b"tail")
+    out = tmp_path / "out"
+    arguments = ["replay-log", str(path), "--out", str(out)]
+    found = CliRunner().invoke(app, arguments)
+    assert found.exit_code == 0, found.output
+    words = " ".join(found.output.split())
+    assert "51 of 51 logged ones came out again bit for bit" in words
+    assert "4 of its" in words
+    assert drawn == ["png", "replay.html"]
+    assert json.loads((out / "summary.json").read_text())["outcome"] == "timeout"
+    assert (out / "scenario.yaml").exists()
+    statuses = of(read_event_log(path).events, "VCBF_STATUS")
+    with np.load(out / "log.npz") as log:
+        volumes = [vcbf_status.decode(data).volume for data in statuses]
+        assert log["volume"].tolist() == volumes
+
+
+def test_replay_log_says_in_one_line_what_is_wrong(tmp_path) -> None:
+    (tmp_path / "a.log").write_bytes(b"text")
+    found = CliRunner().invoke(app, ["replay-log", str(tmp_path / "a.log")])
+    assert found.exit_code == 2
+    assert "not an LCM log: no event in its 4 bytes" in found.output
+    assert not (tmp_path / "out").exists()
