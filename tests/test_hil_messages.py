@@ -116,6 +116,7 @@ def test_a_flaw_that_any_message_can_have_is_named(form, name) -> None:
         (FORMATS[0], "time", float("nan"), Reason.NUMBER),
         (FORMATS[0], "mode", 4, Reason.CODE),
         (FORMATS[0], "mode", -1, Reason.CODE),
+        (FORMATS[2], "num_conflicts", -1, Reason.SIZE),
         (FORMATS[0], "state", [float("nan")] * 8, Reason.NUMBER),
         (FORMATS[0], "state", [0.0] * 7 + [float("inf")], Reason.NUMBER),
         (FORMATS[0], "state", [0.0] * 7 + [-1e300], Reason.NUMBER),

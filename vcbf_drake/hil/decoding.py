@@ -102,6 +102,8 @@ class MessageFormat:
             yield Reason.VERSION
         if any(getattr(message, name) != size for name, size in self.sizes.items()):
             yield Reason.SIZE
+        if not _has_its_sizes(message):
+            yield Reason.SIZE
         if not all(map(_is_sensible, self._values(message, self.numbers))):
             yield Reason.NUMBER
         if any(math.isinf(value) for value in self._values(message, self.gaps)):
@@ -122,6 +124,15 @@ class MessageFormat:
 
 def _is_sensible(value: float) -> bool:
     return abs(value) < _MAX_NUMBER  # False for nan.
+
+
+def _has_its_sizes(message: Any) -> bool:
+    """Whether arrays are as long as said: a negative length decodes as none."""
+    return all(
+        len(getattr(message, name)) == getattr(message, sizes[0])
+        for name, sizes in zip(message.__slots__, message.__dimensions__, strict=True)
+        if sizes
+    )
 
 
 def _is_consistent(message: Any) -> bool:
