@@ -59,6 +59,14 @@ _LogOption = Annotated[
         help="Write an LCM log of what this side sends and receives.",
     ),
 ]
+_PredictOption = Annotated[
+    bool | None,
+    typer.Option(
+        "--predict/--no-predict",
+        show_default="the scenario's",
+        help="Act on the state predicted over the link's delays.",
+    ),
+]
 _JsonOption = Annotated[bool, typer.Option("--json", help="Print the report as JSON.")]
 _SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the faults.")]
 
@@ -100,6 +108,7 @@ def controller(
     delay: _DelayOption = 0.0,
     jitter: _JitterOption = 0.0,
     fault_seed: _SeedOption = 0,
+    predict: _PredictOption = None,
     log: _LogOption = None,
     as_json: _JsonOption = False,
 ) -> None:
@@ -110,6 +119,8 @@ def controller(
     itself. Ctrl-C ends it; its last command asks for the fallback.
     """
     chosen = _load(scenario, override, method, duration, rate)
+    if predict is not None:
+        chosen.hardware.predict = predict
     bus = _open_bus(lcm_url, drop, delay, jitter, fault_seed)
     from vcbf_drake.hil import ControllerProcess
 

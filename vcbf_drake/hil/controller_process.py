@@ -13,6 +13,7 @@ from vcbf_drake.hil.command_sender import CommandSender
 from vcbf_drake.hil.farewell import say_farewell
 from vcbf_drake.hil.hardware_loop import make_hardware_loop
 from vcbf_drake.hil.modes import CommandMode, VehicleMode
+from vcbf_drake.hil.prediction_record import PredictionRecord
 from vcbf_drake.hil.report import ControllerRecord, controller_report
 from vcbf_drake.hil.state_receiver import StateReceiver
 from vcbf_drake.hil.warm_up import warm_up
@@ -52,6 +53,10 @@ class ControllerProcess:
         self.context = self.diagram.CreateDefaultContext()
         self.tick_taps: list[Callable[[Context], None]] = []
         self._record = ControllerRecord()
+        self._prediction: PredictionRecord | None = None
+        if scenario.hardware.predict:
+            self._prediction = PredictionRecord(self.diagram, len(scenario.target))
+            self.tick_taps.append(self._prediction)
         self._sent_at = 0
         self._stopping = False
 
@@ -92,7 +97,10 @@ class ControllerProcess:
 
     def report(self) -> dict[str, Any]:
         """Returns what the filter did, and how the states arrived."""
-        return controller_report(self.scenario, self._receiver, self._record)
+        report = controller_report(self.scenario, self._receiver, self._record)
+        if self._prediction is not None:
+            report["prediction"] = self._prediction.report()
+        return report
 
     def _is_due(self) -> bool:
         context = self._receiver_context()

@@ -8,9 +8,11 @@ from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.check_timing import check_timing
 from vcbf_drake.hil.command_sender import CommandSender
 from vcbf_drake.hil.obstacle_watch import ObstacleWatch
+from vcbf_drake.hil.state_predictor import StatePredictor
 from vcbf_drake.hil.state_receiver import StateReceiver
 from vcbf_drake.hil.state_watchdog import StateWatchdog
 from vcbf_drake.plants import ControlAffineModel
+from vcbf_drake.safety import AddedSafetyFilter
 from vcbf_drake.simulation.loop import (
     add_controller_and_filter,
     make_observer,
@@ -48,12 +50,15 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
         "state_receiver",
         StateReceiver(bus, model.num_states, model.num_inputs, settings.max_state_age),
     )
+    measured = receiver.GetOutputPort("state")
+    predictor = _add_predictor(builder, scenario, model) if settings.predict else None
     controller, loop = add_controller_and_filter(
         builder,
         scenario,
         model,
         bounds,
-        state=receiver.GetOutputPort("state"),
+        state=predictor.get_output_port() if predictor else measured,
+        observed_state=measured,
         observer=make_observer(
             scenario,
             model,
@@ -63,6 +68,8 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
         ),
         applied_input=receiver.GetOutputPort("applied_input"),
     )
+    if predictor is not None:
+        _connect_predictor(builder, predictor, receiver, loop)
     watchdog = StateWatchdog(receiver.inbox, bus.clock, settings)
     sender = builder.AddNamedSystem(
         "command_sender",
@@ -89,3 +96,29 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
     diagram = builder.Build()
     diagram.set_name(f"{scenario.name}_controller")
     return diagram
+
+
+def _add_predictor(
+    builder: DiagramBuilder, scenario: Scenario, model: ControlAffineModel
+) -> StatePredictor:
+    longest = scenario.hardware.max_state_age
+    predictor: StatePredictor = builder.AddNamedSystem(
+        "state_predictor", StatePredictor(model, scenario.period, longest)
+    )
+    return predictor
+
+
+def _connect_predictor(
+    builder: DiagramBuilder,
+    predictor: StatePredictor,
+    receiver: StateReceiver,
+    loop: AddedSafetyFilter,
+) -> None:
+    ports = {
+        "state": receiver.GetOutputPort("state"),
+        "delays": receiver.GetOutputPort("delays"),
+        "held_input": loop.hold.get_output_port(),
+        "disturbance_estimate": loop.observer.GetOutputPort("disturbance_estimate"),
+    }
+    for name, port in ports.items():
+        builder.Connect(port, predictor.GetInputPort(name))

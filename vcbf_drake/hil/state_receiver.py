@@ -20,6 +20,7 @@ from vcbf_drake.errors import Array
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.decoding import state_format
 from vcbf_drake.hil.inbox import Inbox
+from vcbf_drake.hil.modes import VehicleMode
 from vcbf_drake.hil.round_trip import RoundTrip
 
 
@@ -41,10 +42,17 @@ class StateStamp(NamedTuple):
 
 @dataclass(frozen=True)
 class _Measured:
-    """The last state that was taken over, and the mean input applied before it."""
+    """The last state that was taken over, and what goes with it.
+
+    Attributes:
+        message: The state's message.
+        applied_input: The mean input that was applied before it.
+        delays: Its delay, and that of the last command that the vehicle tells of [s].
+    """
 
     message: Any
     applied_input: Array
+    delays: Array
 
 
 class StateReceiver(LeafSystem):
@@ -57,12 +65,14 @@ class StateReceiver(LeafSystem):
         - state
         - applied_input
         - stamp
+        - delays
 
     | port | size | |
     | --- | --- | --- |
     | ``state`` | n | the newest measured state; zeros before the first |
     | ``applied_input`` | m | the mean of what was applied since the state before |
     | ``stamp`` | 4 | what that state's message says, a `StateStamp`; nan before |
+    | ``delays`` | 2 | the state's, and the last command's that it tells of [s] |
 
     Messages are taken over at the beginning of a simulator's step, or at a forced
     event; between events the outputs are constant.
@@ -95,6 +105,7 @@ class StateReceiver(LeafSystem):
         self.DeclareForcedUnrestrictedUpdateEvent(self._take_over)
         needs = {self.abstract_state_ticket(index)}
         self.DeclareVectorOutputPort("state", num_states, self._calc_state, needs)
+        self.DeclareVectorOutputPort("delays", 2, self._calc_delays, needs)
         self.DeclareVectorOutputPort(
             "applied_input", num_inputs, self._calc_applied_input, needs
         )
@@ -136,7 +147,7 @@ class StateReceiver(LeafSystem):
             change = np.subtract(newest.input_integral, last.message.input_integral)
             applied = change / (newest.time - last.message.time)
         state.get_mutable_abstract_state(self._measured_index).set_value(
-            _Measured(newest, applied)
+            _Measured(newest, applied, self._measured_delays())
         )
         return EventStatus.Succeeded()
 
@@ -158,6 +169,20 @@ class StateReceiver(LeafSystem):
                 for name in StateStamp._fields
             ]
         )
+
+    def _calc_delays(self, context: Context, output: BasicVector) -> None:
+        measured = self._measured(context)
+        output.SetFromVector(np.zeros(2) if measured is None else measured.delays)
+
+    def _measured_delays(self) -> Array:
+        """The delays [s]; zeros while the vehicle does not follow our commands."""
+        state = self.inbox.newest
+        is_ours = state.command_utime >= self._bus.session
+        if state.mode != VehicleMode.FOLLOWING or not is_ours:
+            return np.zeros(2)
+        state_delay = self.inbox.received_at - state.utime_measured
+        command_delay = state.utime - state.command_age - state.command_utime
+        return 1e-6 * np.array([state_delay, command_delay])
 
     def _take_times(self, message: Any, now: int) -> None:
         """Notes the round trip of a command that the vehicle mentions first now."""

@@ -59,6 +59,7 @@ def AddSafetyFilter(
     volume_barrier: VolumeBarrier | None = None,
     observer: DisturbanceObserver | None = None,
     state: OutputPort | None = None,
+    observed_state: OutputPort | None = None,
     applied_input: OutputPort | None = None,
     obstacles: OutputPort | None = None,
     input_port: InputPort | str | int | None = None,
@@ -96,6 +97,8 @@ def AddSafetyFilter(
         observer: Used in place of the method's own with its default gains.
         state: The measured state; the plant's output named ``state`` or its only one
             by default.
+        observed_state: What the observer is told, where `state` is not what was
+            measured but a prediction; `state` by default.
         applied_input: The mean input that the plant really applied since the last
             tick, where it tells; the held input by default.
         obstacles: What is perceived, where there are `PerceivedSpheres` among the
@@ -150,7 +153,7 @@ def AddSafetyFilter(
     builder.Connect(held, safety_filter.GetInputPort("held_input"))
     if plant is not None:
         builder.Connect(held, _port(plant, input_port))
-    builder.Connect(state, observer.GetInputPort("state"))
+    builder.Connect(observed_state or state, observer.GetInputPort("state"))
     builder.Connect(applied_input or held, observer.GetInputPort("input"))
     if safety_filter.method.disturbance == "estimated":
         for port, _ in observer_ports(model.num_disturbances):

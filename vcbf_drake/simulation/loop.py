@@ -129,6 +129,7 @@ def add_controller_and_filter(
     state: OutputPort,
     observer: DisturbanceObserver,
     plant: LeafSystem | None = None,
+    observed_state: OutputPort | None = None,
     applied_input: OutputPort | None = None,
 ) -> tuple[LeafSystem, AddedSafetyFilter]:
     """Adds a scenario's controller, and its filter with hold and observer.
@@ -140,6 +141,7 @@ def add_controller_and_filter(
         bounds: Of the disturbance.
         state: The measured state.
         observer: Estimates the disturbance.
+        observed_state: What the observer is told; `state` by default.
         plant: Gets the held input; None leaves that to be connected.
         applied_input: What the plant really applied; the held input by default.
     """
@@ -159,6 +161,7 @@ def add_controller_and_filter(
         volume_barrier=scenario.volume,
         observer=observer,
         state=state,
+        observed_state=observed_state,
         applied_input=applied_input,
         model=model,
     )

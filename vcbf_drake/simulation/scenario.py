@@ -150,6 +150,8 @@ class Hardware:
     hold_time: float = 0.1
     # The longest interval between states that the observer bridges [s].
     longest_interval: float = 0.1
+    # Whether controller and filter act on the state predicted over the link's delays.
+    predict: bool = False
 
 
 @dataclass
