@@ -74,7 +74,7 @@ class Bus:
 
     def publish(self, channel: str, data: bytes) -> None:
         """Sends the bytes."""
-        self._tell_taps(channel, data)
+        self._tell_taps(self.clock.utime(), channel, data)
         self.lcm.Publish(channel, data)
 
     def subscribe(self, channel: str, handler: Handler) -> None:
@@ -113,14 +113,15 @@ class Bus:
         arrived = 0
         for channel, data in self._link.due(self.clock.utime()):
             arrived += 1
-            self._tell_taps(channel, data)
+            now = self.clock.utime()
+            self._tell_taps(now, channel, data)
             for handler in self._handlers[channel]:
-                handler(data, self.clock.utime())
+                handler(data, now)
         return arrived
 
-    def _tell_taps(self, channel: str, data: bytes) -> None:
+    def _tell_taps(self, now: int, channel: str, data: bytes) -> None:
         for tap in self.taps:
-            tap(self.clock.utime(), channel, data)
+            tap(now, channel, data)
 
 
 def check_bus(url: str, patience: float = _CHECK_PATIENCE) -> None:

@@ -22,6 +22,7 @@ from vcbf_drake.hil.event_log import (
     read_event_log,
 )
 from vcbf_drake.hil.logged_controller import LoggedController
+from vcbf_drake.hil.modes import VehicleMode
 from vcbf_drake.hil.tick_recorder import TickRecorder
 from vcbf_drake.safety import Assumption, SafetyFilter
 from vcbf_drake.simulation.loop import COLLISION_MONITOR
@@ -146,9 +147,15 @@ class _Account:
     def add_state(self, state: Any) -> None:
         if self._path and state.session != self._path[-1].session:
             self._path.clear()
+        if self._has_stopped(state):
+            return  # Its time stands still now, and the clock does not.
         while self._path and self._path[-1].time >= state.time:
             self._path.pop()
         self._path.append(state)
+
+    def _has_stopped(self, state: Any) -> bool:
+        is_last = state.mode == VehicleMode.ENDED and bool(self._path)
+        return is_last and bool(state.time == self._path[-1].time)
 
     def result(self) -> Result:
         safety_filter: SafetyFilter = self._diagram.GetSubsystemByName("filter")
