@@ -55,7 +55,7 @@ class TickRecorder:
         """Returns the arrays of a `Result`, one row a tick.
 
         Nobody tells what the disturbance was: `disturbance` is what the states tell
-        with hindsight, the mean over the interval that ends at the tick.
+        with hindsight, from the intervals before and after a tick.
         """
         log = {
             name: np.array([row[name] for _, row in self._rows]) for name in self._ports
@@ -66,7 +66,10 @@ class TickRecorder:
         return finish_log(log, self._filter)
 
     def _disturbances(self, times: Array, states: Array, applied: Array) -> Array:
-        """The means of d between the ticks (E46), (T, q); the first one twice."""
+        """The disturbance at the ticks, (T, q): between the means of d over intervals.
+
+        A mean (E46) is what d is in the middle of its interval, but for its curvature.
+        """
         means = [
             self._observer.mean_disturbance(
                 states[k - 1], states[k], applied[k], times[k] - times[k - 1]
@@ -75,4 +78,6 @@ class TickRecorder:
         ]
         if not means:
             return np.zeros((len(times), self._filter.model.num_disturbances))
-        return np.array([means[0], *means])
+        middles = (times[1:] + times[:-1]) / 2
+        channels = np.transpose(means)
+        return np.transpose([np.interp(times, middles, mean) for mean in channels])
