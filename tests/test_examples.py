@@ -72,6 +72,15 @@ def test_own_controller_drives_the_car(tmp_path):
     assert number(text, "min h") > 0.0
 
 
+def test_slow_link_is_closer_to_the_ideal_path_with_prediction(tmp_path):
+    text = run("slow_link.py", tmp_path)
+    away = [int(match) for match in re.findall(r"(\d+) mm from the path", text)]
+    volume = [float(match) for match in re.findall(r"min V_v (-?[\d.]+)", text)]
+    assert len(away) == 3
+    assert away[2] < away[1]
+    assert volume[2] > volume[1]
+
+
 @pytest.mark.slow
 def test_hardware_faults_reports_from_both_sides(tmp_path):
     text = run("hardware_faults.py", tmp_path)
