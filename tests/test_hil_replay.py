@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 
 import numpy as np
+from pydrake.lcm import DrakeLcm
 import pytest
 from typer.testing import CliRunner
 
 from vcbf_drake import load_scenario, simulate
 from vcbf_drake.cli import app
+import vcbf_drake.cli.hardware as hardware_module
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.hil import (
+    Bus,
     CommandMode,
     Event,
     EventLogError,
@@ -19,10 +22,12 @@ from vcbf_drake.hil import (
     InProcess,
     LinkFaults,
     LoggedController,
+    SimulatedClock,
     read_event_log,
     replay_log,
     start_log,
 )
+from vcbf_drake.hil.log_replay import logged_scenario
 from vcbf_drake.hil.messages import vcbf_command, vcbf_status
 from vcbf_drake.simulation.scenario_file import dump_scenario
 import vcbf_drake.viz.figures as figures_module
@@ -248,6 +253,34 @@ def test_start_log_carries_the_scenario(tmp_path) -> None:
     }
     assert not damage
     assert replay_log(tmp_path / "a.log").result.scenario.duration == 3.5
+
+
+@pytest.mark.parametrize("side", ["plant", "controller"])
+def test_both_sides_log_what_they_say_and_what_was_asked(
+    side, tmp_path, monkeypatch
+) -> None:
+    bus = Bus(DrakeLcm("memq://"), SimulatedClock())
+    monkeypatch.setattr(hardware_module, "_open_bus", lambda *options: bus)
+    monkeypatch.setattr(
+        hardware_module, "_run", lambda process, side, as_json: bus.publish("A", b"b")
+    )
+    path = tmp_path / "a.log"
+    arguments = [side, "car-avoidance", "--duration", "3", "--log", str(path)]
+    arguments += ["--predict"] if side == "controller" else []
+    found = CliRunner().invoke(app, arguments)
+    assert found.exit_code == 0, found.output
+    assert f"log written to {path}" in found.output.replace("\n", "")
+    events = read_event_log(path).events
+    assert events[-1] == Event(bus.clock.utime(), "A", b"b")
+    # The vehicle's first state is sent when it is made.
+    assert ("VCBF_STATE" in {event.channel for event in events}) is (side == "plant")
+    loaded = logged_scenario(path, events)
+    assert loaded.duration == 3.0
+    assert loaded.hardware.predict is (side == "controller")
+    nowhere = str(tmp_path / "none" / "a.log")
+    found = CliRunner().invoke(app, [side, "car-avoidance", "--log", nowhere])
+    assert found.exit_code == 2
+    assert "No such file or directory" in " ".join(found.output.split())
 
 
 def test_replay_log_writes_what_run_writes(tmp_path, monkeypatch) -> None:
