@@ -52,12 +52,8 @@ def test_every_correction_changes_the_run():
     """Against the paper's row the inputs differ, as do the reported choices."""
 
     def inputs(overrides):
-        short = {
-            "duration": 1.6,
-            "volume": {"threshold": 0.3},
-            "initial_state": [0.0, 0.1, 0.0, 1.5],
-        }
-        result = simulate(load_scenario(CAR, short | overrides))
+        short = {"duration": 3.5, "volume": {"threshold": 0.1}}
+        result = simulate(load_scenario("car-sensitivity", short | overrides))
         return result.summary["fidelity"], result.log["input"]
 
     name, paper = inputs({"fidelity": "paper"})
