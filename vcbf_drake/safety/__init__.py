@@ -5,7 +5,11 @@ from vcbf_drake.safety.assumptions import Assumption, assumptions
 from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
 from vcbf_drake.safety.ellipsoid import Ellipsoid, inscribed_ellipsoid
 from vcbf_drake.safety.feasibility_measure import MEASURES, FeasibilityMeasure
-from vcbf_drake.safety.feasible_set import DisturbanceKnowledge, FeasibleSet
+from vcbf_drake.safety.feasible_set import (
+    DisturbanceKnowledge,
+    FeasibleSet,
+    disturbance_margin,
+)
 from vcbf_drake.safety.filter_qp import (
     INFEASIBLE_POLICIES,
     FilterDecision,
@@ -52,6 +56,7 @@ __all__ = [
     "VolumeBarrier",
     "assumptions",
     "chebyshev_ball",
+    "disturbance_margin",
     "emptiness_certificate",
     "inscribed_ellipsoid",
     "unpack_feasible_set",

@@ -57,6 +57,7 @@ def assumptions(
     if method.disturbance == "estimated":
         found.extend(_observer_conditions(observer))
         found.append(_known_start(noise))
+    found.extend(_equations_as_proven(safety_filter))
     found.append(_disturbance_relative_degree(safety_filter))
     found.extend(_barriers_at_start(safety_filter, filter_context))
     found.append(_authority_at_start(safety_filter, filter_context))
@@ -108,6 +109,25 @@ def _known_start(noise: float) -> Assumption:
         {"measurement noise": noise},
         "the error bound is calibrated, not proven",
     )
+
+
+def _equations_as_proven(safety_filter: SafetyFilter) -> Iterator[Assumption]:
+    """What the published equations leave out and a proof needs."""
+    method, applied = safety_filter.method, safety_filter.corrections
+    if method.disturbance == "estimated" and not applied.error_floor:
+        yield Assumption(
+            "floor of the error bound",
+            "the error bound contains what sampling costs (E39), (R49)",
+            False,
+            consequence="no sampled observer meets the published bound (E13)",
+        )
+    if method.volume and not applied.total_derivative:
+        yield Assumption(
+            "total derivative of the volume",
+            "the volume row counts that the estimate moves (E28), (R30)",
+            False,
+            consequence="Theorem 2 is false for the published row",
+        )
 
 
 def _disturbance_relative_degree(safety_filter: SafetyFilter) -> Assumption:

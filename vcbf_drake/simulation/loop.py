@@ -39,6 +39,7 @@ from vcbf_drake.safety import (
     InfeasiblePolicy,
     SafetyFilter,
 )
+from vcbf_drake.simulation.audit import Audit
 from vcbf_drake.simulation.collision_monitor import CollisionMonitor
 from vcbf_drake.simulation.measurement_noise import MeasurementNoise
 from vcbf_drake.simulation.scenario import Scenario
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
 
 LOG_PREFIX = "log_"
 COLLISION_MONITOR = "collision_monitor"
+AUDIT = "audit"
 
 
 def make_loop(
@@ -92,6 +94,7 @@ def make_loop(
         plant=plant,
     )
     add_collision_monitor(builder, plant, loop.filter.barrier_set)
+    _add_audit(builder, plant, source, loop)
     _add_logs(builder, scenario, plant, source, controller, loop)
     diagram = builder.Build()
     diagram.set_name(scenario.name)
@@ -311,6 +314,27 @@ def logged_ports(
     }
 
 
+def _add_audit(
+    builder: DiagramBuilder,
+    plant: LeafSystem,
+    source: DisturbanceSource,
+    loop: AddedSafetyFilter,
+) -> None:
+    audit = builder.AddNamedSystem(
+        AUDIT, Audit(loop.filter, loop.filter.barrier_set, source.bounds)
+    )
+    truth = {
+        "state": plant.GetOutputPort("state"),
+        "disturbance": source.get_output_port(),
+    }
+    for name in audit.inputs:
+        port = truth.get(name)
+        if port is None:
+            owner = loop.filter if loop.filter.HasOutputPort(name) else loop.observer
+            port = owner.GetOutputPort(name)
+        builder.Connect(port, audit.GetInputPort(name))
+
+
 def _add_logs(
     builder: DiagramBuilder,
     scenario: Scenario,
@@ -325,6 +349,7 @@ def _add_logs(
         "disturbance": source.get_output_port(),
         **logged_ports(controller, loop.filter, loop.observer),
     }
+    ports["audit"] = builder.GetSubsystemByName(AUDIT).get_output_port()
     for name, port in ports.items():
         log = LogVectorOutput(port, builder, scenario.period)
         log.set_name(LOG_PREFIX + name)

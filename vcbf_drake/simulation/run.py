@@ -21,7 +21,13 @@ from vcbf_drake.safety import (
     assumptions,
     unpack_feasible_set,
 )
-from vcbf_drake.simulation.loop import LOG_PREFIX, make_loop, measurement_noise
+from vcbf_drake.simulation.audit import audit_findings, reasons_against
+from vcbf_drake.simulation.loop import (
+    COLLISION_MONITOR,
+    LOG_PREFIX,
+    make_loop,
+    measurement_noise,
+)
 from vcbf_drake.simulation.result import Result
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.step_time import step_cpu_time
@@ -54,8 +60,15 @@ def simulate(
     log = _read_log(diagram, context)
     path_time, path = _find(diagram, context, "path")
     safety_filter: SafetyFilter = diagram.GetSubsystemByName("filter")
-    summary = summarise(scenario, safety_filter, log, path_time, path, ending)
+    barriers = diagram.GetSubsystemByName(COLLISION_MONITOR).barrier_set
+    heights = barriers.values_along(path, path_time)
+    summary = summarise(scenario, safety_filter, log, path_time, path, heights, ending)
     summary["assumptions"] = [vars(assumption) for assumption in found]
+    summary["audit"] = audit_findings(log, path_time, heights, scenario.volume.gain)
+    summary["reasons_against"] = reasons_against(
+        found, summary["audit"], summary["outcome"] == "collision"
+    )
+    summary["guaranteed"] = not summary["reasons_against"]
     if step_time:
         summary["step_cpu_ms"] = step_cpu_time(safety_filter, log)
     summary["real_time_factor"] = ending.time / max(cpu_time, 1e-9)

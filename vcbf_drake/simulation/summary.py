@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 from vcbf_drake.errors import Array
 from vcbf_drake.safety import FilterStatus, SafetyFilter
 from vcbf_drake.safety.add_safety_filter import STOP_MONITOR
+from vcbf_drake.simulation.audit import LEAST_AUTHORITY
 from vcbf_drake.simulation.loop import COLLISION_MONITOR
 from vcbf_drake.simulation.scenario import Scenario
-
-# A row that the whole input range moves by less than this is out of reach.
-_LEAST_AUTHORITY = 1e-6
 
 
 @dataclass(frozen=True)
@@ -37,9 +35,10 @@ def summarise(
     log: dict[str, Array],
     path_time: Array,
     path: Array,
+    heights: Array,
     ending: Ending,
 ) -> dict[str, Any]:
-    """Returns the summary of a run, without its assumptions and timings.
+    """Returns the summary of a run, without assumptions, audit and timings.
 
     Args:
         scenario: What was run.
@@ -47,6 +46,7 @@ def summarise(
         log: The arrays of the log, one row a control tick.
         path_time: Times of the integrator's steps, (S,) [s].
         path: The true state there, (S, n).
+        heights: Every h there, (S, N).
         ending: How it ended.
     """
     infeasible = log["status"] == FilterStatus.INFEASIBLE
@@ -56,7 +56,6 @@ def summarise(
         path_time, _distance(scenario, path) <= scenario.arrival_tolerance
     )
     stopped = ending.monitor.endswith(STOP_MONITOR)
-    heights = safety_filter.barrier_set.values_along(path, path_time)
     slack = np.abs(log["slack"])
     return {
         "scenario": scenario.name,
@@ -83,7 +82,7 @@ def summarise(
 
 def _without_authority(safety_filter: SafetyFilter, log: dict[str, Array]) -> list[str]:
     """The barriers whose rows no input could move at some tick (R33), by name."""
-    lost = np.min(log["authority"], axis=0) <= _LEAST_AUTHORITY
+    lost = np.min(log["authority"], axis=0) <= LEAST_AUTHORITY
     return [
         name
         for name, is_lost in zip(

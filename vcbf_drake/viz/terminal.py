@@ -96,6 +96,7 @@ def _cells(summary: Mapping[str, Any]) -> dict[str, str | Text]:
         "reached s": number_text(summary["reached_at"]),
         "infeasible s": number_text(summary["infeasible_at"]),
         "collided s": number_text(summary["collided_at"]),
+        "guaranteed": "yes" if summary.get("guaranteed") else "no",
         "min h": number_text(summary["min_barrier"]),
         "min V_v": number_text(summary["min_volume"]),
         "max |slack|": number_text(summary["max_abs_slack"]),
@@ -117,6 +118,13 @@ def _remarks(summary: Mapping[str, Any]) -> Iterator[str]:
     ]
     if failing:
         yield f"hypotheses that fail (see vcbf-drake check): {', '.join(failing)}"
+    broken = [
+        f"{name} ({number_text(each['first_violation'])} s)"
+        for name, each in summary.get("audit", {}).items()
+        if each["held"] is False
+    ]
+    if broken:
+        yield f"promises broken, first at (see summary.json): {', '.join(broken)}"
 
 
 def _numbers(numbers: Mapping[str, float]) -> str:
