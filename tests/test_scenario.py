@@ -97,6 +97,20 @@ OneOfEverything:
     max_state_age: 0.3
     hold_time: 0.0
     longest_interval: 0.15
+  faults:
+    seed: 3
+    measurement_bias: [0.01, 0.0, 0.0, 0.0]
+    measurement_delay: 0.02
+    measurement_loss: 0.1
+    sight: 2.0
+    actuator_lag: 0.05
+    actuator_limit: 0.9
+    mass: 1.1
+    drag: 1.0
+    disturbance: 1.5
+    gusts:
+      - {amplitude: [0.2], start: 1.0, duration: 0.5}
+    solver_failure: 0.01
 """
 
 

@@ -18,6 +18,7 @@ from vcbf_drake.simulation.loop import (
     add_collision_monitor,
     add_simulated_plant,
     barriers,
+    make_plant,
 )
 from vcbf_drake.simulation.scenario import Scenario
 
@@ -41,7 +42,7 @@ def make_vehicle(scenario: Scenario, bus: Bus, timeline: Timeline) -> Diagram:
     builder = DiagramBuilder()
     simulated = add_simulated_plant(builder, scenario)
     plant, measured = simulated.plant, simulated.state
-    model = ControlAffineModel.from_system(plant)
+    model = ControlAffineModel.from_system(make_plant(scenario))
     receiver = builder.AddNamedSystem(
         "command_receiver",
         CommandReceiver(
@@ -63,7 +64,7 @@ def make_vehicle(scenario: Scenario, bus: Bus, timeline: Timeline) -> Diagram:
     builder.AddNamedSystem("obstacle_sender", ObstacleSender(bus, scenario))
     applied, mode = receiver.GetOutputPort("input"), receiver.GetOutputPort("mode")
     builder.Connect(measured, receiver.GetInputPort("state"))
-    builder.Connect(applied, plant.GetInputPort("input"))
+    builder.Connect(applied, simulated.input)
     builder.Connect(applied, integral.get_input_port())
     builder.Connect(measured, sender.GetInputPort("state"))
     builder.Connect(integral.get_output_port(), sender.GetInputPort("input_integral"))

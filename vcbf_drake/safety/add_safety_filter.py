@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from pydrake.systems.framework import DiagramBuilder, InputPort, OutputPort, System
@@ -67,6 +67,7 @@ def AddSafetyFilter(
     violation_weights: Sequence[float] | None = None,
     model: ControlAffineModel | None = None,
     name: str = "filter",
+    filter_class: Callable[..., SafetyFilter] = SafetyFilter,
 ) -> AddedSafetyFilter:
     """Puts a safety filter between a controller's output and a plant's input.
 
@@ -110,6 +111,7 @@ def AddSafetyFilter(
         model: The plant's model, when it is at hand already; needed where it cannot be
             derived from the plant (a discrete one), or has other parameters.
         name: The filter's name; hold, observer and monitor are named after it.
+        filter_class: What makes the filter, from the arguments of `SafetyFilter`.
 
     Raises:
         ModelError: The plant is not control affine or a barrier does not fit it.
@@ -120,7 +122,7 @@ def AddSafetyFilter(
     model = model or ControlAffineModel.from_system(plant, input_port, disturbance_port)
     observer = observer or _default_observer(method, model, period, bounds)
     applied = corrections or FIDELITIES[fidelity]
-    safety_filter = SafetyFilter(
+    safety_filter = filter_class(
         model,
         barriers,
         input_set,

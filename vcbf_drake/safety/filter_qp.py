@@ -128,7 +128,7 @@ def choose_input(
         except EmptySetError:
             return _infeasible(feasible, v_reference, held_input, input_set, policy)
         except (SolverError, LinAlgError):
-            return _failed(feasible, v_reference, held_input, input_set)
+            return failed_decision(feasible, v_reference, held_input, input_set)
     u = input_set.project(input_set.center + input_set.scale * v)
     return FilterDecision(u, status, slack)
 
@@ -205,7 +205,7 @@ def _infeasible(
             feasible.A_v[cutting], feasible.b_v[cutting]
         )
     except SolverError:
-        return _failed(feasible, reference, held_input, input_set)
+        return failed_decision(feasible, reference, held_input, input_set)
     rows = () if certificate is None else cutting[certificate.rows]
     conflict = tuple(int(row) for row in rows)
     if policy == "hold":
@@ -215,9 +215,17 @@ def _infeasible(
     return FilterDecision(u, FilterStatus.INFEASIBLE, 0.0, conflict)
 
 
-def _failed(
+def failed_decision(
     feasible: FeasibleSet, reference: Array, held_input: Array, input_set: InputSet
 ) -> FilterDecision:
+    """Returns the fallback where no solver's answer was verified.
+
+    Args:
+        feasible: Input limits and barrier rows, all finite.
+        reference: The controller's input, normalised, shape (m,).
+        held_input: The input applied now, shape (m,).
+        input_set: The inputs the actuators can produce.
+    """
     u = _least_violation(feasible, reference, held_input, input_set)
     return FilterDecision(u, FilterStatus.FAILED)
 

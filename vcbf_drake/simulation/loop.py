@@ -8,6 +8,7 @@ import numpy as np
 from pydrake.systems.framework import (
     Diagram,
     DiagramBuilder,
+    InputPort,
     LeafSystem,
     OutputPort,
     TriggerType,
@@ -17,6 +18,7 @@ from pydrake.systems.primitives import LogVectorOutput
 from vcbf_drake.barriers import (
     Barrier,
     BarrierSet,
+    PerceivedSpheres,
     SphereObstacle,
     StateInputLimit,
     ackermann_limit,
@@ -41,8 +43,16 @@ from vcbf_drake.safety import (
 )
 from vcbf_drake.simulation.audit import Audit
 from vcbf_drake.simulation.collision_monitor import CollisionMonitor
+from vcbf_drake.simulation.faulty_loop import (
+    faulty_actuator,
+    faulty_measurement,
+    filter_class,
+    true_disturbance,
+    true_parameters,
+)
 from vcbf_drake.simulation.measurement_noise import MeasurementNoise
 from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.simulation.sensor_faults import ObstaclesInSight
 
 if TYPE_CHECKING:
     from vcbf_drake.hil import Bus
@@ -78,7 +88,8 @@ def make_loop(
     builder = DiagramBuilder()
     simulated = add_simulated_plant(builder, scenario)
     plant, source = simulated.plant, simulated.source
-    model = ControlAffineModel.from_system(plant)
+    # The filter knows the scenario's plant, whatever is wrong with the true one.
+    model = ControlAffineModel.from_system(make_plant(scenario))
     controller, loop = add_controller_and_filter(
         builder,
         scenario,
@@ -92,10 +103,15 @@ def make_loop(
             period=scenario.observer.period or scenario.period,
         ),
         plant=plant,
+        plant_input=simulated.input,
+        obstacles=obstacles_in_sight(builder, scenario, plant),
     )
-    add_collision_monitor(builder, plant, loop.filter.barrier_set)
-    _add_audit(builder, plant, source, loop)
-    _add_logs(builder, scenario, plant, source, controller, loop)
+    truth = loop.filter.barrier_set
+    if scenario.faults.sight > 0.0:
+        truth = BarrierSet(model, barriers(scenario))
+    add_collision_monitor(builder, plant, truth)
+    _add_audit(builder, simulated, truth, loop)
+    _add_logs(builder, scenario, simulated, controller, loop)
     diagram = builder.Build()
     diagram.set_name(scenario.name)
     return diagram
@@ -105,22 +121,33 @@ class SimulatedPlant(NamedTuple):
     """A plant in its disturbance.
 
     Attributes:
-        plant: The plant; its input is still to be connected.
-        source: The disturbance.
+        plant: The plant.
+        input: What its actuators take; still to be connected.
+        source: The disturbance as it is declared.
+        disturbance: The disturbance that acts.
         state: The measured state.
     """
 
     plant: LeafSystem
+    input: InputPort
     source: DisturbanceSource
+    disturbance: OutputPort
     state: OutputPort
 
 
 def add_simulated_plant(builder: DiagramBuilder, scenario: Scenario) -> SimulatedPlant:
-    """Adds a scenario's plant, disturbance and, if any, measurement noise."""
-    plant = builder.AddNamedSystem("plant", make_plant(scenario))
+    """Adds a scenario's plant and disturbance, with its noise and faults."""
+    faults = scenario.faults
+    plant = builder.AddNamedSystem(
+        "plant", _plant_class(scenario)(true_parameters(scenario.plant, faults))
+    )
     source = builder.AddNamedSystem("disturbance", make_source(scenario))
-    builder.Connect(source.get_output_port(), plant.GetInputPort("disturbance"))
-    return SimulatedPlant(plant, source, _measured_state(builder, scenario, plant))
+    disturbance = true_disturbance(builder, faults, source.get_output_port())
+    builder.Connect(disturbance, plant.GetInputPort("disturbance"))
+    plant_input = faulty_actuator(builder, scenario, plant.GetInputPort("input"))
+    state = _measured_state(builder, scenario, plant)
+    state = faulty_measurement(builder, scenario, state)
+    return SimulatedPlant(plant, plant_input, source, disturbance, state)
 
 
 def add_controller_and_filter(
@@ -133,7 +160,9 @@ def add_controller_and_filter(
     observer: DisturbanceObserver,
     plant: LeafSystem | None = None,
     observed_state: OutputPort | None = None,
+    plant_input: InputPort | None = None,
     applied_input: OutputPort | None = None,
+    obstacles: OutputPort | None = None,
 ) -> tuple[LeafSystem, AddedSafetyFilter]:
     """Adds a scenario's controller, and its filter with hold and observer.
 
@@ -146,7 +175,9 @@ def add_controller_and_filter(
         observer: Estimates the disturbance.
         observed_state: What the observer is told; `state` by default.
         plant: Gets the held input; None leaves that to be connected.
+        plant_input: What takes it in the plant's place, where actuators do.
         applied_input: What the plant really applied; the held input by default.
+        obstacles: What is seen of the obstacles; they are known without.
     """
     controller = builder.AddNamedSystem("controller", _controller(scenario))
     builder.Connect(state, controller.GetInputPort("state"))
@@ -154,7 +185,7 @@ def add_controller_and_filter(
         builder,
         plant=plant,
         reference=controller.GetOutputPort("reference"),
-        barriers=barriers(scenario),
+        barriers=barriers(scenario) if obstacles is None else seen_barriers(scenario),
         input_set=scenario.input_set.input_set(),
         period=scenario.period,
         bounds=bounds,
@@ -165,8 +196,11 @@ def add_controller_and_filter(
         observer=observer,
         state=state,
         observed_state=observed_state,
+        input_port=plant_input,
         applied_input=applied_input,
+        obstacles=obstacles,
         model=model,
+        filter_class=filter_class(scenario),
     )
     if loop.filter.method.disturbance == "estimated":
         builder.Connect(
@@ -178,7 +212,6 @@ def add_controller_and_filter(
 
 def barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
     """Returns a barrier per obstacle, then the steering limits if there are any."""
-    plant = _plant_class(scenario)
     found: list[Barrier | StateInputLimit] = [
         SphereObstacle(
             obstacle.center,
@@ -188,15 +221,59 @@ def barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
             margin=obstacle.margin,
         ).barrier(
             scenario.barrier.gains,
-            position=plant.position_indices,
+            position=_plant_class(scenario).position_indices,
             name=f"obstacle {i + 1}",
         )
         for i, obstacle in enumerate(scenario.obstacles)
     ]
-    if scenario.turn_limit is not None:
-        limit = scenario.turn_limit
-        found.extend(ackermann_limit(limit.curvature, limit.smoothing_speed))
-    return found
+    return found + _turn_limits(scenario)
+
+
+def seen_barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
+    """Returns the same barriers for obstacles that have to be seen first."""
+    found: list[Barrier | StateInputLimit] = [
+        *_perceived(scenario).barriers(
+            scenario.barrier.gains,
+            position=_plant_class(scenario).position_indices,
+            name="seen obstacle",
+        )
+    ]
+    return found + _turn_limits(scenario)
+
+
+def obstacles_in_sight(
+    builder: DiagramBuilder, scenario: Scenario, plant: LeafSystem
+) -> OutputPort | None:
+    """Returns the port of what is seen; None where all obstacles are known."""
+    if scenario.faults.sight == 0.0 or not scenario.obstacles:
+        return None
+    state = plant.GetOutputPort("state")
+    seeing = builder.AddNamedSystem(
+        "obstacles_in_sight",
+        ObstaclesInSight(
+            scenario.obstacles,
+            _perceived(scenario),
+            state.size(),
+            _plant_class(scenario).position_indices,
+            scenario.faults.sight,
+        ),
+    )
+    builder.Connect(state, seeing.get_input_port())
+    return seeing.get_output_port()
+
+
+def _perceived(scenario: Scenario) -> PerceivedSpheres:
+    """What describes the obstacles; their margins are in the radii."""
+    return PerceivedSpheres(
+        len(scenario.obstacles), len(scenario.target), form=scenario.barrier.form
+    )
+
+
+def _turn_limits(scenario: Scenario) -> list[Barrier | StateInputLimit]:
+    limit = scenario.turn_limit
+    if limit is None:
+        return []
+    return [*ackermann_limit(limit.curvature, limit.smoothing_speed)]
 
 
 def _plant_class(scenario: Scenario) -> Any:
@@ -316,16 +393,16 @@ def logged_ports(
 
 def _add_audit(
     builder: DiagramBuilder,
-    plant: LeafSystem,
-    source: DisturbanceSource,
+    simulated: SimulatedPlant,
+    barrier_set: BarrierSet,
     loop: AddedSafetyFilter,
 ) -> None:
     audit = builder.AddNamedSystem(
-        AUDIT, Audit(loop.filter, loop.filter.barrier_set, source.bounds)
+        AUDIT, Audit(loop.filter, barrier_set, simulated.source.bounds)
     )
     truth = {
-        "state": plant.GetOutputPort("state"),
-        "disturbance": source.get_output_port(),
+        "state": simulated.plant.GetOutputPort("state"),
+        "disturbance": simulated.disturbance,
     }
     for name in audit.inputs:
         port = truth.get(name)
@@ -338,17 +415,20 @@ def _add_audit(
 def _add_logs(
     builder: DiagramBuilder,
     scenario: Scenario,
-    plant: LeafSystem,
-    source: DisturbanceSource,
+    simulated: SimulatedPlant,
     controller: LeafSystem,
     loop: AddedSafetyFilter,
 ) -> None:
-    state = plant.GetOutputPort("state")
+    state = simulated.plant.GetOutputPort("state")
     ports = {
         "state": state,
-        "disturbance": source.get_output_port(),
+        "disturbance": simulated.disturbance,
         **logged_ports(controller, loop.filter, loop.observer),
     }
+    if loop.filter.HasInputPort("obstacles"):
+        ports["obstacles"] = builder.GetSubsystemByName(
+            "obstacles_in_sight"
+        ).get_output_port()
     ports["audit"] = builder.GetSubsystemByName(AUDIT).get_output_port()
     for name, port in ports.items():
         log = LogVectorOutput(port, builder, scenario.period)

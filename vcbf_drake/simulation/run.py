@@ -22,6 +22,7 @@ from vcbf_drake.safety import (
     unpack_feasible_set,
 )
 from vcbf_drake.simulation.audit import audit_findings, reasons_against
+from vcbf_drake.simulation.faults import fault_assumptions
 from vcbf_drake.simulation.loop import (
     COLLISION_MONITOR,
     LOG_PREFIX,
@@ -107,13 +108,14 @@ def loop_assumptions(
 ) -> tuple[Assumption, ...]:
     """Returns the hypotheses with the numbers of a loop, at what its context holds."""
     safety_filter: SafetyFilter = diagram.GetSubsystemByName("filter")
-    return assumptions(
+    found = assumptions(
         safety_filter,
         safety_filter.GetMyContextFromRoot(context),
         diagram.GetSubsystemByName("filter_observer"),
         scenario.period,
         measurement_noise(scenario, safety_filter.model),
     )
+    return (*found, *fault_assumptions(scenario.faults))
 
 
 def _advance(

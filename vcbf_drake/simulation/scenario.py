@@ -25,6 +25,7 @@ from vcbf_drake.plants.car import CarParameters
 from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.volume_barrier import VolumeBarrier
+from vcbf_drake.simulation.faults import Faults
 
 # Its module postpones annotations, which makes them strings.
 for _field in fields(VolumeBarrier):
@@ -209,6 +210,8 @@ class Scenario:
     integrator: Integrator = field(default_factory=Integrator)
     # Noise on the measured state.
     noise: MeasurementNoise = field(default_factory=MeasurementNoise)
+    # What is wrong with the loop, unknown to the filter.
+    faults: Faults = field(default_factory=Faults)
     # The same over LCM, with a vehicle in another process.
     hardware: Hardware = field(default_factory=Hardware)
 

@@ -37,6 +37,8 @@ def step_cpu_time(
             "reference": log["reference"][tick],
             "held_input": held,
         }
+        if "obstacles" in log:
+            values["obstacles"] = log["obstacles"][tick]
         for name, _ in observer_ports(safety_filter.model.num_disturbances):
             if safety_filter.HasInputPort(name):
                 values[name] = np.atleast_1d(log[name][tick])

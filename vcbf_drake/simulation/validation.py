@@ -203,6 +203,7 @@ def _check_sizes(scenario: Scenario) -> None:
     for index, row in enumerate(limits.A):
         _check_size(("input_set", "A", index), row, kind.inputs, "input")
     _check_size(("barrier", "gains"), scenario.barrier.gains, 2, "relative degree")
+    _check_fault_sizes(scenario, kind)
     if len(scenario.noise.std):
         _check_size(("noise", "std"), scenario.noise.std, kind.states, "state")
     for index, obstacle in enumerate(scenario.obstacles):
@@ -212,6 +213,25 @@ def _check_sizes(scenario: Scenario) -> None:
             _check_size(
                 (*path, "velocity"), obstacle.velocity, kind.dimensions, "dimension"
             )
+
+
+def _check_fault_sizes(scenario: Scenario, kind: PlantKind) -> None:
+    faults, path = scenario.faults, "faults"
+    if len(faults.measurement_bias):
+        _check_size(
+            (path, "measurement_bias"), faults.measurement_bias, kind.states, "state"
+        )
+    for index, gust in enumerate(faults.gusts):
+        _check_size(
+            (path, "gusts", index, "amplitude"),
+            gust.amplitude,
+            kind.disturbances,
+            "disturbed state",
+        )
+    if kind.name == "car":
+        _require(
+            faults.drag == 1.0, (path, "drag"), faults.drag, "1, for a car has no drag"
+        )
 
 
 def _check_size(path: KeyPath, value: Sequence[float], size: int, of: str) -> None:

@@ -1,0 +1,215 @@
+import numpy as np
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import BasicVector, DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import LogVectorOutput
+import pytest
+
+from vcbf_drake import ScenarioError, load_scenario, make_loop, simulate
+from vcbf_drake.safety import FilterStatus
+from vcbf_drake.simulation.sensor_faults import DelayedMeasurement, LostMeasurements
+
+BLIMP, CAR = "blimp-multiple-obstacles", "car-avoidance"
+PERIOD = 0.02
+FAULTS = {
+    "bias": "measurement_bias: [0.05, -0.05, 0.05, 0.02, 0, 0, 0, 0]",
+    "delay": "measurement_delay: 0.04",
+    "loss": "measurement_loss: 0.3",
+    "sight": "sight: 1.5",
+    "lag": "actuator_lag: 0.2",
+    "limit": "actuator_limit: 0.6",
+    "mass": "mass: 1.3",
+    "drag": "drag: 0.7",
+    "disturbance": "disturbance: 2.5",
+    "gust": "gusts: [{amplitude: [0.0, 0.5, 0.0], start: 1.0, duration: 0.5}]",
+    "solver": "solver_failure: 0.2",
+}
+
+
+def run(faults, scenario=BLIMP, duration=2.0):
+    overrides = (
+        f"{{infeasible: least_violation, duration: {duration}, faults: {{{faults}}}}}"
+    )
+    return simulate(load_scenario(scenario, overrides), step_time=False)
+
+
+@pytest.fixture(scope="module")
+def healthy():
+    return run("")
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_under_every_fault_inputs_are_legal_and_the_run_is_not_guaranteed(fault):
+    result = run(FAULTS[fault])
+    limits = result.scenario.input_set.input_set()
+    assert all(limits.contains(u) for u in result.log["input"])
+    assert np.isfinite(result.log["disturbance_estimate"]).all()
+    assert not result.summary["guaranteed"]
+    reasons = result.summary["reasons_against"]
+    assert any(reason.startswith("hypothesis: ") for reason in reasons)
+
+
+def test_without_faults_no_system_is_added():
+    def names(overrides):
+        loop = make_loop(load_scenario(BLIMP, overrides))
+        return {system.get_name() for system in loop.GetSystems()}
+
+    added = {
+        "bias": {"measurement_bias", "biased_state"},
+        "delay": {"delayed_measurement"},
+        "lag": {"actuator_lag"},
+        "limit": {"actuator_limit"},
+        "gust": {"undeclared_disturbance"},
+        "solver": set(),
+        "mass": set(),
+    }
+    for fault, systems in added.items():
+        assert names(f"{{faults: {{{FAULTS[fault]}}}}}") - names({}) == systems
+
+
+class Ramp(LeafSystem):
+    """x = (t + 1, -t), as a state would be."""
+
+    def __init__(self):
+        super().__init__()
+        self.DeclareVectorOutputPort("state", 2, self.calc)
+
+    def calc(self, context, output: BasicVector):
+        output.SetFromVector([context.get_time() + 1.0, -context.get_time()])
+
+
+def sampled(system):
+    builder = DiagramBuilder()
+    source = builder.AddSystem(Ramp())
+    builder.AddSystem(system)
+    builder.Connect(source.get_output_port(), system.get_input_port())
+    log = LogVectorOutput(system.get_output_port(), builder, PERIOD)
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(2.0)
+    found = log.FindLog(simulator.get_context())
+    return found.sample_times(), found.data()
+
+
+@pytest.mark.parametrize(("delay", "ticks"), [(0.04, 2), (0.05, 3), (PERIOD, 1)])
+def test_a_measurement_arrives_as_late_as_asked(delay, ticks):
+    time, data = sampled(DelayedMeasurement(2, PERIOD, delay))
+    sent = np.maximum(time - ticks * PERIOD, 0.0)
+    np.testing.assert_allclose(data, [sent + 1.0, -sent], atol=1e-12)
+
+
+def test_a_lost_measurement_is_the_last_one_that_arrived():
+    time, data = sampled(LostMeasurements(2, PERIOD, 0.4, seed=3))
+    arrived = np.isclose(data[0], time + 1.0)
+    assert arrived[0] and 0.45 < arrived.mean() < 0.75
+    last = np.maximum.accumulate(np.where(arrived, time, 0.0))
+    np.testing.assert_allclose(data, [last + 1.0, -last], atol=1e-12)
+
+
+def test_what_is_lost_is_the_same_for_everybody_at_a_tick():
+    system = LostMeasurements(1, PERIOD, 0.5, seed=1)
+    context = system.CreateDefaultContext()
+    system.get_input_port().FixValue(context, [7.0])
+    for tick in range(20):
+        context.SetTime(tick * PERIOD)
+        before = system.get_output_port().Eval(context).copy()
+        update = system.AllocateDiscreteVariables()
+        system.CalcForcedDiscreteVariableUpdate(context, update)
+        context.SetDiscreteState(update)
+        np.testing.assert_array_equal(system.get_output_port().Eval(context), before)
+        system.get_input_port().FixValue(context, [float(tick)])
+
+
+def test_the_true_plant_is_heavier_and_the_model_is_not(healthy):
+    heavy = run(FAULTS["mass"], duration=PERIOD)
+    # At rest a force F accelerates by F / m: the speeds of the first tick tell.
+    u, d = heavy.log["input"][0], heavy.log["disturbance"][0]
+    np.testing.assert_array_equal(u, healthy.log["input"][0])
+    vertical = 4 + 2
+    speed = heavy.log["state"][1, vertical] - d[2] * PERIOD
+    light = healthy.log["state"][1, vertical] - d[2] * PERIOD
+    assert light / speed == pytest.approx(1.3, rel=0.02)
+
+
+def test_the_true_disturbance_is_the_scaled_one_with_its_gust(healthy):
+    faults = f"disturbance: 2.5, {FAULTS['gust']}"
+    found = run(faults).log
+    declared = healthy.log["disturbance"]
+    during = (found["time"] >= 1.0 - 1e-9) & (found["time"] < 1.5 - 1e-9)
+    gust = 0.5 * during[:, None] * np.array([0.0, 1.0, 0.0])
+    np.testing.assert_allclose(found["disturbance"], 2.5 * declared + gust, atol=1e-12)
+
+
+def plant_inputs(faults):
+    overrides = f"{{infeasible: least_violation, faults: {{{faults}}}}}"
+    scenario = load_scenario(BLIMP, overrides)
+    diagram = make_loop(scenario)
+    plant = diagram.GetSubsystemByName("plant")
+    hold = diagram.GetSubsystemByName("filter_hold")
+    simulator = Simulator(diagram)
+    context = simulator.get_mutable_context()
+    applied = []
+    for tick in range(1, 60):
+        simulator.AdvanceTo(tick * PERIOD - 1e-6)
+        held = hold.get_output_port().Eval(hold.GetMyContextFromRoot(context))
+        port = plant.GetInputPort("input")
+        applied.append((held, port.Eval(plant.GetMyContextFromRoot(context))))
+    return np.array(applied).transpose(1, 0, 2), scenario.input_set
+
+
+def test_actuators_reach_a_share_of_the_limits():
+    (held, applied), limits = plant_inputs("actuator_limit: 0.6")
+    low, high = 0.6 * np.array(limits.lower), 0.6 * np.array(limits.upper)
+    np.testing.assert_allclose(applied, np.clip(held, low, high), atol=1e-12)
+    assert np.abs(held - applied).max() > 0.01
+
+
+def test_actuators_follow_with_their_time_constant():
+    (held, applied), _ = plant_inputs("actuator_lag: 0.1")
+    decay = np.exp(-PERIOD / 0.1)
+    expected = np.zeros(3)
+    for k in range(len(held)):
+        expected = held[k] + (expected - held[k]) * decay
+        np.testing.assert_allclose(applied[k], expected, rtol=1e-3, atol=1e-5)
+
+
+def test_solvers_fail_at_the_share_asked_for_and_repeatably():
+    first, again = run(FAULTS["solver"]), run(FAULTS["solver"])
+    failed = first.log["status"] == FilterStatus.FAILED
+    assert 0.1 < failed.mean() < 0.3
+    np.testing.assert_array_equal(first.log["input"], again.log["input"])
+    assert first.summary["failed_ticks"] == failed.sum()
+
+
+def test_an_obstacle_has_no_row_until_it_is_near():
+    result = run("sight: 1.0", CAR, duration=6.0)
+    obstacle = result.scenario.obstacles[0]
+    away = result.log["state"][:, :2] - np.array(obstacle.center)
+    distance = np.linalg.norm(away, axis=1) - obstacle.radius
+    seen = distance <= 1.0
+    assert 0 < seen.sum() < len(seen)
+    np.testing.assert_array_equal(~np.isnan(result.log["barriers"][:, 0]), seen)
+    # The audit and the summary know of it all the same.
+    assert result.summary["min_barrier"] > 0.0
+    squared = np.sum(away**2, axis=1) - obstacle.radius**2
+    assert result.summary["audit"]["barrier"]["worst"] == pytest.approx(squared.min())
+
+
+@pytest.mark.parametrize(
+    ("faults", "problem"),
+    [
+        ("measurement_loss: 1.5", "faults.measurement_loss: 1.5; it must be from 0"),
+        ("measurement_delay: -1.0", "faults.measurement_delay: -1; it must be finite"),
+        ("actuator_limit: 0.0", "faults.actuator_limit: 0; it must be above 0"),
+        ("mass: 0.0", "faults.mass: 0; it must be finite and above 0"),
+        ("measurement_bias: [1.0]", r"faults.measurement_bias: \[1.0\]; it must be 8"),
+        ("gusts: [{amplitude: [1.0]}]", r"faults.gusts\[0\].amplitude: \[1.0\]"),
+        ("gust: 1", "faults.gust: unknown key; did you mean gusts"),
+    ],
+)
+def test_bad_faults_are_refused_by_name(faults, problem):
+    with pytest.raises(ScenarioError, match=problem):
+        load_scenario(BLIMP, f"{{faults: {{{faults}}}}}")
+
+
+def test_a_car_has_no_drag_to_be_wrong():
+    with pytest.raises(ScenarioError, match=r"faults\.drag: 0\.7; it must be 1"):
+        load_scenario(CAR, "{faults: {drag: 0.7}}")
