@@ -32,6 +32,8 @@ PROMISES = {
     "solver": "every answer was verified",
     "input": "the input is finite and inside its limits",
 }
+# What the theorems ask of a run rather than promise of it.
+CONDITIONS = ("slack", "feasible", "solver")
 BETWEEN_TICKS = "barrier between ticks"
 VOLUME_DECREASE = "volume decrease"
 AUTHORITY = "authority"

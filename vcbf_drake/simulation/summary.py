@@ -75,6 +75,7 @@ def summarise(
         "max_abs_slack": float(slack.max()),
         "slack_active_fraction": float(np.mean(slack > 0.0)),
         "ticks": len(log["status"]),
+        "final_status": int(log["status"][-1]),
         "relaxed_ticks": int(np.sum(log["status"] == FilterStatus.RELAXED)),
         "infeasible_ticks": int(np.sum(infeasible)),
         "failed_ticks": int(np.sum(log["status"] == FilterStatus.FAILED)),

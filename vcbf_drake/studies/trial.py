@@ -11,7 +11,7 @@ from vcbf_drake.simulation.run import simulate
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.scenario_file import load_scenario, merge_overrides
 from vcbf_drake.simulation.validation import validate
-from vcbf_drake.studies.variation import Courses, Variation
+from vcbf_drake.studies.variation import Draw, Variation
 
 Record = dict[str, Any]
 
@@ -23,6 +23,11 @@ _NUMBERS = (
     "min_barrier",
     "min_volume",
     "max_abs_slack",
+    "ticks",
+    "relaxed_ticks",
+    "infeasible_ticks",
+    "failed_ticks",
+    "final_status",
 )
 
 
@@ -43,7 +48,7 @@ class Trial:
     method: str
     index: int
     seed: int = 0
-    variation: Variation | Courses = field(default_factory=Variation)
+    variation: Draw = field(default_factory=Variation)
     overrides: str = ""
 
     @property
@@ -91,7 +96,7 @@ def run_trial(trial: Trial) -> Record:
     Returns:
         The trial's identity; the outcome and the numbers of the run's summary, the
         running time being the lesser of the duration and the first infeasible tick
-        (R47); the error, or None.
+        (R47); why it is not guaranteed; the error, or None.
     """
     try:
         scenario = trial.load()
@@ -104,6 +109,7 @@ def run_trial(trial: Trial) -> Record:
         **trial.identity,
         "outcome": summary["outcome"],
         **numbers,
+        "reasons_against": summary["reasons_against"],
         "error": None,
     }
 
@@ -118,7 +124,7 @@ def error_record(trial: Trial, error: str) -> Record:
     return {
         **trial.identity,
         "outcome": "error",
-        **dict.fromkeys(_NUMBERS),
+        **dict.fromkeys((*_NUMBERS, "reasons_against")),
         "error": error,
     }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -13,6 +13,23 @@ from vcbf_drake.studies.blimp_courses import blimp_course
 from vcbf_drake.studies.car_courses import car_course
 
 Range = tuple[float, float]
+
+
+class Draw(Protocol):
+    """What a study draws anew for every trial."""
+
+    @property
+    def name(self) -> str:
+        """What results call it."""
+
+    def draw(self, scenario: Scenario, seed: int, index: int) -> dict[str, Any]:
+        """Returns one draw, as overrides of the scenario.
+
+        Args:
+            scenario: The scenario around which to draw.
+            seed: The study's seed.
+            index: Which draw of the study.
+        """
 
 
 @dataclass(frozen=True)

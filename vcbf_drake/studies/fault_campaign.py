@@ -1,0 +1,210 @@
+"""The fault campaign: every fault, with and without the volume barrier."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from vcbf_drake.safety import FilterStatus
+from vcbf_drake.simulation.audit import CONDITIONS
+from vcbf_drake.simulation.loop import make_source
+from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.studies.trial import Record, Trial
+from vcbf_drake.studies.variation import TABLE_I
+
+METHODS = ("dob-cbf-qp", "dob-vcbf-qp")
+FIDELITIES = ("corrected", "paper")
+SCENARIOS = ("blimp-multiple-obstacles", "car-avoidance")
+
+Generator = np.random.Generator
+
+
+@dataclass(frozen=True)
+class FaultDraw:
+    """A fault, drawn anew for every trial, from a random start.
+
+    Attributes:
+        name: What results call it.
+        description: What is wrong, with its numbers.
+        overrides: Returns the scenario's overrides that make it so.
+    """
+
+    name: str
+    description: str
+    overrides: Callable[[Scenario, Generator], dict[str, Any]]
+
+    def draw(self, scenario: Scenario, seed: int, index: int) -> dict[str, Any]:
+        """Returns one draw, as overrides; see `Draw`.
+
+        Args:
+            scenario: The scenario around which to draw.
+            seed: The study's seed.
+            index: Which draw of the study.
+        """
+        start = TABLE_I[1].draw(scenario, seed, index)
+        return start | self.overrides(scenario, np.random.default_rng([seed, index, 1]))
+
+
+def _none(scenario: Scenario, generator: Generator) -> dict[str, Any]:
+    return {}
+
+
+def _noise(scenario: Scenario, generator: Generator) -> dict[str, Any]:
+    std = [0.005] * len(scenario.initial_state)
+    return {"noise": {"std": std, "seed": _seed(generator)}}
+
+
+def _bias(scenario: Scenario, generator: Generator) -> dict[str, Any]:
+    signs = generator.choice([-1.0, 1.0], len(scenario.initial_state))
+    return {"faults": {"measurement_bias": (0.02 * signs).tolist()}}
+
+
+def _delay(scenario: Scenario, generator: Generator) -> dict[str, Any]:
+    return {"faults": {"measurement_delay": 2.0 * scenario.period}}
+
+
+def _loss(scenario: Scenario, generator: Generator) -> dict[str, Any]:
+    return {"faults": {"measurement_loss": 0.1, "seed": _seed(generator)}}
+
+
+def _lag(scenario: Scenario, generator: Generator) -> dict[str, Any]:
+    return {"faults": {"actuator_lag": 0.1}}
+
+
+def _limit(scenario: Scenario, generator: Generator) -> dict[str, Any]:
+    return {"faults": {"actuator_limit": 0.8}}
+
+
+def _plant(scenario: Scenario, generator: Generator) -> dict[str, Any]:
+    mass, drag = generator.choice([0.7, 1.3], 2).tolist()
+    has_drag = hasattr(scenario.plant, "drag")
+    return {"faults": {"mass": mass, "drag": drag if has_drag else 1.0}}
+
+
+def _disturbance(scenario: Scenario, generator: Generator) -> dict[str, Any]:
+    return {"faults": {"disturbance": 2.0}}
+
+
+def _gust(scenario: Scenario, generator: Generator) -> dict[str, Any]:
+    source = make_source(scenario)
+    direction = generator.standard_normal(source.get_output_port().size())
+    amplitude = source.bounds.delta1 * direction / np.linalg.norm(direction)
+    start = float(generator.uniform(0.1, 0.6)) * scenario.duration
+    gust = {"amplitude": amplitude.tolist(), "start": start, "duration": 2.0}
+    return {"faults": {"gusts": [gust]}}
+
+
+def _sight(scenario: Scenario, generator: Generator) -> dict[str, Any]:
+    return {"faults": {"sight": 1.5}}
+
+
+def _solver(scenario: Scenario, generator: Generator) -> dict[str, Any]:
+    return {"faults": {"solver_failure": 0.05, "seed": _seed(generator)}}
+
+
+def _seed(generator: Generator) -> int:
+    return int(generator.integers(2**31))
+
+
+FAULTS = tuple(
+    FaultDraw(*each)
+    for each in (
+        ("none", "nothing is wrong", _none),
+        ("noise", "white noise of 0.005 (m, rad, m/s, rad/s) on every state", _noise),
+        ("bias", "every measured state off by 0.02, either way", _bias),
+        ("delay", "measurements two control periods old", _delay),
+        ("loss", "a tenth of the measurements lost, the last one stays", _loss),
+        ("lag", "actuators of first order, time constant 0.1 s", _lag),
+        ("limit", "actuators reach 80 % of the declared limits", _limit),
+        ("plant", "true mass and drag each 30 % above or below the model's", _plant),
+        ("disturbance", "the disturbance is twice what is declared", _disturbance),
+        ("gust", "a step of size delta1, 2 s long, in a random direction", _gust),
+        ("sight", "obstacles appear 1.5 m ahead", _sight),
+        ("solver", "the solvers fail at a twentieth of the ticks", _solver),
+    )
+)
+
+
+def fault_trials(
+    scenarios: Sequence[str], trials: int, seed: int = 0
+) -> dict[tuple[str, str, str, str], list[Trial]]:
+    """Returns the campaign's trials by (scenario, fault, method, fidelity).
+
+    Where no input is safe the least violation is applied, so that every run goes on and
+    shows whether it recovers.
+
+    Args:
+        scenarios: Names of shipped scenarios or paths of YAML files.
+        trials: How many of each kind; they share their draws.
+        seed: Of the draws.
+    """
+    return {
+        (scenario, fault.name, method, fidelity): [
+            Trial(
+                scenario,
+                method,
+                index,
+                seed,
+                fault,
+                f"{{fidelity: {fidelity}, infeasible: least_violation}}",
+            )
+            for index in range(trials)
+        ]
+        for scenario in scenarios
+        for fault in FAULTS
+        for method in METHODS
+        for fidelity in FIDELITIES
+    }
+
+
+def summarise_faults(records: Sequence[Record]) -> dict[str, Any]:
+    """Returns what a fault did to one method, over its trials.
+
+    Args:
+        records: Of one kind of trial.
+    """
+    ended = [each for each in records if each["error"] is None]
+    ticks = sum(each["ticks"] for each in ended)
+    bad = [each for each in ended if each["infeasible_ticks"] + each["failed_ticks"]]
+    return {
+        "trials": len(records),
+        "errors": len(records) - len(ended),
+        "reached": sum(each["outcome"] == "reached" for each in ended),
+        "collisions": sum(each["outcome"] == "collision" for each in ended),
+        "runs_with_bad_ticks": len(bad),
+        "recovered": sum(map(_recovered, bad)),
+        **{
+            f"{name}_share": sum(each[f"{name}_ticks"] for each in ended)
+            / max(ticks, 1)
+            for name in ("relaxed", "infeasible", "failed")
+        },
+        "least_barrier": min((each["min_barrier"] for each in ended), default=None),
+        "illegal_inputs": _count(ended, "audit: input"),
+        "guaranteed": sum(not each["reasons_against"] for each in ended),
+        "inside_assumptions": sum(map(_is_inside, ended)),
+        "broken_inside": sum(
+            _is_inside(each) and bool(each["reasons_against"]) for each in ended
+        ),
+    }
+
+
+def _recovered(record: Record) -> bool:
+    """Whether the last tick was a good one again, without a collision before."""
+    good = record["final_status"] < FilterStatus.INFEASIBLE
+    return bool(good and record["outcome"] != "collision")
+
+
+def _is_inside(record: Record) -> bool:
+    """Whether every hypothesis held, and all that the theorems ask of a run."""
+    asked = [f"audit: {name}" for name in CONDITIONS]
+    return not any(
+        reason.startswith("hypothesis: ") or reason in asked
+        for reason in record["reasons_against"]
+    )
+
+
+def _count(records: Sequence[Record], reason: str) -> int:
+    return sum(reason in each["reasons_against"] for each in records)

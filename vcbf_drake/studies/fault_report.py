@@ -1,0 +1,108 @@
+"""The fault campaign in words and tables, as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from vcbf_drake.studies.fault_campaign import FAULTS
+
+Kind = tuple[str, str, str, str]
+
+_COLUMNS = {
+    "reached": "reached",
+    "collisions": "collided",
+    "relaxed_share": "relaxed ticks",
+    "infeasible_share": "infeasible ticks",
+    "failed_share": "failed ticks",
+    "runs_with_bad_ticks": "runs with such ticks",
+    "recovered": "of them recovered",
+    "least_barrier": "least h",
+    "guaranteed": "called guaranteed",
+}
+
+
+def headline(summaries: Mapping[Kind, Mapping[str, Any]]) -> list[str]:
+    """Returns the campaign's main findings, one sentence each.
+
+    Args:
+        summaries: What `summarise_faults` returns, for each kind of trial.
+    """
+
+    def total(name: str) -> int:
+        return sum(int(each[name]) for each in summaries.values())
+
+    return [
+        f"{total('trials')} runs, {total('errors')} ended in an error.",
+        f"{total('illegal_inputs')} runs had an input that was not finite or outside its"
+        " limits.",
+        f"{total('inside_assumptions')} runs were inside the assumptions;"
+        f" {total('broken_inside')} of them broke a promise.",
+        f"{_guaranteed_under_fault(summaries)} runs under a fault were called guaranteed.",
+    ]
+
+
+def campaign_markdown(
+    summaries: Mapping[Kind, Mapping[str, Any]], trials: int, seed: int, command: str
+) -> str:
+    """Returns the campaign's page.
+
+    Args:
+        summaries: What `summarise_faults` returns, for each kind of trial.
+        trials: How many of each kind.
+        seed: Of the draws.
+        command: The command that makes this page.
+    """
+    scenarios = list(dict.fromkeys(kind[0] for kind in summaries))
+    lines = [
+        "# Faults in the loop",
+        "",
+        f"Made by `{command}`: {trials} trials of each fault, method and fidelity, from"
+        f" random starts (seed {seed}).",
+        "All kinds share their draws. Where no input is safe the input of least",
+        "violation is applied, so that a run goes on until it collides or its time is",
+        "over; it *recovered* when its last tick was a good one and it did not collide.",
+        "",
+        *(f"* {sentence}" for sentence in headline(summaries)),
+        "",
+        "A run is *inside the assumptions* when every hypothesis of `vcbf-drake check`",
+        "held, every tick had a feasible input and a verified answer, and the volume",
+        "row never gave way: what the theorems ask of it. What they promise then are",
+        "the error bound, the disturbance terms, the true rows, h and its chain, and V_v.",
+        "",
+        "| fault | what is wrong |",
+        "| --- | --- |",
+        *(f"| {fault.name} | {fault.description} |" for fault in FAULTS),
+    ]
+    for scenario in scenarios:
+        chosen = {kind: each for kind, each in summaries.items() if kind[0] == scenario}
+        lines += ["", f"## {scenario}", "", *_table(chosen)]
+    return "\n".join(lines) + "\n"
+
+
+def _table(summaries: Mapping[Kind, Mapping[str, Any]]) -> Iterator[str]:
+    titles = ["fault", "method", "fidelity", *_COLUMNS.values()]
+    yield _row(titles)
+    yield _row(["---"] * 3 + ["---:"] * len(_COLUMNS))
+    for (_, *kind), summary in summaries.items():
+        yield _row([*kind, *(_cell(name, summary[name]) for name in _COLUMNS)])
+
+
+def _row(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _cell(name: str, value: float | None) -> str:
+    if value is None:
+        return "-"
+    if name.endswith("_share"):
+        return f"{100.0 * value:.1f} %"
+    return f"{value:.3f}" if name == "least_barrier" else str(value)
+
+
+def _guaranteed_under_fault(summaries: Mapping[Kind, Mapping[str, Any]]) -> int:
+    return sum(
+        int(each["guaranteed"])
+        for (_, fault, *_), each in summaries.items()
+        if fault != FAULTS[0].name
+    )
