@@ -34,11 +34,12 @@ def headline(summaries: Mapping[Kind, Mapping[str, Any]]) -> list[str]:
 
     return [
         f"{total('trials')} runs, {total('errors')} ended in an error.",
-        f"{total('illegal_inputs')} runs had an input that was not finite or outside its"
-        " limits.",
+        f"{total('illegal_inputs')} runs had an input that was not finite or outside"
+        " its limits.",
         f"{total('inside_assumptions')} runs were inside the assumptions;"
         f" {total('broken_inside')} of them broke a promise.",
-        f"{_guaranteed_under_fault(summaries)} runs under a fault were called guaranteed.",
+        f"{_guaranteed_under_fault(summaries)} runs under a fault were called"
+        " guaranteed.",
     ]
 
 
@@ -61,14 +62,15 @@ def campaign_markdown(
         f" random starts (seed {seed}).",
         "All kinds share their draws. Where no input is safe the input of least",
         "violation is applied, so that a run goes on until it collides or its time is",
-        "over; it *recovered* when its last tick was a good one and it did not collide.",
+        "over; it *recovered* when its last tick was a good one and it did not",
+        "collide.",
         "",
         *(f"* {sentence}" for sentence in headline(summaries)),
         "",
         "A run is *inside the assumptions* when every hypothesis of `vcbf-drake check`",
         "held, every tick had a feasible input and a verified answer, and the volume",
         "row never gave way: what the theorems ask of it. What they promise then are",
-        "the error bound, the disturbance terms, the true rows, h and its chain, and V_v.",
+        "the error bound, the disturbance terms, the true rows, h and its chain, V_v.",
         "",
         "| fault | what is wrong |",
         "| --- | --- |",
