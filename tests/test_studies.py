@@ -59,6 +59,16 @@ def plan(count: int, **fields: Any) -> list[Trial]:
     ]
 
 
+TICKS = {
+    "ticks": 1001,
+    "relaxed_ticks": 3,
+    "infeasible_ticks": 0,
+    "failed_ticks": 1,
+    "final_status": 1,
+    "reasons_against": ["audit: slack"],
+}
+
+
 def stand_in_summary(scenario: Scenario) -> dict[str, Any]:
     """Made up, and different for every draw."""
     stays_feasible = scenario.method == "dob-vcbf-qp"
@@ -72,6 +82,7 @@ def stand_in_summary(scenario: Scenario) -> dict[str, Any]:
         "min_barrier": 0.1,
         "min_volume": float("nan"),
         "max_abs_slack": 0.0,
+        **TICKS,
     }
 
 
@@ -197,6 +208,7 @@ def test_a_record_is_plain_and_strict_json() -> None:
         "min_barrier": 0.1,
         "min_volume": None,
         "max_abs_slack": 0.0,
+        **TICKS,
         "error": None,
     }
     json.dumps(record, allow_nan=False)
