@@ -127,7 +127,17 @@ def test_help_imports_nothing_heavy() -> None:
 
 
 @pytest.mark.parametrize(
-    "command", ["list", "run", "compare", "check", "diagram", "monte-carlo", "bench"]
+    "command",
+    [
+        "list",
+        "run",
+        "compare",
+        "check",
+        "diagram",
+        "monte-carlo",
+        "reliability",
+        "bench",
+    ],
 )
 def test_help_lists_commands(command: str) -> None:
     assert command in invoke("--help").output

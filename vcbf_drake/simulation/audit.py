@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+import math
 from typing import Any
 
 import numpy as np
@@ -121,12 +122,11 @@ class Audit(LeafSystem):
         known, d, u = self._known(seen), seen["disturbance"], seen["input"]
         rows = self._barriers.rows(seen["state"], context.get_time())
         status, along = seen["status"][0], rows.w @ d
-        volume = slack = np.nan
+        volume = slack = math.nan
         if self._method.volume:
-            volume, slack = (
-                np.nan_to_num(seen["volume"][0], nan=-np.inf),
-                seen["slack"][0],
-            )
+            volume, slack = seen["volume"][0], seen["slack"][0]
+            # Promised, but it could not be found.
+            volume = -math.inf if math.isnan(volume) else volume
         output.SetFromVector(
             [
                 known.bound - float(np.linalg.norm(d - known.estimate)),

@@ -5,9 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from vcbf_drake.simulation.audit import CONDITIONS, PROMISES
 from vcbf_drake.studies.fault_campaign import FAULTS
 
 Kind = tuple[str, str, str, str]
+
+_HOW = """\
+All kinds share their draws. Where no input is safe
+the input of least violation is applied, so that a run goes on until it collides or its
+time is over; it *recovered* when its last tick was a good one and it did not collide."""
+
+_MEANING = """\
+A run is *guaranteed* when every hypothesis of `vcbf-drake check` held and the audit,
+which knows the truth of the simulation, found every promise below kept at every tick. It
+is *inside the assumptions* when the hypotheses held and with them what the theorems ask
+of a run as it goes; the other promises are then theirs. The labels are those of
+[theory.md](theory.md)."""
 
 _COLUMNS = {
     "reached": "reached",
@@ -54,29 +67,25 @@ def campaign_markdown(
         seed: Of the draws.
         command: The command that makes this page.
     """
-    scenarios = list(dict.fromkeys(kind[0] for kind in summaries))
     lines = [
         "# Faults in the loop",
         "",
         f"Made by `{command}`: {trials} trials of each fault, method and fidelity, from"
-        f" random starts (seed {seed}).",
-        "All kinds share their draws. Where no input is safe the input of least",
-        "violation is applied, so that a run goes on until it collides or its time is",
-        "over; it *recovered* when its last tick was a good one and it did not",
-        "collide.",
+        f" random starts (seed {seed}). {_HOW}",
         "",
         *(f"* {sentence}" for sentence in headline(summaries)),
         "",
-        "A run is *inside the assumptions* when every hypothesis of `vcbf-drake check`",
-        "held, every tick had a feasible input and a verified answer, and the volume",
-        "row never gave way: what the theorems ask of it. What they promise then are",
-        "the error bound, the disturbance terms, the true rows, h and its chain, V_v.",
+        _MEANING,
+        "",
+        "| watched at every tick | what is meant | |",
+        "| --- | --- | --- |",
+        *(_row([name, text, _role(name)]) for name, text in PROMISES.items()),
         "",
         "| fault | what is wrong |",
         "| --- | --- |",
-        *(f"| {fault.name} | {fault.description} |" for fault in FAULTS),
+        *(_row([fault.name, fault.description]) for fault in FAULTS),
     ]
-    for scenario in scenarios:
+    for scenario in dict.fromkeys(kind[0] for kind in summaries):
         chosen = {kind: each for kind, each in summaries.items() if kind[0] == scenario}
         lines += ["", f"## {scenario}", "", *_table(chosen)]
     return "\n".join(lines) + "\n"
@@ -90,8 +99,13 @@ def _table(summaries: Mapping[Kind, Mapping[str, Any]]) -> Iterator[str]:
         yield _row([*kind, *(_cell(name, summary[name]) for name in _COLUMNS)])
 
 
+def _role(promise: str) -> str:
+    return "asked for" if promise in CONDITIONS else "promised"
+
+
 def _row(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cells)} |"
+    # A bar would end its cell.
+    return f"| {' | '.join(cell.replace('|', '&#124;') for cell in cells)} |"
 
 
 def _cell(name: str, value: float | None) -> str:
