@@ -114,7 +114,9 @@ def _known_start(noise: float) -> Assumption:
 def _equations_as_proven(safety_filter: SafetyFilter) -> Iterator[Assumption]:
     """What the published equations leave out and a proof needs."""
     method, applied = safety_filter.method, safety_filter.corrections
-    if method.disturbance == "estimated" and not applied.error_floor:
+    if method.disturbance != "estimated":
+        return
+    if not applied.error_floor:
         yield Assumption(
             "floor of the error bound",
             "the error bound contains what sampling costs (E39), (R49)",

@@ -11,15 +11,16 @@ from vcbf_drake.studies.fault_campaign import FAULTS
 Kind = tuple[str, str, str, str]
 
 _HOW = """\
-All kinds share their draws. Where no input is safe
-the input of least violation is applied, so that a run goes on until it collides or its
-time is over; it *recovered* when its last tick was a good one and it did not collide."""
+All kinds share their draws.
+Where no input is safe the input of least violation is applied, so that a run goes on
+until it collides or its time is over; it *recovered* when its last tick was a good one
+and it did not collide."""
 
 _MEANING = """\
 A run is *guaranteed* when every hypothesis of `vcbf-drake check` held and the audit,
-which knows the truth of the simulation, found every promise below kept at every tick. It
-is *inside the assumptions* when the hypotheses held and with them what the theorems ask
-of a run as it goes; the other promises are then theirs. The labels are those of
+which knows the truth of the simulation, found every promise below kept at every tick.
+It is *inside the assumptions* when the hypotheses held and with them what the theorems
+ask of a run as it goes; the other promises are then theirs. The labels are those of
 [theory.md](theory.md)."""
 
 _COLUMNS = {
