@@ -138,6 +138,7 @@ def test_the_volume_is_compared_with_what_its_row_allows():
         "volume": 0.5 * np.exp(-gain * period * np.arange(ticks)),
         "audit": np.zeros((ticks, len(PROMISES))),
         "authority": np.ones((ticks, 1)),
+        "barriers": np.ones((ticks, 1)),
     }
     log["volume"][3] -= 0.001
     finding = audit_findings(log, log["time"], np.ones((ticks, 1)), gain)[

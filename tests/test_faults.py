@@ -187,6 +187,7 @@ def test_an_obstacle_has_no_row_until_it_is_near():
     seen = distance <= 1.0
     assert 0 < seen.sum() < len(seen)
     np.testing.assert_array_equal(~np.isnan(result.log["barriers"][:, 0]), seen)
+    assert result.summary["rows_without_authority"] == []
     # The audit and the summary know of it all the same.
     assert result.summary["min_barrier"] > 0.0
     squared = np.sum(away**2, axis=1) - obstacle.radius**2

@@ -184,9 +184,20 @@ def audit_findings(
     found[AUTHORITY] = _information(
         "every row has an input that moves it (R33)",
         times,
-        _least_of_each(log["authority"]) - LEAST_AUTHORITY,
+        _least_of_each(authority(log)) - LEAST_AUTHORITY,
     )
     return found
+
+
+def authority(log: Mapping[str, Array]) -> Array:
+    """Returns how far the inputs moved each row, infinite for a slot without obstacle.
+
+    Args:
+        log: The arrays of the log, one row a control tick.
+    """
+    moved = log["authority"]
+    is_empty = (moved == 0.0) & np.isnan(log["barriers"])
+    return np.where(is_empty, np.inf, moved)
 
 
 def reasons_against(

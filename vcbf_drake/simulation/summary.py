@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vcbf_drake.errors import Array
 from vcbf_drake.safety import FilterStatus, SafetyFilter
 from vcbf_drake.safety.add_safety_filter import STOP_MONITOR
-from vcbf_drake.simulation.audit import LEAST_AUTHORITY
+from vcbf_drake.simulation.audit import LEAST_AUTHORITY, authority
 from vcbf_drake.simulation.loop import COLLISION_MONITOR
 from vcbf_drake.simulation.scenario import Scenario
 
@@ -86,7 +86,7 @@ def summarise(
 
 def _without_authority(safety_filter: SafetyFilter, log: dict[str, Array]) -> list[str]:
     """The barriers whose rows no input could move at some tick (R33), by name."""
-    lost = np.min(log["authority"], axis=0) <= LEAST_AUTHORITY
+    lost = np.min(authority(log), axis=0) <= LEAST_AUTHORITY
     return [
         name
         for name, is_lost in zip(

@@ -135,7 +135,19 @@ def _remark(stage: Stage) -> str:
     name = stage.geometry.vehicle
     pale = "Pale: the other methods. " if len(stage.runs) > 1 else ""
     scale = f" It is drawn at 1:{stage.fraction}." if stage.fraction > 1 else ""
-    return f"{pale}The {name}'s centre must stay outside the obstacles.{scale}"
+    outside = f"The {name}'s centre must stay outside the obstacles."
+    return f"{pale}{outside}{scale}{_verdict(stage.runs[-1])}"
+
+
+def _verdict(run: Run) -> str:
+    """What the audit says of a run; nothing where there was none."""
+    reasons = run.result.summary.get("reasons_against")
+    if reasons is None:
+        return ""
+    if not reasons:
+        return f" {run.label}: guaranteed, every promise kept."
+    more = f" and {len(reasons) - 1} more" if len(reasons) > 1 else ""
+    return f" {run.label}: not guaranteed ({reasons[0]}{more})."
 
 
 def _words(stage: Stage) -> tuple[str, str]:
