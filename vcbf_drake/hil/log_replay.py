@@ -162,17 +162,19 @@ class _Account:
         log = self.recorder.log()
         times = np.array([state.time for state in self._path])
         path = np.array([state.state for state in self._path])
-        ending = _ending(safety_filter, times, path)
-        summary = summarise(self._scenario, safety_filter, log, times, path, ending)
+        heights = safety_filter.barrier_set.values_along(path, times)
+        ending = _ending(times, heights)
+        summary = summarise(
+            self._scenario, safety_filter, log, times, path, heights, ending
+        )
         summary["assumptions"] = [vars(assumption) for assumption in self._assumptions]
         summary["step_cpu_ms"] = step_cpu_time(safety_filter, log)
         summary["real_time_factor"] = _rate(self._path[0], self._path[-1])
         return Result(self._scenario, summary, log)
 
 
-def _ending(safety_filter: SafetyFilter, times: Array, path: Array) -> Ending:
+def _ending(times: Array, heights: Array) -> Ending:
     """The first state where a barrier is not positive, or the last state."""
-    heights = safety_filter.barrier_set.values_along(path, times)
     hits = np.flatnonzero(np.any(heights <= 0.0, axis=1))
     if len(hits):
         return Ending(float(times[hits[0]]), COLLISION_MONITOR)

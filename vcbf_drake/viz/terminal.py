@@ -31,6 +31,8 @@ _VERDICTS = {
 }
 # What 80 columns leave to the methods, beside the labels.
 _METHODS_WIDTH = 66
+# A log from hardware does not know the truth.
+_GUARANTEED = {True: "yes", False: "no", None: "-"}
 
 
 def progress_bar() -> Progress:
@@ -96,7 +98,7 @@ def _cells(summary: Mapping[str, Any]) -> dict[str, str | Text]:
         "reached s": number_text(summary["reached_at"]),
         "infeasible s": number_text(summary["infeasible_at"]),
         "collided s": number_text(summary["collided_at"]),
-        "guaranteed": "yes" if summary.get("guaranteed") else "no",
+        "guaranteed": _GUARANTEED[summary.get("guaranteed")],
         "min h": number_text(summary["min_barrier"]),
         "min V_v": number_text(summary["min_volume"]),
         "max |slack|": number_text(summary["max_abs_slack"]),
