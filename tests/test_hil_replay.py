@@ -165,7 +165,7 @@ def test_the_result_of_a_log_is_that_of_the_simulation(tmp_path) -> None:
     found, expected = replay_log(path).result, simulate(loaded)
     ticks = len(found.log["time"])
     assert ticks >= len(expected.log["time"]) - 1
-    assert found.log.keys() == expected.log.keys()
+    assert found.log.keys() == expected.log.keys() - {"audit"}
     for name in found.log.keys() - {"disturbance"}:
         np.testing.assert_allclose(
             found.log[name], expected.log[name][:ticks], atol=2e-7, err_msg=name
@@ -175,7 +175,8 @@ def test_the_result_of_a_log_is_that_of_the_simulation(tmp_path) -> None:
     np.testing.assert_allclose(found.log["disturbance"][1:-1, 0], true, atol=1e-4)
     assert np.ptp(true) > 0.05
     measured = {"step_cpu_ms", "real_time_factor", "assumptions"}
-    for name in expected.summary.keys() - measured:
+    audited = {"audit", "guaranteed", "reasons_against"}  # Needs the truth.
+    for name in expected.summary.keys() - measured - audited:
         same = found.summary[name] == expected.summary[name]
         close = name in ("min_barrier", "final_distance", "min_volume", "reached_at")
         assert same or close, name
