@@ -72,7 +72,8 @@ def make_loop(
     tick, and ``log_path`` the true state at every integrator step. The diagram ends a
     simulation at a collision and, with the policy ``stop``, at an infeasible tick.
     The controller compensates the estimate only for the methods that have one; the
-    observer runs, and is logged, with every method.
+    observer runs, and is logged, with every method. The system audit watches what the
+    filter promises. The scenario's faults are further systems, named after them.
 
     Args:
         scenario: A validated scenario.

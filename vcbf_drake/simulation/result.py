@@ -28,7 +28,7 @@ class Result:
             (T, q), error_bound, slack, volume and status (T,), barriers and
             authority (T, N),
             polytope_A (T, rows, m), polytope_b (T, rows), ellipsoid_shape (T, m, m),
-            ellipsoid_center (T, m).
+            ellipsoid_center (T, m), audit (T, P), the margins of `PROMISES`.
     """
 
     scenario: Scenario
