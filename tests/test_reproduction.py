@@ -368,6 +368,12 @@ def summary(outcome="reached", **numbers):
         "min_volume": 0.1,
         "max_abs_slack": 0.0,
         "final_distance": 3.0,
+        "ticks": 1001,
+        "relaxed_ticks": 0,
+        "infeasible_ticks": 0,
+        "failed_ticks": 0,
+        "final_status": 1,
+        "reasons_against": [],
         **numbers,
     }
 
