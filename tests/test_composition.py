@@ -16,6 +16,7 @@ from pydrake.systems.controllers import (
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import (
     ConstantVectorSource,
+    FirstOrderTaylorApproximation,
     LinearSystem,
     LogVectorOutput,
     MatrixGain,
@@ -130,6 +131,32 @@ def test_a_guarded_plant_is_a_diagram_like_any_other():
     flat, nested = run((add_loop, "blimp")), run((add_nested_loop, "blimp"))
     for one, other in zip(flat[0], nested[0], strict=True):
         assert np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("make_plant", [Blimp, Car])
+def test_drake_linearises_the_plants(make_plant):
+    """Against central differences of the model that the filter derives."""
+    plant = make_plant()
+    model = ControlAffineModel.from_system(plant)
+    n, m = model.num_states, model.num_inputs
+    rng = np.random.default_rng(7)
+    x, u = rng.uniform(0.2, 0.8, n), rng.uniform(-0.1, 0.1, m)
+    context = plant.CreateDefaultContext()
+    context.SetContinuousState(x)
+    plant.GetInputPort("input").FixValue(context, u)
+    linear = FirstOrderTaylorApproximation(
+        plant,
+        context,
+        plant.GetInputPort("input").get_index(),
+        plant.GetOutputPort("state").get_index(),
+    )
+
+    def rate(x):
+        return model.drift(x) + model.input_matrix(x) @ u
+
+    slopes = [(rate(x + dx) - rate(x - dx)) / 2e-5 for dx in 1e-5 * np.eye(n)]
+    np.testing.assert_allclose(linear.A(), np.transpose(slopes), atol=1e-8)
+    np.testing.assert_allclose(linear.B(), model.input_matrix(x), atol=1e-12)
 
 
 def point_mass():
