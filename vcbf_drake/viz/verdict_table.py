@@ -12,6 +12,7 @@ from rich.text import Text
 _STYLES = {
     "reproduced": "green",
     "reproduced under stated conditions": "yellow",
+    "undecided": "yellow",
     "not reproduced": "red",
 }
 

@@ -22,12 +22,13 @@ class Finding(NamedTuple):
     """What the results say of a claim.
 
     Attributes:
-        holds: Whether the claim holds in the main setting.
+        holds: Whether the claim holds in the main setting; None when there are too few
+            trials to tell.
         everywhere: Whether it also holds in the settings that stand beside it.
         number: The numbers that say so.
     """
 
-    holds: bool
+    holds: bool | None
     everywhere: bool
     number: str
 
@@ -223,7 +224,7 @@ def runs_longer(data: Data, case: str) -> Finding:
     )
     return Finding(
         holds,
-        _is_above(own["interval"], other["interval"]),
+        _is_above(own["interval"], other["interval"]) is True,
         f"{number}; over random courses {_mean(own)} and {_mean(other)}",
     )
 
@@ -235,8 +236,10 @@ def gains_matter(data: Data) -> Finding:
         for case in ("case_1", "case_2")
     )
     return Finding(
-        _is_above(own_1["interval"], own_2["interval"])
-        and _is_above(other_1["interval"], other_2["interval"]),
+        _both(
+            _is_above(own_1["interval"], own_2["interval"]),
+            _is_above(other_1["interval"], other_2["interval"]),
+        ),
         True,
         f"T1 {_mean(own_1)} and {_mean(own_2)}, T2 {_mean(other_1)} and"
         f" {_mean(other_2)} in cases 1 and 2",
@@ -258,7 +261,7 @@ def infeasibility_is_rarer(data: Data) -> Finding:
     car, other_car = layouts[WITH], layouts[WITHOUT]
     return Finding(
         holds,
-        _is_above(other_car["interval"], car["interval"]),
+        _is_above(other_car["interval"], car["interval"]) is True,
         f"{number}; car, at some approach gain: {_share(car)} with,"
         f" {_share(other_car)} without",
     )
@@ -380,9 +383,23 @@ def _arrives(summary: Data) -> bool:
     return bool(summary["outcome"] == "reached" and summary["min_barrier"] > 0.0)
 
 
-def _is_above(interval: Any, other: Any) -> bool:
-    """Whether two intervals do not overlap and the first is the higher."""
-    return interval is not None and other is not None and interval[0] > other[1]
+def _is_above(interval: Any, other: Any) -> bool | None:
+    """Whether the first interval is the higher; None when they overlap."""
+    if interval is None or other is None:
+        return None
+    if interval[0] > other[1]:
+        return True
+    # Below, or two equal values without any spread: more trials change nothing.
+    if interval[1] < other[0] or (*interval, *other) == 4 * (interval[0],):
+        return False
+    return None
+
+
+def _both(first: bool | None, second: bool | None) -> bool | None:
+    """Kleene's "and": one that is false decides."""
+    if first is False or second is False:
+        return False
+    return None if first is None or second is None else True
 
 
 def _ending(summary: Data) -> str:

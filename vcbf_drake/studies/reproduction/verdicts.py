@@ -148,6 +148,7 @@ def verdicts(data: Data) -> list[Record]:
 
     ``reproduced``: the claim holds in the main setting and in those beside it.
     ``reproduced under stated conditions``: in the main setting only.
+    ``undecided``: the trials are too few to tell.
 
     Args:
         data: The results.
@@ -171,6 +172,8 @@ def _verdict(claim: Claim, data: Data) -> Record:
 
 
 def _found(finding: Finding) -> str:
+    if finding.holds is None:
+        return "undecided"
     if not finding.holds:
         return "not reproduced"
     if not finding.everywhere:

@@ -50,6 +50,7 @@ def page_html(
 _TONES = {
     "reproduced": "good",
     "reproduced under stated conditions": "fair",
+    "undecided": "fair",
     "not reproduced": "bad",
 }
 _SHORT = 16  # A table with so many rows is not broken across pages of paper.

@@ -9,7 +9,12 @@ from typing import Any
 from vcbf_drake.viz.report.document import Block, Column, Paragraph, Table
 from vcbf_drake.viz.report.reproduction import Reproduction
 
-VERDICTS = ("reproduced", "reproduced under stated conditions", "not reproduced")
+VERDICTS = (
+    "reproduced",
+    "reproduced under stated conditions",
+    "undecided",
+    "not reproduced",
+)
 
 
 def verdicts(claims: Sequence[Mapping[str, Any]], saved: Reproduction) -> list[Block]:
@@ -29,7 +34,8 @@ def verdicts(claims: Sequence[Mapping[str, Any]], saved: Reproduction) -> list[B
         Table(
             "The paper's claims in its order: what was found, the number that says so,"
             " and the command that shows it. Reproduced means in the main setting and"
-            " in those beside it; under stated conditions, in the main setting only.",
+            " in those beside it; under stated conditions, in the main setting only;"
+            " undecided, that the 95 % intervals of few trials overlap.",
             [
                 Column("claim"),
                 Column("in the paper"),
