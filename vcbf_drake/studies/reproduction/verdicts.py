@@ -6,8 +6,13 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-from vcbf_drake.studies.reproduction import judgements as judge
-from vcbf_drake.studies.reproduction.judgements import Data, Finding
+from vcbf_drake.studies.reproduction.judgements import (
+    car,
+    figure_1,
+    figure_2,
+    table_1,
+)
+from vcbf_drake.studies.reproduction.judgements.finding import Data, Finding
 from vcbf_drake.studies.trial import Record
 
 
@@ -32,113 +37,115 @@ CLAIMS = (
         "Nominal CBF does not stay safe",
         "Fig. 1(a)",
         ("test_1",),
-        judge.nominal_collides,
+        figure_1.nominal_collides,
     ),
     Claim(
         "The proposed method, DOB-CBF and robust CBF pass the sphere and arrive",
         "Fig. 1(a)",
         ("test_1",),
-        judge.others_arrive,
+        figure_1.others_arrive,
     ),
     Claim(
         "The proposed method has the lowest h of these, and h > 0",
         "Fig. 1(b)",
         ("test_1",),
-        judge.proposed_is_closest,
+        figure_1.proposed_is_closest,
     ),
     Claim(
         "The observer's estimate is accurate",
         "Fig. 1(c)",
         ("test_1",),
-        judge.estimate_is_accurate,
+        figure_1.estimate_is_accurate,
     ),
     Claim(
         "The estimate's error stays below δ1 exp(-λ_V t/2)",
         "Lemma 2",
         ("test_1", "test_2"),
-        judge.error_bound_holds,
+        figure_1.error_bound_holds,
     ),
     Claim(
         "The proposed method arrives; DOB-CBF stops part of the way",
         "Fig. 2(a)",
         ("test_2",),
-        judge.only_proposed_arrives,
+        figure_2.only_proposed_arrives,
     ),
-    Claim("The slack is zero", "Fig. 2(b)", ("test_2",), judge.slack_is_zero),
+    Claim("The slack is zero", "Fig. 2(b)", ("test_2",), figure_2.slack_is_zero),
     Claim(
         "V_v of the proposed method is always the higher",
         "Fig. 2(c)",
         ("test_2",),
-        judge.volume_is_higher,
+        figure_2.volume_is_higher,
     ),
-    Claim("V_v >= 0 all along", "Theorem 2", ("test_2",), judge.volume_stays_positive),
+    Claim(
+        "V_v >= 0 all along", "Theorem 2", ("test_2",), figure_2.volume_stays_positive
+    ),
     Claim(
         "A reference outside the set: the proposed method chooses an interior point,"
         " DOB-CBF one of the boundary",
         "Fig. 2(d)-(g)",
         ("test_2",),
-        judge.proposed_maps_to_the_interior,
+        figure_2.proposed_maps_to_the_interior,
     ),
     Claim(
         "The feasible set of DOB-CBF vanishes, that of the proposed method does not",
         "Fig. 2(f), (g)",
         ("test_2",),
-        judge.only_the_other_set_vanishes,
+        figure_2.only_the_other_set_vanishes,
     ),
     Claim(
         "T1 > T2 from random starts",
         "Table I, case 1",
         ("table_1",),
-        partial(judge.runs_longer, case="case_1"),
+        partial(table_1.runs_longer, case="case_1"),
     ),
     Claim(
         "T1 > T2 with random observer gains",
         "Table I, case 2",
         ("table_1",),
-        partial(judge.runs_longer, case="case_2"),
+        partial(table_1.runs_longer, case="case_2"),
     ),
     Claim(
         "Both running times are shorter in case 2 than in case 1",
         "Table I",
         ("table_1",),
-        judge.gains_matter,
+        table_1.gains_matter,
     ),
     Claim(
         "With the volume barrier the QP runs out of inputs more rarely",
         "the method's purpose",
         ("population_blimp",),
-        judge.infeasibility_is_rarer,
+        table_1.infeasibility_is_rarer,
     ),
     Claim(
         "The proposed method avoids the obstacle and arrives",
         "Fig. 3",
         ("car_1",),
-        judge.car_avoids,
+        car.car_avoids,
     ),
     Claim(
         "Robust CBF avoids it with a larger distance",
         "Fig. 3",
         ("car_1",),
-        judge.robust_goes_wide,
+        car.robust_goes_wide,
     ),
-    Claim("Nominal CBF collides", "Fig. 3", ("car_1",), judge.car_collides),
+    Claim("Nominal CBF collides", "Fig. 3", ("car_1",), car.car_collides),
     Claim(
         "With the volume barrier the QP is feasible at all five gains",
         "Fig. 4",
         ("car_2",),
-        judge.all_gains_stay_feasible,
+        car.all_gains_stay_feasible,
     ),
     Claim(
         "With the volume barrier the car arrives at all five gains",
         "Fig. 4",
         ("car_2",),
-        judge.all_gains_arrive,
+        car.all_gains_arrive,
     ),
     Claim(
         "Without it, k_p = 0.2 soon makes the QP infeasible",
         "Fig. 4",
         ("car_2",),
-        judge.slow_car_stops,
+        car.slow_car_stops,
     ),
 )
 
