@@ -116,5 +116,6 @@ def _margins(result: Result, name: str) -> Array:
 _DESCRIPTION = (
     "Start, target and all gains are the paper's; spheres, thrust limits and wind are"
     " ours: course 5 of the random ones, chosen because the outcome is the same from"
-    " all random starts. How often such courses occur is in population_blimp."
+    " all random starts; how often such courses occur stands under the unselected"
+    " layouts."
 )
