@@ -7,7 +7,7 @@ from vcbf_drake.barriers.barrier_set import BarrierSet
 from vcbf_drake.disturbances import DisturbanceBounds
 from vcbf_drake.plants import Car, ControlAffineModel
 from vcbf_drake.safety import FilterStatus, InputSet, SafetyFilter
-from vcbf_drake.simulation.audit import PROMISES, Audit, audit_findings
+from vcbf_drake.simulation.audit import PROMISES, audit_findings, audit_margins
 
 CAR = "car-avoidance"
 K1, K2, CENTER, RADIUS, MASS = 4.0, 3.0, np.array([3.0, 0.2]), 0.5, 2.0
@@ -45,7 +45,7 @@ def margins_by_hand(x, u, d, estimate, bound):
     }
 
 
-def audited(method, x, u, d, estimate=0.0, bound=0.0, **ports):
+def audited(method, x, u, d, estimate=0.0, bound=0.0, **logged):
     plant = Car()
     model = ControlAffineModel.from_system(plant)
     obstacle = SphereObstacle(CENTER, RADIUS).barrier(
@@ -54,17 +54,18 @@ def audited(method, x, u, d, estimate=0.0, bound=0.0, **ports):
     inputs = InputSet.box(-LIMIT, LIMIT)
     safety_filter = SafetyFilter(model, [obstacle], inputs, method=method)
     barriers = BarrierSet(model, [obstacle])
-    audit = Audit(safety_filter, barriers, DisturbanceBounds(0.8, 1.0, 1.0))
-    context = audit.CreateDefaultContext()
-    values = {
-        "state": x, "disturbance": [d], "input": u, "disturbance_estimate": [estimate],
-        "error_bound": [bound], "volume": [0.1], "slack": [0.0], "status": [0.0],
+    log = {
+        "time": 0.0, "state": x, "disturbance": [d], "input": u,
+        "disturbance_estimate": [estimate], "error_bound": bound, "volume": 0.1,
+        "slack": 0.0, "status": FilterStatus.FILTERED, **logged,
     }  # fmt: skip
-    for name in audit.inputs:
-        value = ports.get(name, values[name])
-        audit.GetInputPort(name).FixValue(context, np.array(value, float))
-    found = audit.GetOutputPort("margins").Eval(context)
-    return dict(zip(PROMISES, found, strict=True))
+    margins = audit_margins(
+        {name: np.array([value], float) for name, value in log.items()},
+        safety_filter,
+        barriers,
+        DisturbanceBounds(0.8, 1.0, 1.0),
+    )
+    return dict(zip(PROMISES, margins[0], strict=True))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -86,21 +87,22 @@ def test_a_method_is_held_to_what_it_takes_as_known():
 
 
 @pytest.mark.parametrize(
-    ("port", "value", "promise"),
+    ("name", "value", "promise"),
     [
-        ("status", [float(FilterStatus.INFEASIBLE)], "feasible"),
-        ("status", [float(FilterStatus.FAILED)], "solver"),
+        ("status", FilterStatus.INFEASIBLE, "feasible"),
+        ("status", FilterStatus.FAILED, "solver"),
         ("input", [3.0 + 1e-6, 0.0], "input"),
         ("input", [np.nan, 0.0], "input"),
-        ("slack", [-0.2], "slack"),
-        ("volume", [-0.01], "volume"),
-        ("volume", [np.nan], "volume"),
+        ("input", [-np.inf, 0.0], "input"),
+        ("slack", -0.2, "slack"),
+        ("volume", -0.01, "volume"),
+        ("volume", np.nan, "volume"),
     ],
 )
-def test_a_broken_promise_has_a_negative_margin(port, value, promise):
+def test_a_broken_promise_has_a_negative_margin(name, value, promise):
     x, u = np.array([0.0, 0.0, 0.2, 0.3]), np.zeros(2)
     kept = audited("dob-vcbf-qp", x, u, 0.0)
-    broken = audited("dob-vcbf-qp", x, u, 0.0, **{port: value})
+    broken = audited("dob-vcbf-qp", x, u, 0.0, **{name: value})
     assert kept[promise] >= 0.0 > broken[promise]
 
 

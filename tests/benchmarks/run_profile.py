@@ -13,7 +13,6 @@ from vcbf_drake.safety import safety_filter
 from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver
 from vcbf_drake.safety.infeasibility_monitor import InfeasibilityMonitor
 from vcbf_drake.simulation import run
-from vcbf_drake.simulation.audit import Audit
 from vcbf_drake.simulation.collision_monitor import CollisionMonitor
 
 PARTS = [
@@ -29,7 +28,7 @@ PARTS = [
     (DisturbanceObserver, "_calc_error_bound_rate", "observer"),
     (CollisionMonitor, "least_barrier", "collision witness"),
     (InfeasibilityMonitor, "_check", "infeasibility monitor"),
-    (Audit, "_calc_margins", "audit, without its rows"),
+    (run, "audit_margins", "audit"),
     (BarrierSet, "rows", "filter: rows"),
     (BarrierSet, "_gradients", "filter: gradient"),
     (SafetyFilter, "_calc_feasible_set", "filter: feasible set"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,3 +81,22 @@ class BarrierRows:
             tolerance: The least authority that counts, in units of b.
         """
         return self.authority(scale) <= tolerance
+
+
+class RowsAlong(NamedTuple):
+    """The rows of `BarrierRows` along a trajectory of T states.
+
+    Attributes:
+        value: h, shape (T, N).
+        chain: phi^0, phi^1, ..., shape (T, N, r + 1) with the largest r; nan beyond a
+            row's own phi^(r-1).
+        A: Shape (T, N, m).
+        b: Shape (T, N).
+        w: Shape (T, N, q).
+    """
+
+    value: Array
+    chain: Array
+    A: Array
+    b: Array
+    w: Array

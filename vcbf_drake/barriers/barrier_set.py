@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from vcbf_drake.barriers.barrier import Barrier
-from vcbf_drake.barriers.barrier_rows import BarrierRows
+from vcbf_drake.barriers.barrier_rows import BarrierRows, RowsAlong
 from vcbf_drake.barriers.input_limits import StateInputLimit
 from vcbf_drake.barriers.perceived_spheres import PerceivedBarrier
 from vcbf_drake.barriers.row_functions import (
@@ -150,19 +150,51 @@ class BarrierSet:
         Raises:
             ValueError: x, t or obstacles has another shape.
         """
-        x, t = np.asarray(x, dtype=float), np.asarray(t, dtype=float)
-        if t.ndim != 1 or x.shape != (len(t), self._num_states):
-            raise ValueError(
-                f"expected states of shape (T, {self._num_states}) and T times,"
-                f" got shapes {x.shape} and {t.shape}"
-            )
-        points = np.column_stack([x, t]).tolist()
+        points = self._points(x, t)
         perceived = [None] * len(t) if obstacles is None else obstacles
         values = [
             self._values(point, seen)
             for point, seen in zip(points, perceived, strict=True)
         ]
         return np.array(values, dtype=float).reshape(len(t), self.size)
+
+    def rows_along(self, x: Array, t: Array) -> RowsAlong:
+        """Returns every row along a trajectory, without perceived obstacles.
+
+        Args:
+            x: The states, shape (T, n).
+            t: The times, shape (T,) [s].
+
+        Raises:
+            ValueError: x or t has another shape.
+        """
+        lists = [
+            [
+                _evaluate(each.row, (*point, *each.constants), self._width)
+                for each in self._functions_at(point[-1], None)
+            ]
+            for point in self._points(x, t)
+        ]
+        numbers = np.array(lists, dtype=float).reshape(-1, self.size, self._width)
+        m, e = self._num_inputs, self._num_entries
+        return RowsAlong(
+            value=numbers[:, :, e],
+            chain=numbers[:, :, e:],
+            A=numbers[:, :, :m],
+            b=numbers[:, :, m],
+            w=numbers[:, :, m + 1 : e],
+        )
+
+    def _points(self, x: Array, t: Array) -> list[list[float]]:
+        """Returns [x; t] along a trajectory as plain floats."""
+        x, t = np.asarray(x, dtype=float), np.asarray(t, dtype=float)
+        if t.ndim != 1 or x.shape != (len(t), self._num_states):
+            raise ValueError(
+                f"expected states of shape (T, {self._num_states}) and T times,"
+                f" got shapes {x.shape} and {t.shape}"
+            )
+        points: list[list[float]] = np.column_stack([x, t]).tolist()
+        return points
 
     def _point(self, x: Array, t: float) -> list[float]:
         """Returns [x; t] as plain floats."""

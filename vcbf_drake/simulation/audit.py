@@ -1,26 +1,19 @@
-"""What a run promises, watched at every tick and judged at the end."""
+"""What a run promised, compared with the truth at every tick and judged."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-import math
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, InputPort, LeafSystem
+from numpy.typing import ArrayLike, NDArray
 
 from vcbf_drake.barriers import BarrierSet
 from vcbf_drake.disturbances import DisturbanceBounds
 from vcbf_drake.errors import Array
-from vcbf_drake.safety import (
-    Assumption,
-    DisturbanceKnowledge,
-    FilterStatus,
-    SafetyFilter,
-    disturbance_margin,
-)
+from vcbf_drake.safety import Assumption, FilterStatus, InputSet, SafetyFilter
 
-# What each element of the port `margins` is the margin of, in their order.
+# What `audit_margins` has a margin of, in its order.
 PROMISES = {
     "estimate": "|d - dhat| <= error bound (E39)",
     "disturbance term": "Lambda <= w'd in every row (E16)",
@@ -45,108 +38,58 @@ _ROUNDING = 1e-9
 LEAST_AUTHORITY = 1e-6
 
 
-class Audit(LeafSystem):
-    """Watches, with the truth that only a simulation knows, what the filter promises.
+def audit_margins(
+    log: Mapping[str, Array],
+    safety_filter: SafetyFilter,
+    barriers: BarrierSet,
+    bounds: DisturbanceBounds,
+) -> Array:
+    """Compares what the filter promised with what a simulation knows to be true.
 
-    .. pydrake_system::
+    Returns the margin of each of `PROMISES` at every tick, shape (T, P): negative where
+    it is broken, nan where the method does not promise it. A broken yes-or-no promise
+    has the margin -1.
 
-        name: Audit
-        input_ports:
-        - state
-        - disturbance
-        - disturbance_estimate (optional)
-        - error_bound (optional)
-        - input
-        - volume
-        - slack
-        - status
-        output_ports:
-        - margins
-
-    | port | size | what |
-    | --- | --- | --- |
-    | ``state`` | n | the true state |
-    | ``disturbance`` | q | the true disturbance [m/s^2] |
-    | ``margins`` | | of each of `PROMISES`: negative where it is broken, nan where |
-    | | | the method does not promise it |
-
-    The other ports are the filter's and the observer's; a method without an observer
-    has none of its ports. A broken yes-or-no promise has the margin -1. The system is
-    pure, and costs nothing where nobody asks for its output.
+    Args:
+        log: The arrays of the log, one row a control tick.
+        safety_filter: The filter that is watched.
+        barriers: What is truly there, whatever the filter perceives.
+        bounds: What is declared of the disturbance.
     """
+    estimate, bound = _known(log, safety_filter, bounds)
+    rows = barriers.rows_along(log["state"], log["time"])
+    status, error = log["status"], log["disturbance"] - estimate
+    along, w_norm = _each(rows.w, log["disturbance"]), np.linalg.norm(rows.w, axis=2)
+    certified = _each(rows.w, estimate) - w_norm * bound[:, None]
+    volume = slack = np.full(len(status), np.nan)
+    if safety_filter.method.volume:
+        # Promised, but it could not be found.
+        volume = np.where(np.isnan(log["volume"]), -np.inf, log["volume"])
+        slack = log["slack"]
+    margins = [
+        bound - np.linalg.norm(error, axis=1),
+        _least_of_each(along - certified),
+        _least_of_each(rows.b + along - _each(rows.A, log["input"])),
+        _least_of_each(rows.value),
+        _least_of_each(rows.chain[:, :, 1:]),
+        volume,
+        slack,
+        _yes_or_no(status != FilterStatus.INFEASIBLE),
+        _yes_or_no(status != FilterStatus.FAILED),
+        _yes_or_no(_are_inside(log["input"], safety_filter.input_set)),
+    ]
+    return np.column_stack(margins)
 
-    def __init__(
-        self,
-        safety_filter: SafetyFilter,
-        barriers: BarrierSet,
-        bounds: DisturbanceBounds,
-    ) -> None:
-        """Declares the ports.
 
-        Args:
-            safety_filter: The filter that is watched.
-            barriers: What is truly there, whatever the filter perceives.
-            bounds: What is declared of the disturbance.
-        """
-        super().__init__()
-        self._barriers = barriers
-        self._input_set = safety_filter.input_set
-        self._method = method = safety_filter.method
-        model = safety_filter.model
-        q = model.num_disturbances
-        bound = bounds.delta1 if method.disturbance == "worst_case" else 0.0
-        self._without_observer = DisturbanceKnowledge.constant(q, bound)
-        sizes = {
-            "state": model.num_states,
-            "disturbance": q,
-            "input": model.num_inputs,
-            "volume": 1,
-            "slack": 1,
-            "status": 1,
-        }
-        if method.disturbance == "estimated":
-            sizes |= {"disturbance_estimate": q, "error_bound": 1}
-        self._ports: dict[str, InputPort] = {
-            name: self.DeclareVectorInputPort(name, size)
-            for name, size in sizes.items()
-        }
-        self.DeclareVectorOutputPort("margins", len(PROMISES), self._calc_margins)
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The names of the input ports."""
-        return tuple(self._ports)
-
-    def _calc_margins(self, context: Context, output: BasicVector) -> None:
-        seen = {name: port.Eval(context) for name, port in self._ports.items()}
-        known, d, u = self._known(seen), seen["disturbance"], seen["input"]
-        rows = self._barriers.rows(seen["state"], context.get_time())
-        status, along = seen["status"][0], rows.w @ d
-        volume = slack = math.nan
-        if self._method.volume:
-            volume, slack = seen["volume"][0], seen["slack"][0]
-            # Promised, but it could not be found.
-            volume = -math.inf if math.isnan(volume) else volume
-        output.SetFromVector(
-            [
-                known.bound - float(np.linalg.norm(d - known.estimate)),
-                _least(along - disturbance_margin(rows, known)),
-                _least(rows.b + along - rows.A @ u),
-                _least(rows.value),
-                _least([phi for chain in rows.chain for phi in chain[1:].tolist()]),
-                volume,
-                slack,
-                _yes_or_no(status != FilterStatus.INFEASIBLE),
-                _yes_or_no(status != FilterStatus.FAILED),
-                _yes_or_no(self._input_set.contains(u)),
-            ]
-        )
-
-    def _known(self, seen: Mapping[str, Array]) -> DisturbanceKnowledge:
-        if "error_bound" not in seen:
-            return self._without_observer
-        estimate, bound = seen["disturbance_estimate"], float(seen["error_bound"][0])
-        return DisturbanceKnowledge(estimate, np.zeros_like(estimate), bound, 0.0, 0.0)
+def _known(
+    log: Mapping[str, Array], safety_filter: SafetyFilter, bounds: DisturbanceBounds
+) -> tuple[Array, Array]:
+    """What the method takes as known: the estimates (T, q) and their bounds (T,)."""
+    kind, d = safety_filter.method.disturbance, log["disturbance"]
+    if kind == "estimated":
+        return log["disturbance_estimate"], log["error_bound"]
+    bound = bounds.delta1 if kind == "worst_case" else 0.0
+    return np.zeros_like(d), np.full(len(d), bound)
 
 
 def audit_findings(
@@ -245,16 +188,27 @@ def _information(statement: str, times: Array, margins: Array) -> dict[str, Any]
     return _finding(statement, times, margins) | {"held": None}
 
 
-def _yes_or_no(kept: bool) -> float:
-    return 0.0 if kept else -1.0
+def _each(rows: Array, vectors: Array) -> Array:
+    """Every tick's rows (T, N, k) times its vector (T, k): shape (T, N)."""
+    return np.einsum("tnk,tk->tn", rows, vectors)
 
 
-def _least(values: Array | Sequence[float]) -> float:
-    """The least number; infinite when there is none."""
-    return float(np.fmin.reduce(np.asarray(values, dtype=float), initial=np.inf))
+@np.errstate(invalid="ignore")
+def _are_inside(inputs: Array, input_set: InputSet) -> NDArray[np.bool_]:
+    v = (inputs - input_set.center) / input_set.scale
+    reach = v @ input_set.A_normalised.T
+    inside: NDArray[np.bool_] = np.all(
+        reach <= input_set.b_normalised + _ROUNDING, axis=1
+    )
+    return inside
+
+
+def _yes_or_no(kept: ArrayLike) -> Array:
+    return np.where(kept, 0.0, -1.0)
 
 
 def _least_of_each(values: Array) -> Array:
-    """The least number of every row; infinite when there is none."""
-    least: Array = np.fmin.reduce(values, axis=1, initial=np.inf)
+    """The least number of every tick, (T,); infinite when there is none."""
+    flat = values.reshape(len(values), -1)
+    least: Array = np.fmin.reduce(flat, axis=1, initial=np.inf)
     return least

@@ -41,7 +41,6 @@ from vcbf_drake.safety import (
     InfeasiblePolicy,
     SafetyFilter,
 )
-from vcbf_drake.simulation.audit import Audit
 from vcbf_drake.simulation.collision_monitor import CollisionMonitor
 from vcbf_drake.simulation.faulty_loop import (
     faulty_actuator,
@@ -59,7 +58,6 @@ if TYPE_CHECKING:
 
 LOG_PREFIX = "log_"
 COLLISION_MONITOR = "collision_monitor"
-AUDIT = "audit"
 
 
 def make_loop(
@@ -72,8 +70,8 @@ def make_loop(
     tick, and ``log_path`` the true state at every integrator step. The diagram ends a
     simulation at a collision and, with the policy ``stop``, at an infeasible tick.
     The controller compensates the estimate only for the methods that have one; the
-    observer runs, and is logged, with every method. The system audit watches what the
-    filter promises. The scenario's faults are further systems, named after them.
+    observer runs, and is logged, with every method. The scenario's faults are further
+    systems, named after them.
 
     Args:
         scenario: A validated scenario.
@@ -111,7 +109,6 @@ def make_loop(
     if scenario.faults.sight > 0.0:
         truth = BarrierSet(model, barriers(scenario))
     add_collision_monitor(builder, plant, truth)
-    _add_audit(builder, simulated, truth, loop)
     _add_logs(builder, scenario, simulated, controller, loop)
     diagram = builder.Build()
     diagram.set_name(scenario.name)
@@ -380,7 +377,7 @@ def logged_ports(
     controller: LeafSystem, safety_filter: SafetyFilter, observer: DisturbanceObserver
 ) -> dict[str, OutputPort]:
     """Returns the ports that a log of a run has, beside those of the plant, by name."""
-    names = ("input", "slack", "volume", "barriers", "authority", "status")
+    names = ("input", "slack", "volume", "barriers", "status")
     observed = [
         name for name, _ in observer_ports(safety_filter.model.num_disturbances)
     ]
@@ -390,27 +387,6 @@ def logged_ports(
         **{name: safety_filter.GetOutputPort(name) for name in names},
         "feasible_set": safety_filter.GetOutputPort("feasible_set"),
     }
-
-
-def _add_audit(
-    builder: DiagramBuilder,
-    simulated: SimulatedPlant,
-    barrier_set: BarrierSet,
-    loop: AddedSafetyFilter,
-) -> None:
-    audit = builder.AddNamedSystem(
-        AUDIT, Audit(loop.filter, barrier_set, simulated.source.bounds)
-    )
-    truth = {
-        "state": simulated.plant.GetOutputPort("state"),
-        "disturbance": simulated.disturbance,
-    }
-    for name in audit.inputs:
-        port = truth.get(name)
-        if port is None:
-            owner = loop.filter if loop.filter.HasOutputPort(name) else loop.observer
-            port = owner.GetOutputPort(name)
-        builder.Connect(port, audit.GetInputPort(name))
 
 
 def _add_logs(
@@ -430,7 +406,6 @@ def _add_logs(
         ports["obstacles"] = builder.GetSubsystemByName(
             "obstacles_in_sight"
         ).get_output_port()
-    ports["audit"] = builder.GetSubsystemByName(AUDIT).get_output_port()
     for name, port in ports.items():
         log = LogVectorOutput(port, builder, scenario.period)
         log.set_name(LOG_PREFIX + name)

@@ -21,7 +21,7 @@ from vcbf_drake.safety import (
     assumptions,
     unpack_feasible_set,
 )
-from vcbf_drake.simulation.audit import audit_findings, reasons_against
+from vcbf_drake.simulation.audit import audit_findings, audit_margins, reasons_against
 from vcbf_drake.simulation.faults import fault_assumptions
 from vcbf_drake.simulation.loop import (
     COLLISION_MONITOR,
@@ -56,12 +56,14 @@ def simulate(
     found = loop_assumptions(scenario, diagram, simulator.get_context())
     started = time.process_time()
     ending = _advance(simulator, scenario, progress)
-    cpu_time = time.process_time() - started
     context = simulator.get_context()
     log = _read_log(diagram, context)
-    path_time, path = _find(diagram, context, "path")
     safety_filter: SafetyFilter = diagram.GetSubsystemByName("filter")
     barriers = diagram.GetSubsystemByName(COLLISION_MONITOR).barrier_set
+    bounds = diagram.GetSubsystemByName("disturbance").bounds
+    log["audit"] = audit_margins(log, safety_filter, barriers, bounds)
+    cpu_time = time.process_time() - started
+    path_time, path = _find(diagram, context, "path")
     heights = barriers.values_along(path, path_time)
     summary = summarise(scenario, safety_filter, log, path_time, path, heights, ending)
     summary["assumptions"] = [vars(assumption) for assumption in found]
@@ -173,6 +175,8 @@ def finish_log(log: dict[str, Array], safety_filter: SafetyFilter) -> dict[str, 
         log.pop("feasible_set"), safety_filter.num_rows, safety_filter.model.num_inputs
     )
     log["polytope_A"], log["polytope_b"] = packed.A, packed.b
+    rows = packed.A[:, len(safety_filter.input_set.b) :]
+    log["authority"] = np.linalg.norm(rows * safety_filter.input_set.scale, axis=2)
     log["ellipsoid_shape"], log["ellipsoid_center"] = packed.shape, packed.center
     log["status"] = log["status"].astype(int)
     return log
