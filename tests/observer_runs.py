@@ -26,6 +26,10 @@ class DragModel:
         drag = (self.linear + self.cubic * (v @ v)) * v
         return np.concatenate((v, -drag)), self.input_matrix
 
+    def nominal_rate(self, x: Array, u: Array) -> Array:
+        f, g = self.drift_and_input_matrix(x)
+        return f + g @ u
+
 
 @dataclass
 class Run:
@@ -109,8 +113,7 @@ def _rk4(
     h = dt / steps
 
     def rate(s: float, y: Array) -> Array:
-        f, g = model.drift_and_input_matrix(y)
-        return f + g @ u + model.disturbance_matrix @ disturbance(s)
+        return model.nominal_rate(y, u) + model.disturbance_matrix @ disturbance(s)
 
     for i in range(steps):
         s = t + i * h

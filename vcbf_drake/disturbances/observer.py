@@ -110,6 +110,8 @@ class DisturbanceObserver(LeafSystem):
         self.longest_interval = max(period, longest_interval or math.inf)
         self._model = model
         self._period = period
+        # What is nearer together is one time [s].
+        self._instant = 1e-6 * period
         self._error_bound = error_bound
         self._disturbed = _left_inverse(model)
         n, m, q = model.num_states, model.num_inputs, model.num_disturbances
@@ -177,12 +179,12 @@ class DisturbanceObserver(LeafSystem):
         )
 
     def _calc_posterior(self, context: Context, posterior: Any) -> None:
-        stored = _stored(context)
+        stored = context.get_discrete_state_vector().CopyToVector()
         memory = stored[self._memory_start :]
-        elapsed = context.get_time() - stored[1]
+        elapsed = context.get_time() - float(stored[1])
         if self._is_gap(elapsed):
             memory = np.zeros_like(memory)
-        elif elapsed > 1e-6 * self._period:
+        elif elapsed > self._instant:
             x_0, x_1 = stored[2 : self._memory_start], self._state.Eval(context)
             if _is_finite(x_1):
                 mean = self.mean_disturbance(
@@ -207,23 +209,19 @@ class DisturbanceObserver(LeafSystem):
             u: The input, shape (m,).
             elapsed: The time between them [s].
         """
-        rate_0, rate_1 = self._nominal_rate(x_0, u), self._nominal_rate(x_1, u)
+        rate = self._model.nominal_rate
+        rate_0, rate_1 = rate(x_0, u), rate(x_1, u)
         x_middle = (x_0 + x_1) / 2 + elapsed / 8 * (rate_0 - rate_1)
-        nominal = (rate_0 + 4 * self._nominal_rate(x_middle, u) + rate_1) / 6
+        nominal = (rate_0 + 4 * rate(x_middle, u) + rate_1) / 6
         mean: Array = self._disturbed @ ((x_1 - x_0) / elapsed - nominal)
         return mean
 
-    def _nominal_rate(self, x: Array, u: Array) -> Array:
-        f, g = self._model.drift_and_input_matrix(x)
-        return f + g @ u
-
     def _update(self, context: Context, discrete: DiscreteValues) -> None:
         """Stores the posterior, and the measurement it ends with."""
-        (first, last), now = _stored(context)[:2], context.get_time()
-        begins = math.isnan(first) or self._is_gap(now - last)
-        state = self._state.Eval(context)
+        now, state = context.get_time(), self._state.Eval(context)
         last = now if _is_finite(state) else math.nan
-        first = last if begins else first
+        start = self._start(context)
+        first = last if math.isnan(start) else start
         discrete.set_value(
             np.concatenate(((first, last), state, self._memory(context)))
         )
@@ -245,18 +243,18 @@ class DisturbanceObserver(LeafSystem):
 
     def _age(self, context: Context) -> float:
         """Returns the time since the first measurement, 0 before it [s]."""
-        first, last = _stored(context)[:2]
-        now = context.get_time()
-        begins = math.isnan(first) or self._is_gap(now - last)
-        return 0.0 if begins else float(now - first)
+        start = self._start(context)
+        return 0.0 if math.isnan(start) else context.get_time() - start
+
+    def _start(self, context: Context) -> float:
+        """Returns the time of the first measurement [s]; nan before it and at a gap."""
+        stored = context.get_discrete_state_vector()
+        is_gap = self._is_gap(context.get_time() - stored[1])
+        return math.nan if is_gap else float(stored[0])
 
     def _is_gap(self, elapsed: float) -> bool:
-        tolerance = 1e-6 * self._period
-        return elapsed < -tolerance or elapsed > self.longest_interval + tolerance
-
-
-def _stored(context: Context) -> Array:
-    return cast(Array, context.get_discrete_state_vector().CopyToVector())
+        least, most = -self._instant, self.longest_interval + self._instant
+        return elapsed < least or elapsed > most
 
 
 def _is_finite(vector: Array) -> bool:

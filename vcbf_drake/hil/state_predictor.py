@@ -116,6 +116,6 @@ class StatePredictor(LeafSystem):
         return x + h / 6 * (k_1 + 2 * k_2 + 2 * k_3 + k_4)
 
     def _rate(self, x: Array, u: Array, d: Array) -> Array:
-        f, g = self._model.drift_and_input_matrix(x)
-        rate: Array = f + g @ u + self._model.disturbance_matrix @ d
+        model = self._model
+        rate: Array = model.nominal_rate(x, u) + model.disturbance_matrix @ d
         return rate

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from pydrake.symbolic import Expression, Jacobian
+from pydrake.symbolic import Expression, Jacobian, MakeVectorVariable
 
 from vcbf_drake.errors import Array, ModelError
-from vcbf_drake.plants.compiled import Expressions, compile_expressions
+from vcbf_drake.plants.compiled import (
+    CompiledFunction,
+    Expressions,
+    compile_expressions,
+)
 from vcbf_drake.plants.symbolic_dynamics import (
     Context,
     PortChoice,
@@ -86,6 +90,7 @@ class ControlAffineModel:
         self._f_and_g = compile_expressions(
             state, [*drift, *input_matrix.flat], name=f"{name}, f and g"
         )
+        self._nominal_rate = _compiled_rate(state, drift, input_matrix, name)
 
     @classmethod
     def from_system(
@@ -147,6 +152,26 @@ class ControlAffineModel:
         values = np.array(self._f_and_g(*x.tolist()))
         return values[:n], values[n:].reshape(n, self.num_inputs)
 
+    def nominal_rate(self, x: Array, u: Array) -> Array:
+        """Evaluates f(x) + g(x) u, shape (n,): dx/dt without disturbance.
+
+        Raises:
+            TypeError: x or u has the wrong shape.
+            ValueError: f or g has no real value at x.
+            ArithmeticError: f or g is singular at x.
+        """
+        return np.array(self._nominal_rate(*x.tolist(), *u.tolist()))
+
+
+# Arithmetic of expressions leaves floating-point flags that NumPy takes for its own.
+@np.errstate(invalid="ignore")
+def _compiled_rate(
+    state: Expressions, drift: Expressions, input_matrix: Expressions, name: str
+) -> CompiledFunction:
+    u = MakeVectorVariable(input_matrix.shape[1], "u")
+    rate = drift + input_matrix @ u
+    return compile_expressions([*state, *u], rate, f"{name}, f + g u")
+
 
 def _affine_parts(dynamics: SymbolicDynamics) -> Expressions:
     """The parts [F0, F1], shape (n, 1 + m + q), of F = F0(x) + F1(x) [u; d]."""
@@ -196,7 +221,6 @@ def _agree(force: Expression, row: Expressions, x: Expressions, w: Expressions) 
     return bool(errors) and max(errors) < 1e-9
 
 
-# Arithmetic of expressions leaves floating-point flags that NumPy takes for its own.
 @np.errstate(invalid="ignore")
 def _solve(M: Expressions, R: Expressions) -> Expressions:
     """Solves M X = R for X, shape (n, k), by Gaussian elimination.
