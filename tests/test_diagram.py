@@ -17,12 +17,14 @@ from pydrake.systems.primitives import Adder, Gain, LogVectorOutput, VectorLogSi
 import pytest
 
 from vcbf_drake import Blimp, load_scenario, make_loop
+from vcbf_drake.simulation.audit_system import Audit
 from vcbf_drake.viz.diagram import diagram_dot, write_diagram
 from vcbf_drake.viz.filter_diagram import filter_dot
 
 # pydot's parser still calls pyparsing by its old names.
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:pydot")
 
+LOOKS_ON = VectorLogSink, Audit
 DIAGRAMS = Path(__file__).parents[1] / "diagrams"
 LOOPS = {
     "blimp": ("blimp-multiple-obstacles", {}),
@@ -101,7 +103,7 @@ def drake_connections(diagram: Diagram) -> Counter[Connection]:
             str(source.get_output_port(output).size()),
         )
         for (sink, number), (source, output) in diagram.connection_map().items()
-        if not isinstance(sink, VectorLogSink)
+        if not isinstance(sink, LOOKS_ON)
     )
 
 
@@ -117,7 +119,7 @@ def test_every_system_but_the_logs_is_a_block_with_its_class(
 ) -> None:
     diagram, dot = drawn
     graph = parsed(dot)
-    systems = [s for s in diagram.GetSystems() if not isinstance(s, VectorLogSink)]
+    systems = [s for s in diagram.GetSystems() if not isinstance(s, LOOKS_ON)]
     assert set(port_names(graph)) == {system.get_name() for system in systems}
     for system in systems:
         label = graph.get_node(f'"{system.get_name()}"')[0].get("label")

@@ -41,6 +41,7 @@ from vcbf_drake.safety import (
     InfeasiblePolicy,
     SafetyFilter,
 )
+from vcbf_drake.simulation.audit_system import Audit
 from vcbf_drake.simulation.collision_monitor import CollisionMonitor
 from vcbf_drake.simulation.faulty_loop import (
     faulty_actuator,
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
 
 LOG_PREFIX = "log_"
 COLLISION_MONITOR = "collision_monitor"
+AUDIT = "audit"
 
 
 def make_loop(
@@ -70,8 +72,8 @@ def make_loop(
     tick, and ``log_path`` the true state at every integrator step. The diagram ends a
     simulation at a collision and, with the policy ``stop``, at an infeasible tick.
     The controller compensates the estimate only for the methods that have one; the
-    observer runs, and is logged, with every method. The scenario's faults are further
-    systems, named after them.
+    observer runs, and is logged, with every method. The system audit watches what the
+    filter promises. The scenario's faults are further systems, named after them.
 
     Args:
         scenario: A validated scenario.
@@ -109,6 +111,7 @@ def make_loop(
     if scenario.faults.sight > 0.0:
         truth = BarrierSet(model, barriers(scenario))
     add_collision_monitor(builder, plant, truth)
+    _add_audit(builder, simulated, truth, loop)
     _add_logs(builder, scenario, simulated, controller, loop)
     diagram = builder.Build()
     diagram.set_name(scenario.name)
@@ -387,6 +390,27 @@ def logged_ports(
         **{name: safety_filter.GetOutputPort(name) for name in names},
         "feasible_set": safety_filter.GetOutputPort("feasible_set"),
     }
+
+
+def _add_audit(
+    builder: DiagramBuilder,
+    simulated: SimulatedPlant,
+    barrier_set: BarrierSet,
+    loop: AddedSafetyFilter,
+) -> None:
+    audit = builder.AddNamedSystem(
+        AUDIT, Audit(loop.filter, barrier_set, simulated.source.bounds)
+    )
+    truth = {
+        "state": simulated.plant.GetOutputPort("state"),
+        "disturbance": simulated.disturbance,
+    }
+    for name in audit.inputs:
+        port = truth.get(name)
+        if port is None:
+            owner = loop.filter if loop.filter.HasOutputPort(name) else loop.observer
+            port = owner.GetOutputPort(name)
+        builder.Connect(port, audit.GetInputPort(name))
 
 
 def _add_logs(

@@ -10,6 +10,7 @@ from pydrake.systems.framework import Diagram, System
 from pydrake.systems.primitives import VectorLogSink
 
 from vcbf_drake.safety import METHODS, SafetyFilter
+from vcbf_drake.simulation.audit_system import Audit
 from vcbf_drake.viz.blocks import (
     Block,
     BlockSheet,
@@ -21,6 +22,9 @@ from vcbf_drake.viz.blocks import (
 )
 from vcbf_drake.viz.diagram_places import diagram_places
 from vcbf_drake.viz.style import INK, METHOD_STYLES
+
+# What only looks on, at everything.
+_NOT_DRAWN = VectorLogSink, Audit
 
 _SCALAR = "_\N{MATHEMATICAL BOLD SCRIPT CAPITAL T}"  # Begins a template's arguments.
 _ADDRESS = re.compile(r"@[0-9a-f]{8,}$")
@@ -43,7 +47,7 @@ def write_diagram(diagram: Diagram, directory: Path, name: str) -> list[Path]:
 def diagram_dot(diagram: Diagram) -> str:
     """Returns a diagram's picture as DOT: one block per system that takes part.
 
-    Log sinks only look on. The text depends on the systems' names, types,
+    Log sinks and the audit only look on. The text depends on the systems' names, types,
     ports and connections only: it is the same in every process.
     """
     return sheet_dot(diagram_sheet(diagram), _readable_name(diagram))
@@ -51,7 +55,7 @@ def diagram_dot(diagram: Diagram) -> str:
 
 def diagram_sheet(diagram: Diagram) -> BlockSheet:
     """Returns what the picture of a diagram shows."""
-    drawn = [s for s in diagram.GetSystems() if not isinstance(s, VectorLogSink)]
+    drawn = [s for s in diagram.GetSystems() if not isinstance(s, _NOT_DRAWN)]
     systems = dict(zip(_unique([_readable_name(s) for s in drawn]), drawn, strict=True))
     wires = _wires(diagram, systems)
     places = diagram_places(systems, wires)
