@@ -35,6 +35,7 @@ from vcbf_drake.studies import (
     run_study,
     run_trial,
     summarise_study,
+    worker_processes,
 )
 from vcbf_drake.studies.statistics import mean_interval
 import vcbf_drake.studies.trial as trial_module
@@ -249,6 +250,21 @@ def test_one_and_two_workers_write_the_same_file(tmp_path: Path) -> None:
     assert lines[:3] + lines[4:] == one.read_bytes().splitlines()
     assert done == pytest.approx(np.arange(1, 10) / 9)
     assert [json.loads(line) for line in lines] == records
+
+
+def test_processes_make_room_for_new_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    pools: list[ThreadPoolExecutor] = []
+
+    def new_pool(workers: int) -> ThreadPoolExecutor:
+        pools.append(ThreadPoolExecutor(workers))
+        return pools[-1]
+
+    monkeypatch.setattr(worker_processes, "new_pool", new_pool)
+    monkeypatch.setattr(worker_processes, "TRIALS_A_PROCESS", 2)
+    monkeypatch.setattr(worker_processes, "run_trial", lambda trial: trial.index)
+    records = worker_processes.run_in_processes(plan(9)[::2], workers=2)
+    assert sorted(records) == list(range(9))
+    assert len(pools) == 3
 
 
 def test_a_killed_study_leaves_no_process_behind(tmp_path: Path) -> None:

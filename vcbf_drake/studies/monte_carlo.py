@@ -12,7 +12,7 @@ from queue import SimpleQueue
 
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.studies.trial import Record, Trial, error_record, run_trial
-from vcbf_drake.studies.worker_processes import run_in_processes
+from vcbf_drake.studies.worker_processes import TRIALS_A_PROCESS, run_in_processes
 
 # More would only wait in the executor's memory.
 _MOST_SUBMITTED = 10_000
@@ -35,9 +35,9 @@ def run_study(
         trials: The trials, each different from the others.
         path: The file; it is made if it is missing.
         executor: What runs the trials, for example Dask's; it stays open. By default
-            `workers` processes; one worker is this process.
+            `workers` processes; a few trials for one worker run in this one.
         workers: How many processes, when there is no executor. The calling script
-            needs an ``if __name__ == "__main__"`` guard when there are several.
+            needs an ``if __name__ == "__main__"`` guard for them.
         progress: Called after each trial with the fraction that is done.
 
     Raises:
@@ -67,7 +67,7 @@ def _run(
 ) -> Iterator[Record]:
     if executor is not None:
         return _run_with(executor, trials)
-    if workers == 1:
+    if workers == 1 and len(trials) <= TRIALS_A_PROCESS:
         return map(run_trial, trials)
     return run_in_processes(trials, workers)
 

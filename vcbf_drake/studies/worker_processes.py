@@ -12,6 +12,10 @@ from threading import Thread
 
 from vcbf_drake.studies.trial import Record, Trial, error_record, run_trial
 
+# After so many a process makes room for a new one: pydrake does not free every diagram
+# whose systems are written in Python, which is a few megabytes a trial.
+TRIALS_A_PROCESS = 100
+
 
 def run_in_processes(trials: Iterable[Trial], workers: int) -> Iterator[Record]:
     """Yields the records of trials as they finish.
@@ -29,10 +33,12 @@ def run_in_processes(trials: Iterable[Trial], workers: int) -> Iterator[Record]:
         running: dict[Future[Record], Trial] = {}
         try:
             with new_pool(workers) as pool:
-                while waiting or running:
-                    while waiting and len(running) < workers:
+                left = TRIALS_A_PROCESS * workers
+                while running or (waiting and left):
+                    while waiting and left and len(running) < workers:
                         running[pool.submit(run_trial, waiting[0])] = waiting[0]
                         waiting.popleft()
+                        left -= 1
                     finished, _ = wait(running, return_when=FIRST_COMPLETED)
                     for future in finished:
                         record = future.result()
