@@ -1,0 +1,47 @@
+"""The projection's dual against its optimality conditions and against quadprog."""
+
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+import quadprog
+
+from vcbf_drake.safety.active_set import nonnegative_multipliers
+
+
+def random_problem(rng, m, n):
+    """Rows of any length around a point they all allow."""
+    A = rng.normal(size=(n, m)) * 10.0 ** rng.uniform(-1.0, 1.0, (n, 1))
+    inside = rng.normal(size=m)
+    return A, A @ inside + rng.uniform(0.0, 1.0, n), 3.0 * rng.normal(size=m)
+
+
+@pytest.mark.parametrize(("m", "n"), [(1, 4), (2, 3), (2, 9), (3, 12), (4, 20), (6, 8)])
+def test_the_multipliers_are_optimal_and_project(m, n):
+    """y >= 0 and A A'y >= violation, equal where y > 0; and reference - A'y is near."""
+    rng = np.random.default_rng([m, n])
+    longest = 0
+    for _ in range(150):
+        A, b, reference = random_problem(rng, m, n)
+        y = nonnegative_multipliers(A, b, reference)
+        slack = A @ (y @ A) - (A @ reference - b)
+        size = 1.0 + np.abs(A @ reference - b).max()
+        assert y.min() >= 0.0
+        assert slack.min() >= -1e-10 * size
+        assert_allclose(y * slack, 0.0, atol=1e-9 * size**2)
+        nearest = quadprog.solve_qp(np.eye(m), reference, -A.T, -b)[0]
+        assert_allclose(reference - y @ A, nearest, atol=1e-8 * size)
+        longest = max(longest, np.count_nonzero(y))
+    assert longest >= min(m, 2)  # Some answers rest on several rows.
+
+
+def test_a_reference_that_meets_every_row_needs_no_multiplier():
+    A, b = np.array([[2.0, 1.0], [-1.0, 3.0]]), np.array([1.0, 1.0])
+    assert not nonnegative_multipliers(A, b, np.zeros(2)).any()
+    assert nonnegative_multipliers(np.zeros((0, 2)), np.zeros(0), np.ones(2)).size == 0
+
+
+def test_rows_without_a_common_point_end_all_the_same():
+    """The dual is unbounded then; the answer grows in Farkas' direction, y'b < 0."""
+    A, b = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]]), np.array([-1.0, 0.0, 5.0])
+    y = nonnegative_multipliers(A, b, np.array([0.3, 0.2]))
+    assert np.isfinite(y).all() and y.min() >= 0.0
