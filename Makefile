@@ -3,12 +3,14 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: demo reproduce test lint format bench clean help
+.PHONY: demo reproduce test coverage mutation lint format bench clean help
 
 help:
 	@echo "make demo       the paper's Test 2 with and without the volume barrier, in out/"
 	@echo "make reproduce  everything the paper shows, in out/reproduction"
 	@echo "make test       every test"
+	@echo "make coverage   every test, and how much of each package they reach"
+	@echo "make mutation   which small faults in vcbf_drake/safety no test notices"
 	@echo "make lint       format, lint and type checks"
 	@echo "make bench      benchmarks (CPU time)"
 	@echo "make clean      removes .venv and out/"
@@ -28,6 +30,13 @@ reproduce: $(STAMP)
 test: $(STAMP)
 	$(BIN)/python -m pytest
 
+coverage: $(STAMP)
+	$(BIN)/python -m pytest --cov --cov-report=
+	$(BIN)/python tests/coverage_table.py
+
+mutation: $(STAMP)
+	$(BIN)/python -m tests.mutation vcbf_drake/safety
+
 lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -41,4 +50,4 @@ bench: $(STAMP)
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-only
 
 clean:
-	rm -rf .venv out .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
+	rm -rf .venv out .coverage .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
