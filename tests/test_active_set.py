@@ -17,7 +17,7 @@ def random_problem(rng, m, n):
 
 @pytest.mark.parametrize(("m", "n"), [(1, 4), (2, 3), (2, 9), (3, 12), (4, 20), (6, 8)])
 def test_the_multipliers_are_optimal_and_project(m, n):
-    """y >= 0 and A A'y >= violation, equal where y > 0; and reference - A'y is near."""
+    """A A'y >= violation and y >= 0, one of them equal; reference - A'y is nearest."""
     rng = np.random.default_rng([m, n])
     longest = 0
     for _ in range(150):

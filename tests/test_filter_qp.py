@@ -3,11 +3,13 @@ import pytest
 from scipy.optimize import linprog
 
 from vcbf_drake.barriers import BarrierRows
+from vcbf_drake.errors import SolverError
 from vcbf_drake.safety import (
     DisturbanceKnowledge,
     FilterStatus,
     InputSet,
     chebyshev_ball,
+    filter_qp,
 )
 from vcbf_drake.safety.feasible_set import feasible_set
 from vcbf_drake.safety.filter_qp import VolumeRow, choose_input
@@ -190,3 +192,24 @@ def test_a_reference_far_outside_is_brought_back():
     decision = choose(set_of([1.0, 1.0], 1.0), [1e200, -1e200])
     assert decision.status == FilterStatus.FILTERED
     np.testing.assert_allclose(decision.input, [3.0, -2.0], atol=1e-6)
+
+
+def failing(*arguments):
+    raise SolverError("no answer", np.zeros((1, 2)), np.zeros(1))
+
+
+def test_an_emptiness_that_cannot_be_proven_is_a_failure(monkeypatch):
+    """Not called infeasible without a certificate; the least violation acts."""
+    monkeypatch.setattr(filter_qp, "emptiness_certificate", failing)
+    feasible = set_of([[1.0, 0.0], [-1.0, 0.0]], [-0.5, 0.2])
+    decision = choose(feasible, [0.0, 0.5])
+    assert decision.status == FilterStatus.FAILED and decision.conflict == ()
+    np.testing.assert_allclose(decision.input, [-0.35, 0.5], atol=1e-6)
+
+
+def test_without_any_solver_the_held_input_acts(monkeypatch):
+    monkeypatch.setattr(filter_qp, "nearest_point", failing)
+    monkeypatch.setattr(filter_qp, "minimise_linear", failing)
+    decision = choose(set_of([1.0, 1.0], -1.0), [2.0, 1.0], held_input=[-9.0, 0.5])
+    assert decision.status == FilterStatus.FAILED
+    np.testing.assert_allclose(decision.input, [-1.0, 0.5])

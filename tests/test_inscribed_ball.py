@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
+from vcbf_drake.errors import UnboundedSetError
+from vcbf_drake.safety import inscribed_ball as inscribed_ball_module
 from vcbf_drake.safety.inscribed_ball import inscribed_ball
 
 
@@ -50,3 +52,43 @@ def test_row_of_zeros_that_excludes_everything():
     harmless = inscribed_ball(A, np.array([1.0, 1.0, 1.0, 1.0, 0.1]))
     assert harmless.radius == pytest.approx(1.0)
     assert harmless.multipliers[-1] == 0.0
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e6, 1e12])
+def test_the_incircle_of_a_triangle_of_any_size(size):
+    """Legs 3 and 4: radius 1 at (1, 1). Below unit size it is exact to 1e-9."""
+    A = np.array([[-1.0, 0.0], [0.0, -2.0], [40.0, 30.0]])
+    ball = inscribed_ball(A, size * np.array([0.0, 0.0, 120.0]))
+    assert ball.radius == pytest.approx(size, rel=1e-9, abs=1e-9)
+    np.testing.assert_allclose(
+        ball.contacts,
+        size * np.array([[0.0, 1.0], [1.0, 0.0], [1.8, 1.6]]),
+        rtol=1e-9,
+        atol=1e-9 * max(1.0, size),
+    )
+    # The legs' and hypotenuse's lengths over the perimeter 12, and over |a_i|.
+    np.testing.assert_allclose(
+        ball.multipliers, np.array([4.0, 3.0, 5.0]) / 12.0 / [1.0, 2.0, 50.0], rtol=1e-9
+    )
+
+
+def test_rows_far_away_do_not_blur_the_ball():
+    A = np.vstack([np.eye(2), -np.eye(2), [[0.6, 0.8], [0.8, -0.6]]])
+    ball = inscribed_ball(A, np.array([1.0, 1.0, 1.0, 1.0, 1e14, 1e9]))
+    assert ball.radius == pytest.approx(1.0, abs=1e-12)
+
+
+def test_balls_of_every_size_are_refused():
+    with pytest.raises(UnboundedSetError):
+        inscribed_ball(np.array([[1.0, 0.0], [0.0, 1.0]]), np.ones(2))
+
+
+def test_without_the_fast_program_the_answer_is_the_same(monkeypatch):
+    rng = np.random.default_rng(5)
+    sets = [random_rows(rng, 3) for _ in range(20)]
+    fast = [inscribed_ball(A, b) for A, b in sets]
+    monkeypatch.setattr(inscribed_ball_module._Program, "ball", lambda self, rows: None)
+    for (A, b), ball in zip(sets, fast, strict=True):
+        careful = inscribed_ball(A, b)
+        assert careful.radius == pytest.approx(ball.radius, abs=1e-9)
+        np.testing.assert_allclose(careful.multipliers, ball.multipliers, atol=1e-8)

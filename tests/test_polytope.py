@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from vcbf_drake.errors import UnboundedSetError
+from vcbf_drake.errors import SolverError, UnboundedSetError
+from vcbf_drake.safety import polytope
 from vcbf_drake.safety.polytope import (
     chebyshev_ball,
     emptiness_certificate,
@@ -245,3 +246,39 @@ def test_rows_that_are_nearly_opposite_are_proven_empty(exponent: int) -> None:
         # For every u in the box |y'A u| is at most the sum of |y'A|.
         assert y @ b + np.abs(y @ A).sum() < 0.0
         assert {6, 7} <= set(proof.rows) and len(proof.rows) <= 4
+
+
+EMPTY = np.vstack([BOX, [-1.0, 0.0]]), np.array([1.0, 1.0, 1.0, 1.0, -2.0])
+
+
+def test_what_cannot_be_verified_is_not_returned(monkeypatch):
+    """A solver without multipliers, at a point outside: no ball, and no proof."""
+
+    def astray(rows, ball, frame, resolution):
+        return np.array([5.0, 5.0]), np.zeros(len(rows.b)), False
+
+    monkeypatch.setattr(polytope, "_chebyshev_program", astray)
+    with pytest.raises(SolverError, match="no verified Chebyshev ball") as raised:
+        chebyshev_ball(*EMPTY)
+    np.testing.assert_array_equal(raised.value.A, EMPTY[0])
+    with pytest.raises(SolverError, match="neither a point nor a proof"):
+        emptiness_certificate(*EMPTY)
+
+
+def test_a_solver_that_gives_up_is_not_believed(monkeypatch):
+    class GivesUp:
+        def Solve(self, program):
+            return self
+
+        def is_success(self):
+            return False
+
+        def get_solution_result(self):
+            return "out of time"
+
+        def GetSolution(self, variables):
+            return np.zeros(len(variables))
+
+    monkeypatch.setattr(polytope, "ClpSolver", GivesUp)
+    with pytest.raises(SolverError, match=r"no Chebyshev ball \(out of time\)"):
+        chebyshev_ball(BOX, np.ones(4))

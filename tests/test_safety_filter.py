@@ -16,8 +16,10 @@ from vcbf_drake import (
     SphereObstacle,
 )
 from vcbf_drake.disturbances import DisturbanceBounds, Sinusoid
+from vcbf_drake.errors import SolverError
 from vcbf_drake.safety import METHODS, FilterStatus, unpack_feasible_set
 from vcbf_drake.safety import safety_filter as safety_filter_module
+from vcbf_drake.safety.feasibility_measure import EllipsoidVolume
 
 LIMITS = InputSet.box([-0.05, -0.2, -0.02], [0.25, 0.2, 0.02])
 CLOSE = np.array([0.0, 0.0, 0.0, 0.1, 0.25, 0.0, 0.1, 0.0])
@@ -165,6 +167,38 @@ def test_an_empty_set_is_reported_with_its_rows(model):
     assert decision.input[0] == pytest.approx(-0.05)  # It brakes as hard as it can.
 
 
+def test_a_volume_that_cannot_be_verified_is_said_and_its_row_left_out(
+    model, monkeypatch
+):
+    """The barrier rows hold all the same: the QP without a volume row is solved."""
+
+    def fail(measure, A, b):
+        raise SolverError("no ellipsoid could be certified", A, b)
+
+    without = make_filter(model, method="dob-cbf-qp")
+    expected = evaluate(without, fixed(without, CLOSE), "input")
+    monkeypatch.setattr(EllipsoidVolume, "_measure", fail)
+    safety_filter = make_filter(model)
+    context = fixed(safety_filter, CLOSE)
+    assert np.isnan(evaluate(safety_filter, context, "volume")[0])
+    assert evaluate(safety_filter, context, "status")[0] == FilterStatus.FAILED
+    np.testing.assert_array_equal(evaluate(safety_filter, context, "input"), expected)
+
+
+def test_rows_are_named_after_what_they_limit(model):
+    box = make_filter(model)
+    assert [box.row_name(row) for row in range(8)] == [
+        *(f"upper limit of input {j}" for j in range(3)),
+        *(f"lower limit of input {j}" for j in range(3)),
+        "near",
+        "far",
+    ]
+    rows = np.vstack([np.eye(3), [[-1.0, -1.0, -1.0]]])
+    wedge = SafetyFilter(model, box.barriers, InputSet(rows, np.full(4, 0.1)))
+    names = [wedge.row_name(row) for row in range(6)]
+    assert names == [*(f"input limit {i}" for i in range(4)), "near", "far"]
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -280,3 +314,17 @@ def test_policy_stop_ends_a_users_simulation_at_the_infeasible_tick():
     status = simulator.AdvanceTo(5.0)
     assert "no feasible input" in status.FormatMessage()
     assert status.return_time() < 1.0
+
+
+def test_a_loop_without_a_plant_needs_the_model_and_the_state():
+    builder = DiagramBuilder()
+    with pytest.raises(ValueError, match="then model and state must be given"):
+        AddSafetyFilter(
+            builder,
+            plant=None,
+            reference=None,
+            barriers=[],
+            input_set=LIMITS,
+            period=0.02,
+            bounds=DisturbanceBounds(0.0, 0.0, 0.0),
+        )

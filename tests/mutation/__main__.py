@@ -53,6 +53,7 @@ _QUIET = (
     *("-q", "--assert=plain", "-p", "no:cacheprovider"),
     *("-W", "ignore::pytest.PytestAssertRewriteWarning"),
 )
+_MEASURING = ("-m", "not slow", "--cov", "--cov-context=test", "--cov-report=")
 # Tests failed, modules could not be imported.
 _NOTICED = {pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED}
 _NOTICED |= {pytest.ExitCode.USAGE_ERROR}
@@ -124,8 +125,7 @@ def _measure(tests: list[str], folder: Path) -> None:
         os.environ["COVERAGE_FILE"] = str(data)
         watch = _Stopwatch(folder)
         status = pytest.main(
-            [*_QUIET, "-m", "not slow", "--cov", "--cov-context=test"]
-            + ["--cov-report=", *tests],
+            [*_QUIET, *_MEASURING, *tests],
             plugins=[watch],
         )
         (folder / "seconds.json").write_text(json.dumps(watch.seconds))
