@@ -95,6 +95,15 @@ def test_value_is_vectorised(signals):
     np.testing.assert_array_equal(values[1, 0], source.value(2.0))
 
 
+def test_port_and_value_are_the_same(signals):
+    source = DisturbanceSource(signals, HORIZON)
+    context = source.CreateDefaultContext()
+    for t in np.linspace(0.0, HORIZON, 61):
+        context.SetTime(t)
+        port = source.get_output_port().Eval(context)
+        np.testing.assert_allclose(port, source.value(t), rtol=0.0, atol=1e-14)
+
+
 def test_port_is_the_sum_of_the_signals():
     source = DisturbanceSource(SIGNALS["sum"], HORIZON)
     simulator = Simulator(source)

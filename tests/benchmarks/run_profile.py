@@ -8,7 +8,7 @@ from typing import Any
 
 from vcbf_drake import Blimp, BlimpController, SafetyFilter, load_scenario
 from vcbf_drake.barriers import BarrierSet
-from vcbf_drake.disturbances import DisturbanceObserver, DisturbanceSource
+from vcbf_drake.disturbances import DisturbanceObserver
 from vcbf_drake.safety import safety_filter
 from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver
 from vcbf_drake.safety.infeasibility_monitor import InfeasibilityMonitor
@@ -18,7 +18,6 @@ from vcbf_drake.simulation.collision_monitor import CollisionMonitor
 PARTS = [
     (run, "_advance", "Drake: integrator, ports, logs"),
     (Blimp, "DoCalcTimeDerivatives", "plant"),
-    (DisturbanceSource, "_calc", "disturbance"),
     (BlimpController, "_calc_reference", "controller"),
     (DisturbanceObserver, "_calc_posterior", "observer"),
     (DisturbanceObserver, "_update", "observer"),

@@ -10,6 +10,9 @@ from operator import add
 from typing import Protocol
 
 import numpy as np
+from pydrake.polynomial import Polynomial
+from pydrake.systems.framework import DiagramBuilder, System
+from pydrake.systems.primitives import Adder, MatrixGain, Sine, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from vcbf_drake.errors import Array
@@ -36,6 +39,9 @@ class Curve(Protocol):
     def derivative_bound(self, order: int) -> float:
         """Returns an upper bound of the derivative's Euclidean norm over all time."""
 
+    def system(self) -> System:
+        """Returns a system of Drake's own whose only output is the function, (q,)."""
+
 
 @dataclass(frozen=True)
 class Tones:
@@ -59,8 +65,6 @@ class Tones:
     def derivative(self, t: float | Array, order: int = 0) -> Array:
         """Returns ``sum_k a_k w_k^order sin(w_k t + p_k + order pi / 2)``."""
         angle = np.multiply.outer(t, self.frequency) + self.phase
-        if order == 0:  # Once per integrator stage.
-            return np.sin(angle) @ self.amplitude
         quarter_turns = order * np.pi / 2
         scaled = self.amplitude * self.frequency[:, None] ** order
         value: Array = np.sin(angle + quarter_turns) @ scaled
@@ -70,6 +74,16 @@ class Tones:
         """Returns ``sum_k |a_k| |w_k|^order``."""
         size = np.linalg.norm(self.amplitude, axis=1)
         return float(size @ np.abs(self.frequency) ** order)
+
+    def system(self) -> System:
+        """Returns unit sines behind the matrix of amplitudes; see `Curve`."""
+        builder = DiagramBuilder()
+        unit = np.ones_like(self.phase)
+        tones = builder.AddSystem(Sine(unit, self.frequency, self.phase, True))
+        mixed = builder.AddSystem(MatrixGain(self.amplitude.T))
+        builder.Connect(tones.get_output_port(0), mixed.get_input_port())
+        builder.ExportOutput(mixed.get_output_port())
+        return builder.Build()
 
     def __add__(self, other: Tones) -> Tones:
         return Tones(
@@ -113,6 +127,14 @@ class Transition:
         """Returns the exact maximum of the derivative's norm."""
         size = float(np.linalg.norm(self.amplitude))
         return size * _QUINTIC_MAXIMUM[order] / self.duration**order
+
+    def system(self) -> System:
+        """Returns the rise as a trajectory, held at its ends; see `Curve`."""
+        powers = self.duration ** -np.arange(len(_QUINTIC[0]))
+        coefficients = np.outer(self.amplitude, _QUINTIC[0][::-1] * powers)
+        rise = [[Polynomial(each)] for each in coefficients]
+        times = [self.start, self.start + self.duration]
+        return TrajectorySource(PiecewisePolynomial([rise], times))
 
 
 # 6 s^5 - 15 s^4 + 10 s^3 and its derivatives, highest power first; their maxima on
@@ -167,6 +189,10 @@ class Spline:
         size = np.linalg.norm(self.derivative(middle, order), axis=1)
         return float(np.max(size + half * self.derivative_bound(order + 1)))
 
+    def system(self) -> System:
+        """Returns the spline as a trajectory; see `Curve`."""
+        return TrajectorySource(self._derivatives[0])
+
 
 @dataclass(frozen=True)
 class Sum:
@@ -199,6 +225,16 @@ class Sum:
     def derivative_bound(self, order: int) -> float:
         """Returns the sum of the parts' bounds."""
         return sum(part.derivative_bound(order) for part in self.parts)
+
+    def system(self) -> System:
+        """Returns the sum of the parts' systems; see `Curve`."""
+        builder = DiagramBuilder()
+        total = builder.AddSystem(Adder(len(self.parts), self.size))
+        for i, part in enumerate(self.parts):
+            system = builder.AddSystem(part.system())
+            builder.Connect(system.get_output_port(0), total.get_input_port(i))
+        builder.ExportOutput(total.get_output_port())
+        return builder.Build()
 
 
 def supremum(curve: Curve, order: int, horizon: float) -> float:

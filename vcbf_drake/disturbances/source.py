@@ -12,7 +12,7 @@ import reprlib
 from typing import Any, Protocol
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from vcbf_drake.disturbances.bounds import DisturbanceBounds
 from vcbf_drake.disturbances.signals import (
@@ -162,7 +162,7 @@ class Recorded:
         return Spline(times, values)
 
 
-class DisturbanceSource(LeafSystem):
+class DisturbanceSource(Diagram):
     """A disturbance known as a function of time: the sum of C2 signals.
 
     .. pydrake_system::
@@ -205,16 +205,15 @@ class DisturbanceSource(LeafSystem):
         self.bounds = DisturbanceBounds(
             *(supremum(self._curve, order, horizon) for order in range(3))
         )
-        self.DeclareVectorOutputPort(
-            "disturbance", self._curve.size, self._calc, {self.time_ticket()}
-        )
+        builder = DiagramBuilder()
+        # All of it Drake's own: integrators ask for it at every stage of every step.
+        signal = builder.AddNamedSystem("signal", self._curve.system())
+        builder.ExportOutput(signal.get_output_port(0), "disturbance")
+        builder.BuildInto(self)
 
     def value(self, t: float | Array) -> Array:
         """Returns d at times t [s]: shape of `t` + (q,) [m/s^2]."""
         return self._curve.derivative(t)
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self.value(context.get_time()))
 
 
 def _sum(
