@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,14 +21,18 @@ class EmptySetError(VcbfError):
         A: The rows, shape (n, m).
         b: The right-hand sides, shape (n,).
         inradius: The signed Chebyshev radius, negative (in units of u).
+        conflict: Indices of rows that exclude each other, where they are known.
     """
 
-    def __init__(self, A: Array, b: Array, inradius: float) -> None:
+    def __init__(
+        self, A: Array, b: Array, inradius: float, conflict: Sequence[int] = ()
+    ) -> None:
         super().__init__(
             f"the set {{u : A u <= b}} is empty: its signed Chebyshev radius is"
             f" {inradius:.3g}"
         )
         self.A, self.b, self.inradius = A, b, inradius
+        self.conflict = tuple(conflict)
 
 
 class UnboundedSetError(VcbfError):

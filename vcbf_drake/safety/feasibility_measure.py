@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 import math
 
 import numpy as np
@@ -66,6 +67,13 @@ class FeasibilityMeasure(ABC):
     ) -> None:
         self._A, self._b = input_set.A_normalised, input_set.b_normalised
         self._threshold, self._widening = threshold, widening
+
+    @cached_property
+    def of_input_set(self) -> Measurement | None:
+        """What a set measures that no row cuts; None if it is felt before that."""
+        if self._widening > 1.0:
+            return None
+        return self(self._A[:0], self._b[:0])
 
     def __call__(self, A: Array, b: Array) -> Measurement:
         """Returns the measure of the input set under the rows ``A v <= b``.

@@ -48,32 +48,50 @@ class FeasibleSet:
     in normalised inputs v, u = center + scale * v, is ``{v : A_v v <= b_v}``.
 
     Attributes:
-        A: Shape (k + N, m).
-        b: The right-hand sides, the disturbance's margin included, shape (k + N,).
-        A_v: `A` in normalised inputs, shape (k + N, m).
-        b_v: `b` in normalised inputs, shape (k + N,).
+        A_v: The rows in normalised inputs, shape (k + N, m).
+        b_v: Their right-hand sides, the disturbance's margin included, shape (k + N,).
         rows: The barrier rows.
+        margin: Lambda of each, shape (N,).
         known: What they take as known of the disturbance.
         weights: How much a violation of each barrier row counts, shape (N,).
-        num_input_rows: k, how many rows limit the input whatever the state.
+        input_set: What limits the input whatever the state.
         cutting: Indices of the rows that can matter: the input set's, and the barrier
             rows that cut its bounding box |v_j| <= 1. The others hold for every input.
     """
 
-    A: Array
-    b: Array
     A_v: Array
     b_v: Array
     rows: BarrierRows
+    margin: Array
     known: DisturbanceKnowledge
     weights: Array
-    num_input_rows: int
+    input_set: InputSet
     cutting: NDArray[np.intp]
+
+    @property
+    def A(self) -> Array:
+        """The rows, shape (k + N, m)."""
+        return np.concatenate([self.input_set.A, self.rows.A])
+
+    @property
+    def b(self) -> Array:
+        """Their right-hand sides, shape (k + N,)."""
+        return np.concatenate([self.input_set.b, self.rows.b + self.margin])
+
+    @property
+    def num_input_rows(self) -> int:
+        """The number k of rows that limit the input whatever the state."""
+        return len(self.input_set.b)
 
     @cached_property
     def is_finite(self) -> bool:
         """Whether every number in the rows is finite."""
-        return bool(np.isfinite(self.A).all() and np.isfinite(self.b).all())
+        return bool(np.isfinite(self.A_v).all() and np.isfinite(self.b_v).all())
+
+    @property
+    def is_uncut(self) -> bool:
+        """Whether every barrier row, if finite, holds for every input."""
+        return len(self.cutting) == self.num_input_rows
 
 
 def disturbance_margin(rows: BarrierRows, known: DisturbanceKnowledge) -> Array:
@@ -98,18 +116,17 @@ def feasible_set(
             default.
     """
     k = len(input_set.b)
-    b = rows.b + disturbance_margin(rows, known)
+    margin = disturbance_margin(rows, known)
     A_v = rows.A * input_set.scale
-    b_v = b - rows.A @ input_set.center
+    b_v = rows.b + margin - rows.A @ input_set.center
     return FeasibleSet(
-        A=np.concatenate([input_set.A, rows.A]),
-        b=np.concatenate([input_set.b, b]),
         A_v=np.concatenate([input_set.A_normalised, A_v]),
         b_v=np.concatenate([input_set.b_normalised, b_v]),
         rows=rows,
+        margin=margin,
         known=known,
-        weights=np.ones(len(b)) if weights is None else weights,
-        num_input_rows=k,
+        weights=np.ones(len(b_v)) if weights is None else weights,
+        input_set=input_set,
         cutting=np.concatenate(
             [np.arange(k), k + (b_v < np.abs(A_v).sum(axis=1)).nonzero()[0]]
         ),

@@ -15,7 +15,6 @@ from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.linear_program import minimise_linear
 from vcbf_drake.safety.nearest_point import nearest_point
-from vcbf_drake.safety.polytope import emptiness_certificate
 
 InfeasiblePolicy = Literal["stop", "least_violation", "hold"]
 
@@ -110,31 +109,37 @@ def choose_input(
     rows = [row.normalised(input_set) for row in volume_rows]
     # The others hold on the whole bounding box.
     rows = [row for row in rows if row.c < np.abs(row.a).sum()]
+    if rows:
+        A = np.concatenate([A, [row.a for row in rows]])
+        b = np.concatenate([b, [row.c for row in rows]])
     v_reference = (reference - input_set.center) / input_set.scale
     if np.abs(v_reference).max() > _FARTHEST_REFERENCE:
         v_reference = v_reference.clip(-_FARTHEST_REFERENCE, _FARTHEST_REFERENCE)
-    if (A @ v_reference <= b).all() and _hold(rows, v_reference):
+    if (A @ v_reference <= b).all():
         return FilterDecision(reference, FilterStatus.REFERENCE)
     slack, status = 0.0, FilterStatus.FILTERED
     v = np.minimum(np.maximum(v_reference, -1.0), 1.0)
     # The nearest point of the bounding box is the nearest of all if the rows allow it.
-    if not ((A @ v <= b).all() and _hold(rows, v)):
+    if not (A @ v <= b).all():
         try:
             if not rows:
                 v = _hard(A, b, v_reference)
+            elif exact_slack:
+                v, slack, status = _hard_first(A, b, len(rows), v_reference)
             else:
-                solve = _hard_first if exact_slack else _with_penalty
-                v, slack, status = solve(A, b, rows, v_reference)
-        except EmptySetError:
-            return _infeasible(feasible, v_reference, held_input, input_set, policy)
+                penalties = [row.slack_penalty for row in rows]
+                v, slack, status = _with_penalty(A, b, penalties, v_reference)
+        except EmptySetError as error:
+            # Of the feasible set's rows alone; a volume row that may give way has none.
+            among = [i for i in error.conflict if i < len(feasible.cutting)]
+            conflict = tuple(feasible.cutting[among].tolist())
+            return _infeasible(
+                feasible, v_reference, held_input, input_set, policy, conflict
+            )
         except (SolverError, LinAlgError):
             return failed_decision(feasible, v_reference, held_input, input_set)
     u = input_set.project(input_set.center + input_set.scale * v)
     return FilterDecision(u, status, slack)
-
-
-def _hold(rows: Sequence[VolumeRow], v: Array) -> bool:
-    return all(row.a @ v <= row.c for row in rows)
 
 
 def _hard(A: Array, b: Array, reference: Array) -> Array:
@@ -144,48 +149,42 @@ def _hard(A: Array, b: Array, reference: Array) -> Array:
 _Solution = tuple[Array, float, FilterStatus]
 
 
-def _hard_first(
-    A: Array, b: Array, rows: Sequence[VolumeRow], reference: Array
-) -> _Solution:
-    """The volume rows as constraints; relaxed only where they leave nothing (E25).
+def _hard_first(A: Array, b: Array, count: int, reference: Array) -> _Solution:
+    """The last rows as constraints; relaxed only where they leave nothing (E25).
 
     With several, each in its turn gives way by the least that those before it allow.
     """
-    all_A = np.concatenate([A, [row.a for row in rows]])
-    all_b = np.concatenate([b, [row.c for row in rows]])
+    k = len(b) - count
     try:
-        return _hard(all_A, all_b, reference), 0.0, FilterStatus.FILTERED
-    except (EmptySetError, SolverError):
-        v = _hard(A, b, reference)  # Empty without them too?
-    for i, row in enumerate(rows, start=len(b)):
-        if row.a.any():
-            v = minimise_linear(row.a, all_A[:i], all_b[:i])
-        least = float(row.a @ v)
-        all_b[i] = max(row.c, least + _OPENING * (1.0 + abs(row.c)))
+        return _hard(A, b, reference), 0.0, FilterStatus.FILTERED
+    except EmptySetError as error:
+        if max(error.conflict) < k:
+            raise  # Empty without them too.
+    except SolverError:
+        pass
+    v, relaxed = _hard(A[:k], b[:k], reference), b.copy()
+    for i in range(k, len(b)):
+        if A[i].any():
+            v = minimise_linear(A[i], A[:i], relaxed[:i])
+        relaxed[i] = max(b[i], float(A[i] @ v) + _OPENING * (1.0 + abs(b[i])))
     try:
-        v = _hard(all_A, all_b, reference)
+        v = _hard(A, relaxed, reference)
     except (EmptySetError, SolverError):
         pass  # The last linear program's own minimiser is a solution too.
-    slack = min(0.0, *(row.c - float(row.a @ v) for row in rows))
+    slack = min(0.0, float((b[k:] - A[k:] @ v).min()))
     return v, slack, FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
 
 
 def _with_penalty(
-    A: Array, b: Array, rows: Sequence[VolumeRow], reference: Array
+    A: Array, b: Array, penalties: Sequence[float], reference: Array
 ) -> _Solution:
-    """Each volume row with its free slack delta at the cost M delta^2 (E24).
+    """Each of the last rows with its free slack delta at the cost M delta^2 (E24).
 
     In the variables (v, sqrt(M) delta) the cost is a distance again.
     """
-    k, root = len(rows), np.sqrt([row.slack_penalty for row in rows])
-    all_A = np.block(
-        [
-            [A, np.zeros((len(b), k))],
-            [np.array([row.a for row in rows]), np.diag(1.0 / root)],
-        ]
-    )
-    all_b = np.append(b, [row.c for row in rows])
-    solution = _hard(all_A, all_b, np.append(reference, np.zeros(k)))
+    k, root = len(penalties), np.sqrt(penalties)
+    slopes = np.concatenate([np.zeros((len(b) - k, k)), np.diag(1.0 / root)])
+    solution = _hard(np.column_stack([A, slopes]), b, np.append(reference, np.zeros(k)))
     v, slacks = solution[:-k], solution[-k:] / root
     slack = float(slacks.min())
     status = FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
@@ -198,16 +197,8 @@ def _infeasible(
     held_input: Array,
     input_set: InputSet,
     policy: InfeasiblePolicy,
+    conflict: tuple[int, ...],
 ) -> FilterDecision:
-    cutting = feasible.cutting
-    try:
-        certificate = emptiness_certificate(
-            feasible.A_v[cutting], feasible.b_v[cutting]
-        )
-    except SolverError:
-        return failed_decision(feasible, reference, held_input, input_set)
-    rows = () if certificate is None else cutting[certificate.rows]
-    conflict = tuple(int(row) for row in rows)
     if policy == "hold":
         u = input_set.project(held_input)
     else:

@@ -157,7 +157,7 @@ class _Box(InputSet):
 
     def project(self, u: ArrayLike) -> Array:
         u = np.asarray(u, dtype=float)
-        if not np.all(np.isfinite(u)):
+        if not np.isfinite(u).all():
             return self.interior.copy()
         inside: Array = np.minimum(np.maximum(u, self._lower), self._upper)
         return inside

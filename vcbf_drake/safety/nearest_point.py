@@ -61,26 +61,25 @@ def nearest_point(A: Array, b: Array, reference: Array) -> NearestPoint:
     if (A @ reference <= b).all():
         return NearestPoint(reference, np.zeros(len(b)))
     length = np.sqrt(np.einsum("ij,ij->i", A, A))
-    live = length > 1e-12 * max(1.0, float(length.max(initial=0.0)))
-    if (b[~live] < 0.0).any():
-        _raise_if_empty(A, b)
-    length = length[live]
-    rows, bounds = A[live] / length[:, None], b[live] / length
+    blank = length <= 1e-12 * max(1.0, float(length.max(initial=0.0)))
+    if blank.any():
+        if (b[blank] < 0.0).any():
+            _raise_if_empty(A, b)
+        length[blank] = np.inf  # Such a row then reads 0 v <= 0.
+    rows, bounds = A / length[:, None], b / length
     solution = _on_rows(slice(None), rows, bounds, reference)
     if solution is None:
         _raise_if_empty(A, b)
         solution = _solved(rows, bounds, reference)
     if solution is None:
         raise SolverError("no solver's answer to the QP could be verified", A, b)
-    multipliers = np.zeros(len(b))
-    multipliers[live] = solution.multipliers / length
-    return NearestPoint(solution.point, multipliers)
+    return NearestPoint(solution.point, solution.multipliers / length)
 
 
 def _raise_if_empty(A: Array, b: Array) -> None:
     certificate = emptiness_certificate(A, b)
     if certificate is not None:
-        raise EmptySetError(A, b, certificate.inradius)
+        raise EmptySetError(A, b, certificate.inradius, certificate.rows.tolist())
 
 
 def _solved(A: Array, b: Array, reference: Array) -> NearestPoint | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
@@ -177,6 +178,10 @@ class SafetyFilter(LeafSystem):
         self._measure = self.volume_barrier.feasibility_measure(input_set)
         self._guard = self.volume_barrier.guard_measure(input_set)
         self._ellipsoid_solver = InscribedEllipsoidSolver(input_set)
+        self._plateau = {
+            measure: self._volume_of_input_set(measure)
+            for measure in (self._measure, self._guard)
+        }
         self._declare_inputs()
         self._declare_cache_entries()
         self._declare_outputs()
@@ -237,46 +242,30 @@ class SafetyFilter(LeafSystem):
 
     def _declare_outputs(self) -> None:
         m, n_rows = self.model.num_inputs, self.num_rows
-        self._output("input", m, lambda c: self.decision(c).input, self._decision_entry)
+        N, scale = self.barrier_set.size, self.input_set.scale
+        decision, feasible = self._decision_entry, self._feasible_entry
+        self._output("input", m, decision, lambda decided: decided.input)
+        self._output("slack", 1, decision, lambda decided: [decided.slack])
+        self._output("status", 1, decision, lambda decided: [decided.status])
+        self._output("volume", 1, self._volume_entry, _volume_value)
+        self._output("barriers", N, feasible, lambda found: found.rows.value)
         self._output(
-            "slack", 1, lambda c: [self.decision(c).slack], self._decision_entry
+            "authority", N, feasible, lambda found: found.rows.authority(scale)
         )
-        self._output(
-            "status", 1, lambda c: [self.decision(c).status], self._decision_entry
-        )
-        self._output("volume", 1, self._calc_volume_value, self._volume_entry)
-        self._output(
-            "barriers",
-            self.barrier_set.size,
-            lambda c: self.feasible_set(c).rows.value,
-            self._feasible_entry,
-        )
-        self._output(
-            "authority",
-            self.barrier_set.size,
-            lambda c: self.feasible_set(c).rows.authority(self.input_set.scale),
-            self._feasible_entry,
-        )
-        self._output(
+        self.DeclareVectorOutputPort(
             "feasible_set",
             n_rows * (m + 1) + m * (m + 1),
             self._calc_packed_feasible_set,
-            self._volume_entry,
-            self._guard_entry,
+            {self._volume_entry.ticket(), self._guard_entry.ticket()},
         )
 
     def _output(
-        self,
-        name: str,
-        size: int,
-        calc: Callable[[Context], object],
-        *entries: CacheEntry,
+        self, name: str, size: int, entry: CacheEntry, read: Callable[[Any], object]
     ) -> OutputPort:
-        def write(context: Context, output: BasicVector) -> None:
-            output.SetFromVector(calc(context))
+        def calc(context: Context, output: BasicVector) -> None:
+            output.SetFromVector(read(entry.Eval(context)))
 
-        needs = {entry.ticket() for entry in entries}
-        return self.DeclareVectorOutputPort(name, size, write, needs)
+        return self.DeclareVectorOutputPort(name, size, calc, {entry.ticket()})
 
     @property
     def num_rows(self) -> int:
@@ -356,12 +345,21 @@ class SafetyFilter(LeafSystem):
         feasible = self.feasible_set(context)
         if measure is None or not feasible.is_finite:
             return None
+        if feasible.is_uncut and self._plateau[measure] is not None:
+            return self._plateau[measure]
         k = feasible.num_input_rows
         try:
             measured = measure(feasible.A_v[k:], feasible.b_v[k:])
         except (SolverError, np.linalg.LinAlgError):
             return None
         return volume(measured, feasible, self.input_set)
+
+    def _volume_of_input_set(self, measure: FeasibilityMeasure | None) -> Volume | None:
+        measured = None if measure is None else measure.of_input_set
+        if measured is None:
+            return None
+        n, q = self.model.num_states, self.model.num_disturbances
+        return Volume.unmoved(measured, n, q)
 
     def _ellipsoid(self, context: Context) -> Ellipsoid | None:
         """Of the set as it is, whatever is measured; found for whoever looks."""
@@ -426,11 +424,7 @@ class SafetyFilter(LeafSystem):
         )
         return VolumeRow(a, c, self.volume_barrier.slack_penalty)
 
-    def _calc_volume_value(self, context: Context) -> list[float]:
-        v = self.volume(context)
-        return [np.nan if v is None else v.value]
-
-    def _calc_packed_feasible_set(self, context: Context) -> Array:
+    def _calc_packed_feasible_set(self, context: Context, output: BasicVector) -> None:
         feasible = self.feasible_set(context)
         ellipsoid, m = self._ellipsoid(context), self.model.num_inputs
         frame, center = np.full((m, m), np.nan), np.full(m, np.nan)
@@ -438,7 +432,11 @@ class SafetyFilter(LeafSystem):
             scale = self.input_set.scale
             frame = scale[:, None] * ellipsoid.shape
             center = self.input_set.center + scale * ellipsoid.center
-        return pack_feasible_set(feasible.A, feasible.b, frame, center)
+        output.SetFromVector(pack_feasible_set(feasible.A, feasible.b, frame, center))
+
+
+def _volume_value(v: Volume | None) -> list[float]:
+    return [np.nan if v is None else v.value]
 
 
 def _check_effort_limits(model: ControlAffineModel, input_set: InputSet) -> None:

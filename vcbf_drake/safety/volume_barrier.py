@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 import math
 
 import numpy as np
@@ -119,11 +120,23 @@ class Volume:
     estimate: Array
     bound: float
 
-    @property
+    @staticmethod
+    def unmoved(measured: Measurement, num_states: int, num_channels: int) -> Volume:
+        """Returns V_v of a set that no barrier row cuts.
+
+        Args:
+            measured: The measure of the input set.
+            num_states: n.
+            num_channels: q.
+        """
+        state, estimate = np.zeros(num_states), np.zeros(num_channels)
+        return Volume(measured.value, measured.ellipsoid, state, 0.0, estimate, 0.0)
+
+    @cached_property
     def is_on_plateau(self) -> bool:
         """Whether there is room, and no row that touches it and could take it away."""
         moving = self.state.any() or self.time or self.estimate.any() or self.bound
-        return self.value >= 0.0 and not moving
+        return bool(self.value >= 0.0 and not moving)
 
     def rate(
         self, state_rate: Array, known: DisturbanceKnowledge, disturbance: Array
