@@ -100,19 +100,25 @@ def _gap(n: Array, e: Array, w: Array) -> float:
 
         sum w_i (1 + e_i) >= sum w_i (|B n_i| + n_i c) >= tr(S B) + c' sum w_i n_i
 
-    and tr(S B) >= m (det S det B)^(1/m). At the optimum sum w_i n_i vanishes; until
-    then |c| is bounded by c'S c = sum w_i (n_i c)^2 with -|c| <= n_i c <= 1 + e_i, to
-    2 sum w_i (1 + e_i) over the least eigenvalue of S less |sum w_i n_i|.
+    and tr(S B) >= m (det S det B)^(1/m). At the optimum S = I and sum w_i n_i vanishes;
+    until then, with the Frobenius norm r = |S - I| < 1,
+
+        log det S >= tr(S - I) - r^2 / (2 (1 - r)),
+
+    and |c| is bounded by c'S c = sum w_i (n_i c)^2 with -|c| <= n_i c <= 1 + e_i, to
+    2 sum w_i (1 + e_i) over 1 - r - |sum w_i n_i|. Taken as 0.05, well below what it
+    is, this also tells how exact the multipliers are.
     """
     m = n.shape[1]
+    excess = (n.T * w) @ n
+    excess.flat[:: m + 1] -= 1.0
+    r, imbalance = math.sqrt(np.vdot(excess, excess)), math.hypot(*(w @ n).tolist())
     reach, total = 1.0 + float(e.min()), float(w @ (1.0 + e))
-    det = float(np.linalg.det((n.T * w) @ n))
-    imbalance = math.hypot(*(w @ n).tolist())
-    # Then the least eigenvalue of S is above 0.09 for up to 8 inputs.
-    if not (0.0 < total < 1.1 * m * reach and det > 0.5 and imbalance < 0.04):
+    if not (r < 0.5 and imbalance < 0.04 and 0.0 < total < 1.1 * m * reach):
         return math.inf
     farthest = 2.0 * total / 0.05
-    return m * math.log((total + imbalance * farthest) / (m * reach)) - math.log(det)
+    log_det = float(w.sum()) - m - 0.5 * r * r / (1.0 - r)
+    return m * math.log((total + imbalance * farthest) / (m * reach)) - log_det
 
 
 def _inside(
@@ -121,13 +127,13 @@ def _inside(
     """Scales the ellipsoid until it touches, and takes its symmetric shape (F F')^1/2.
 
     The gap gets the rounding of |B a_i| and b_i - a_i c added, which grows with the
-    ratio of the longest to the shortest axis.
+    ratio of the longest to the shortest axis, and that of log det B.
     """
     axes, lengths, _ = np.linalg.svd(frame)
     lengths *= 1.0 + e.min()
     longest, shortest = lengths[0] + math.sqrt(center @ center), lengths[-1]
-    rounding = 4e-16 * len(lengths) * float(longest / shortest)
     log_det = float(np.log(lengths).sum())
+    rounding = 4e-16 * (len(lengths) * float(longest / shortest) + abs(log_det))
     half = axes * (0.5 * lengths) @ axes.T
     return CertifiedEllipsoid(
         center, half + half.T, log_det, multipliers, gap + rounding

@@ -18,6 +18,10 @@ one equation for pi, and then B^2 is a multinomial covariance in coordinates a_j
 
     B^2_ij = (y_i [i = j] - y_i y_j) / (kappa a_i a_j).
 
+With t = (1 - sqrt(1 - pi)) / pi it has the root B^2 = F F',
+
+    F_ij = sqrt(y_i / kappa) / a_i ([i = j] - t sqrt(y_i y_j)).
+
 The row's multiplier is pi / s, and those of -+v_j <= 1 are
 
     a_j ((1 - y_j) / p_j +- pi / s) / 2.
@@ -57,12 +61,13 @@ def box_cut_by_row(a: Array, b: float) -> tuple[Array, Array, Array] | None:
     ratios = [min(entry / s, 1.0) ** 2 for entry in entries]
     pi = _weight(ratios)
     y = np.array([_small_root(q * pi * (1.0 - pi)) for q in ratios])
-    kappa = pi * (1.0 - pi) / (s * s)
-    covariance: Array = (np.diag(y) - np.outer(y, y)) / (kappa * np.outer(a, a))
+    kappa, root = pi * (1.0 - pi) / (s * s), np.sqrt(y)
+    frame = ((math.sqrt(1.0 - pi) - 1.0) / pi) * root[:, None] * root
+    frame.flat[:: len(a) + 1] += 1.0
+    frame *= (root / (math.sqrt(kappa) * a))[:, None]
     towards, mean = a * (0.5 * pi / s), 0.5 * size * (1.0 - y) / p
     multipliers = np.concatenate([mean - towards, mean + towards, (pi / s,)])
     center = np.sign(a) * (p / size - 1.0)
-    frame = np.asarray(np.linalg.cholesky(covariance), dtype=float)
     return center, frame, np.maximum(multipliers, 0.0)
 
 
