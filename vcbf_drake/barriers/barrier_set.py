@@ -11,6 +11,7 @@ from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.barrier_rows import BarrierRows, RowsAlong
 from vcbf_drake.barriers.input_limits import StateInputLimit
 from vcbf_drake.barriers.perceived_spheres import PerceivedBarrier
+from vcbf_drake.barriers.row_enclosures import RowEnclosures
 from vcbf_drake.barriers.row_functions import (
     RowFunctions,
     barrier_functions,
@@ -157,6 +158,27 @@ class BarrierSet:
             for point, seen in zip(points, perceived, strict=True)
         ]
         return np.array(values, dtype=float).reshape(len(t), self.size)
+
+    def enclosures(self, t: float, obstacles: Array | None = None) -> RowEnclosures:
+        """Returns what bounds the rows over boxes of states and times.
+
+        Args:
+            t: The time for which obstacles are perceived [s].
+            obstacles: What is perceived then, shape (obstacles_size,).
+
+        Raises:
+            ModelError: A row has no enclosure on intervals.
+            ValueError: obstacles has another shape.
+        """
+        return RowEnclosures(self._functions_at(t, obstacles), self._num_entries)
+
+    def require_enclosures(self) -> None:
+        """Raises ModelError, with the row's name, unless `enclosures` has them all."""
+        for name, functions in zip(self.names, self._functions, strict=True):
+            try:
+                RowEnclosures([functions], self._num_entries)
+            except ModelError as error:
+                raise ModelError(f"'{name}': {error}") from error
 
     def rows_along(self, x: Array, t: Array) -> RowsAlong:
         """Returns every row along a trajectory, without perceived obstacles.

@@ -55,10 +55,10 @@ class RowFunctions:
 
 def no_row(model: ControlAffineModel) -> RowFunctions:
     """Returns the functions of a row that every input satisfies, 0 u <= 1."""
-    m, q = model.num_inputs, model.num_disturbances
-    row = [0.0] * m + [1.0] + [0.0] * q
-    gradient = [0.0] * (len(row) * (model.num_states + 1))
-    return RowFunctions(lambda *_: row, lambda *_: gradient, (), _no_value, (), 0)
+    symbols = Symbols.of(model, 0)
+    always = [*np.zeros(model.num_inputs), 1.0]
+    row, gradient = _compile_limit(symbols.formula(always))
+    return RowFunctions(row, gradient, (), _no_value, (), 0)
 
 
 def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctions:

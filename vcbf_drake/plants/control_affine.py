@@ -13,6 +13,8 @@ from vcbf_drake.plants.compiled import (
     Expressions,
     compile_expressions,
 )
+from vcbf_drake.plants.interval import Number
+from vcbf_drake.plants.interval_function import interval_function
 from vcbf_drake.plants.symbolic_dynamics import (
     Context,
     PortChoice,
@@ -161,6 +163,23 @@ class ControlAffineModel:
             ArithmeticError: f or g is singular at x.
         """
         return np.array(self._nominal_rate(*x.tolist(), *u.tolist()))
+
+    def nominal_rate_over(
+        self, box: Sequence[Number], inputs: Sequence[Number]
+    ) -> list[Number]:
+        """Encloses f(x) + g(x) u, n entries, for all states and inputs of a box.
+
+        Args:
+            box: Where x is, n intervals or numbers.
+            inputs: Where u is, m of them.
+
+        Raises:
+            ModelError: f or g has no enclosure on intervals.
+            ArithmeticError: f or g is singular somewhere in the box.
+            ValueError: f or g has no real value somewhere in the box.
+        """
+        return interval_function(self._nominal_rate)(*box, *inputs)
+
 
 
 # Arithmetic of expressions leaves floating-point flags that NumPy takes for its own.

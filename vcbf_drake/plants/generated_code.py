@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Callable, Mapping
 import linecache
 import math
 from typing import Any
@@ -51,7 +52,9 @@ def _is_arithmetic(node: ast.AST) -> bool:
     return isinstance(node, _ARITHMETIC)
 
 
-def function_of(source: str, name: str) -> Any:
+def function_of(
+    source: str, name: str, meaning: Mapping[str, Callable[..., Any]] | None = None
+) -> Any:
     """Returns the function that the code defines, under a name.
 
     Its code stays readable: in tracebacks and by ``inspect.getsource``.
@@ -59,11 +62,14 @@ def function_of(source: str, name: str) -> Any:
     Args:
         source: The definition of one function.
         name: The function's name, for messages.
+        meaning: The functions that the code calls, by name; those on floats by
+            default.
     """
     file = f"<{name} {hash(source):x}>"
     linecache.cache[file] = len(source), None, source.splitlines(True), file
     scope: dict[str, Any] = {}
-    exec(compile(source, file, "exec"), {**_NAMES, "__builtins__": {}}, scope)
+    names = _NAMES if meaning is None else meaning
+    exec(compile(source, file, "exec"), {**names, "__builtins__": {}}, scope)
     (function,) = scope.values()
     function.__name__ = name
     return function

@@ -1,6 +1,11 @@
 """The mathematics of one control tick, and the Drake system that runs it."""
 
-from vcbf_drake.safety.add_safety_filter import AddedSafetyFilter, AddSafetyFilter
+from vcbf_drake.safety.add_safety_filter import (
+    BETWEEN_TICKS,
+    AddedSafetyFilter,
+    AddSafetyFilter,
+    BetweenTicks,
+)
 from vcbf_drake.safety.assumptions import Assumption, assumptions
 from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
 from vcbf_drake.safety.ellipsoid import Ellipsoid, inscribed_ellipsoid
@@ -16,6 +21,7 @@ from vcbf_drake.safety.filter_qp import (
     FilterStatus,
     InfeasiblePolicy,
 )
+from vcbf_drake.safety.held_rows import HeldRows, Tick, least_height
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.methods import METHODS, Method
 from vcbf_drake.safety.packed_feasible_set import (
@@ -31,6 +37,7 @@ from vcbf_drake.safety.safety_filter import SafetyFilter
 from vcbf_drake.safety.volume_barrier import Volume, VolumeBarrier
 
 __all__ = [
+    "BETWEEN_TICKS",
     "FIDELITIES",
     "INFEASIBLE_POLICIES",
     "MEASURES",
@@ -38,6 +45,7 @@ __all__ = [
     "AddSafetyFilter",
     "AddedSafetyFilter",
     "Assumption",
+    "BetweenTicks",
     "Corrections",
     "DisturbanceKnowledge",
     "Ellipsoid",
@@ -47,11 +55,13 @@ __all__ = [
     "Fidelity",
     "FilterDecision",
     "FilterStatus",
+    "HeldRows",
     "InfeasiblePolicy",
     "InputSet",
     "Method",
     "PackedFeasibleSet",
     "SafetyFilter",
+    "Tick",
     "Volume",
     "VolumeBarrier",
     "assumptions",
@@ -59,5 +69,6 @@ __all__ = [
     "disturbance_margin",
     "emptiness_certificate",
     "inscribed_ellipsoid",
+    "least_height",
     "unpack_feasible_set",
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from pydrake.systems.framework import DiagramBuilder, InputPort, OutputPort, System
 from pydrake.systems.primitives import ZeroOrderHold
@@ -25,8 +25,21 @@ from vcbf_drake.safety.methods import method_named
 from vcbf_drake.safety.safety_filter import SafetyFilter
 from vcbf_drake.safety.volume_barrier import VolumeBarrier
 
+BetweenTicks = Literal["none", "certified"]
+BETWEEN_TICKS: tuple[BetweenTicks, ...] = ("none", "certified")
+
 # What the monitor of the policy ``stop`` is called, after the filter's name.
 STOP_MONITOR = "infeasibility_monitor"
+
+
+def covers_hold(method: str, corrections: Corrections) -> bool:
+    """Returns whether a filter's error bound holds until the next tick too (E39).
+
+    Args:
+        method: One of `vcbf_drake.safety.METHODS`.
+        corrections: The errata it applies.
+    """
+    return corrections.error_floor or method_named(method).disturbance != "estimated"
 
 
 class AddedSafetyFilter(NamedTuple):
@@ -65,6 +78,7 @@ def AddSafetyFilter(
     input_port: InputPort | str | int | None = None,
     disturbance_port: InputPort | str | int | None = None,
     violation_weights: Sequence[float] | None = None,
+    between_ticks: BetweenTicks = "none",
     model: ControlAffineModel | None = None,
     name: str = "filter",
     filter_class: Callable[..., SafetyFilter] = SafetyFilter,
@@ -108,6 +122,8 @@ def AddSafetyFilter(
         disturbance_port: The plant's disturbance input, where it has another name.
         violation_weights: How much a violation of each barrier counts when not all can
             hold, (N,), positive; ones by default.
+        between_ticks: ``certified`` for inputs under which the rows hold until the next
+            tick (E77), where there are such; ``none`` for the ticks alone.
         model: The plant's model, when it is at hand already; needed where it cannot be
             derived from the plant (a discrete one), or has other parameters.
         name: The filter's name; hold, observer and monitor are named after it.
@@ -119,9 +135,19 @@ def AddSafetyFilter(
     """
     if plant is None and (model is None or state is None):
         raise ValueError("plant: None; then model and state must be given")
+    if between_ticks not in BETWEEN_TICKS:
+        raise ValueError(
+            f"between_ticks: got {between_ticks!r}; allowed: {', '.join(BETWEEN_TICKS)}"
+        )
     model = model or ControlAffineModel.from_system(plant, input_port, disturbance_port)
     observer = observer or _default_observer(method, model, period, bounds)
     applied = corrections or FIDELITIES[fidelity]
+    if between_ticks == "certified" and not covers_hold(method, applied):
+        raise ValueError(
+            "between_ticks: certified needs the correction error_floor (fidelity"
+            " corrected): the printed error bound does not hold between ticks"
+        )
+    longest_hold = max(period, observer.certified_interval)
     safety_filter = filter_class(
         model,
         barriers,
@@ -134,9 +160,8 @@ def AddSafetyFilter(
         disturbance_bound=bounds.delta1,
         estimate_gain=observer.estimate_gain,
         violation_weights=violation_weights,
-        hold_margin=bounds.delta2 * max(period, observer.certified_interval)
-        if applied.error_floor
-        else 0.0,
+        hold_margin=bounds.delta2 * longest_hold if applied.error_floor else 0.0,
+        certified_hold=longest_hold if between_ticks == "certified" else 0.0,
     )
     builder.AddNamedSystem(name, safety_filter)
     hold = builder.AddNamedSystem(

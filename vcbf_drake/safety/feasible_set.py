@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -83,6 +83,18 @@ class FeasibleSet:
         """The number k of rows that limit the input whatever the state."""
         return len(self.input_set.b)
 
+    def tightened(self, reserve: Array) -> FeasibleSet:
+        """Returns the inputs of this set that leave every barrier row a reserve (E77).
+
+        Args:
+            reserve: Shape (N,), not negative.
+        """
+        k = self.num_input_rows
+        b_v = self.b_v.copy()
+        b_v[k:] -= reserve
+        cutting = _cutting(self.A_v, b_v, k)
+        return replace(self, b_v=b_v, margin=self.margin - reserve, cutting=cutting)
+
     @cached_property
     def is_finite(self) -> bool:
         """Whether every number in the rows is finite."""
@@ -117,17 +129,23 @@ def feasible_set(
     """
     k = len(input_set.b)
     margin = disturbance_margin(rows, known)
-    A_v = rows.A * input_set.scale
+    A_v = np.concatenate([input_set.A_normalised, rows.A * input_set.scale])
     b_v = rows.b + margin - rows.A @ input_set.center
+    b_v = np.concatenate([input_set.b_normalised, b_v])
     return FeasibleSet(
-        A_v=np.concatenate([input_set.A_normalised, A_v]),
-        b_v=np.concatenate([input_set.b_normalised, b_v]),
+        A_v=A_v,
+        b_v=b_v,
         rows=rows,
         margin=margin,
         known=known,
-        weights=np.ones(len(b_v)) if weights is None else weights,
+        weights=np.ones(len(rows.b)) if weights is None else weights,
         input_set=input_set,
-        cutting=np.concatenate(
-            [np.arange(k), k + (b_v < np.abs(A_v).sum(axis=1)).nonzero()[0]]
-        ),
+        cutting=_cutting(A_v, b_v, k),
     )
+
+
+def _cutting(A_v: Array, b_v: Array, num_input_rows: int) -> NDArray[np.intp]:
+    """Returns the rows that can matter; see `FeasibleSet.cutting`."""
+    k = num_input_rows
+    cut = (b_v[k:] < np.abs(A_v[k:]).sum(axis=1)).nonzero()[0]
+    return np.concatenate([np.arange(k), k + cut])

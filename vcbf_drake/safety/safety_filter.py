@@ -39,6 +39,7 @@ from vcbf_drake.safety.filter_qp import (
     VolumeRow,
     choose_input,
 )
+from vcbf_drake.safety.held_rows import HeldRows, Tick
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.methods import method_named
 from vcbf_drake.safety.packed_feasible_set import pack_feasible_set
@@ -121,6 +122,7 @@ class SafetyFilter(LeafSystem):
         disturbance_bound: float = 0.0,
         estimate_gain: float = 0.0,
         hold_margin: float = 0.0,
+        certified_hold: float = 0.0,
         violation_weights: Sequence[float] | None = None,
     ) -> None:
         """Declares ports and cache entries.
@@ -140,12 +142,15 @@ class SafetyFilter(LeafSystem):
             hold_margin: How far the disturbance can move while one input is held,
                 delta2 times the control period; added to the error bound (E39)
                 [m/s^2].
+            certified_hold: For how long a chosen input has to keep the rows while it is
+                held (E77) [s]; 0 asks for that at the tick alone.
             violation_weights: How much a violation of each barrier counts when not all
                 can hold, (N,), positive; ones by default.
 
         Raises:
             ValueError: An argument is outside what is allowed.
-            ModelError: A barrier does not fit the model.
+            ModelError: A barrier does not fit the model; or there is a hold to certify,
+                and the model or a barrier has no enclosure on intervals.
         """
         super().__init__()
         self.method = method_named(method)
@@ -173,7 +178,12 @@ class SafetyFilter(LeafSystem):
         self.infeasible: InfeasiblePolicy = infeasible
         self._worst_case = disturbance_bound
         self._estimate_gain = estimate_gain
-        self._hold_margin = hold_margin
+        self.hold_margin = hold_margin
+        self._held_rows: HeldRows | None = None
+        if certified_hold:
+            self._held_rows = HeldRows(
+                model, self.barrier_set, certified_hold, disturbance_bound
+            )
         self._weights = _checked_weights(violation_weights, len(self.barriers))
         self._measure = self.volume_barrier.feasibility_measure(input_set)
         self._guard = self.volume_barrier.guard_measure(input_set)
@@ -283,7 +293,7 @@ class SafetyFilter(LeafSystem):
         return DisturbanceKnowledge(
             estimate,
             rate,
-            float(bound[0]) + self._hold_margin,
+            float(bound[0]) + self.hold_margin,
             float(bound_rate[0]),
             self._estimate_gain,
         )
@@ -382,18 +392,28 @@ class SafetyFilter(LeafSystem):
             else np.zeros(self.model.num_inputs)
         )
         rows, failed = self._volume_rows(context)
-        decision = choose_input(
-            self.feasible_set(context),
-            rows,
-            reference,
-            held,
-            self.input_set,
-            self.corrections.exact_slack,
-            self.infeasible,
-        )
+        feasible = self.feasible_set(context)
+
+        def choose(margin: Array | None = None) -> FilterDecision:
+            return choose_input(
+                feasible if margin is None else feasible.tightened(margin),
+                rows,
+                reference,
+                held,
+                self.input_set,
+                self.corrections.exact_slack,
+                self.infeasible,
+            )
+
+        decision = choose()
         if failed:
             return FilterDecision(decision.input, FilterStatus.FAILED)
-        return decision
+        if self._held_rows is None:
+            return decision
+        seen = None if self._obstacles is None else self._obstacles.Eval(context)
+        x, t = self._state.Eval(context), context.get_time()
+        tick = Tick(feasible.rows, x, t, feasible.known, seen)
+        return self._held_rows.lasting_decision(tick, decision, choose)
 
     def _volume_rows(self, context: Context) -> tuple[list[VolumeRow], bool]:
         """The rows that act, the guard's first, and whether one could not be found."""

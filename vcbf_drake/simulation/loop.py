@@ -38,6 +38,7 @@ from vcbf_drake.safety import (
     METHODS,
     AddedSafetyFilter,
     AddSafetyFilter,
+    BetweenTicks,
     InfeasiblePolicy,
     SafetyFilter,
 )
@@ -194,6 +195,7 @@ def add_controller_and_filter(
         corrections=scenario.applied_corrections,
         infeasible=cast(InfeasiblePolicy, scenario.infeasible),
         volume_barrier=scenario.volume,
+        between_ticks=cast(BetweenTicks, scenario.between_ticks),
         observer=observer,
         state=state,
         observed_state=observed_state,

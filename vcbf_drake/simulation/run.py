@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import time
 
 import numpy as np
@@ -14,7 +14,7 @@ from pydrake.systems.analysis import (
 )
 from pydrake.systems.framework import Context, Diagram
 
-from vcbf_drake.errors import Array
+from vcbf_drake.errors import Array, ModelError
 from vcbf_drake.safety import (
     Assumption,
     SafetyFilter,
@@ -22,6 +22,10 @@ from vcbf_drake.safety import (
     unpack_feasible_set,
 )
 from vcbf_drake.simulation.audit import audit_findings, audit_margins, reasons_against
+from vcbf_drake.simulation.certified_heights import (
+    certified_least_barrier,
+    is_certifiable,
+)
 from vcbf_drake.simulation.faults import fault_assumptions
 from vcbf_drake.simulation.loop import (
     COLLISION_MONITOR,
@@ -66,6 +70,9 @@ def simulate(
     path_time, path = _find(diagram, context, "path")
     heights = barriers.values_along(path, path_time)
     summary = summarise(scenario, safety_filter, log, path_time, path, heights, ending)
+    summary["certified_min_barrier"] = _certified_least(
+        scenario, diagram, found, log, ending
+    )
     summary["assumptions"] = [vars(assumption) for assumption in found]
     summary["audit"] = audit_findings(log, path_time, heights, scenario.volume.gain)
     summary["reasons_against"] = reasons_against(
@@ -76,6 +83,31 @@ def simulate(
         summary["step_cpu_ms"] = step_cpu_time(safety_filter, log)
     summary["real_time_factor"] = ending.time / max(cpu_time, 1e-9)
     return Result(scenario, summary, log)
+
+
+def _certified_least(
+    scenario: Scenario,
+    diagram: Diagram,
+    found: Sequence[Assumption],
+    log: dict[str, Array],
+    ending: Ending,
+) -> float | None:
+    """What h was nowhere below (E76); None where that cannot be certified."""
+    source = diagram.GetSubsystemByName("disturbance")
+    if not is_certifiable(scenario, found):
+        return None
+    # A hold that the run's end cut short counts: it is bounded for its whole period.
+    holds = int(np.sum(log["time"] < ending.time))
+    try:
+        return certified_least_barrier(
+            diagram.GetSubsystemByName("filter"),
+            log,
+            holds,
+            scenario.period,
+            source.bounds.delta1,
+        )
+    except ModelError:
+        return None
 
 
 def check_assumptions(scenario: Scenario) -> tuple[Assumption, ...]:

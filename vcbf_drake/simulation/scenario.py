@@ -196,6 +196,9 @@ class Scenario:
     # What to do when no input is safe: "stop" the run, apply the input of
     # "least_violation", or "hold" the last one.
     infeasible: str = "stop"
+    # Between ticks: "none" asks the rows to hold at the ticks alone, "certified" asks
+    # for inputs under which they hold until the next tick (E77), where there are such.
+    between_ticks: str = "none"
     # State at time zero, in the plant's units, (n,).
     initial_state: list[float] = field(default_factory=lambda: [0.0] * 8)
     # Position to reach [m].

@@ -16,6 +16,7 @@ from vcbf_drake.control.car_controller import CarControllerParameters
 from vcbf_drake.errors import ScenarioError, VcbfError
 from vcbf_drake.plants.blimp import BlimpParameters
 from vcbf_drake.plants.car import CarParameters
+from vcbf_drake.safety.add_safety_filter import BETWEEN_TICKS, covers_hold
 from vcbf_drake.safety.corrections import FIDELITIES
 from vcbf_drake.safety.filter_qp import INFEASIBLE_POLICIES
 from vcbf_drake.safety.methods import METHODS
@@ -162,6 +163,7 @@ def _check_choices(scenario: Scenario) -> None:
         (("method",), scenario.method, METHODS),
         (("fidelity",), scenario.fidelity, FIDELITIES),
         (("infeasible",), scenario.infeasible, INFEASIBLE_POLICIES),
+        (("between_ticks",), scenario.between_ticks, BETWEEN_TICKS),
         (("observer", "step"), scenario.observer.step, OBSERVER_STEPS),
         (("barrier", "form"), scenario.barrier.form, BARRIER_FORMS),
         (("hardware", "fallback"), scenario.hardware.fallback, FALLBACKS),
@@ -182,6 +184,13 @@ def _check_pairing(scenario: Scenario, kind: PlantKind) -> None:
             ("controller",),
             f"!{type(scenario.controller).__name__}; it must be"
             f" !{kind.controller.__name__}, for the plant is a {kind.name}",
+        )
+    certified = scenario.between_ticks == "certified"
+    if certified and not covers_hold(scenario.method, scenario.applied_corrections):
+        raise InvalidFieldError(
+            ("between_ticks",),
+            "certified; it must be none without the correction error_floor, for the"
+            " printed error bound does not hold between ticks",
         )
     if scenario.turn_limit is not None and kind.name != "car":
         raise InvalidFieldError(
