@@ -12,6 +12,7 @@ from vcbf_drake.cli.bench import bench
 from vcbf_drake.cli.hardware import controller, plant
 from vcbf_drake.cli.hardware_logs import replay_log
 from vcbf_drake.cli.monte_carlo import monte_carlo
+from vcbf_drake.cli.rate_sweep import rate_sweep
 from vcbf_drake.cli.reliability import reliability
 from vcbf_drake.cli.reproduce import reproduce
 from vcbf_drake.cli.simulations import check, compare, diagram, list_scenarios, run
@@ -25,6 +26,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "monte-carlo": monte_carlo,
     "reproduce": reproduce,
     "reliability": reliability,
+    "rate-sweep": rate_sweep,
     "bench": bench,
     "plant": plant,
     "controller": controller,

@@ -181,7 +181,6 @@ class ControlAffineModel:
         return interval_function(self._nominal_rate)(*box, *inputs)
 
 
-
 # Arithmetic of expressions leaves floating-point flags that NumPy takes for its own.
 @np.errstate(invalid="ignore")
 def _compiled_rate(
