@@ -366,15 +366,15 @@ def test_nothing_is_certified_without_the_hypotheses(overrides):
 
 def test_the_margin_gives_way_before_the_rows_do():
     """Where no input has the margin, the input without one is applied."""
-    model = ControlAffineModel.from_system(Car())
-    barriers = BarrierSet(
-        model, [SphereObstacle([0.0, 0.0], 0.5, form="squared").barrier([2.0, 1.0])]
-    )
-    held = HeldRows(model, barriers, 0.1, 0.0)
-    x = np.array([-0.6, 0.0, 1.0, 0.0])
+    model = ControlAffineModel.from_system(Car(CarParameters(mass=1.0)))
+    wall = Barrier(lambda x, t, p: x[0], [2.0, 1.0], name="wall")
+    barriers = BarrierSet(model, [wall])
+    held = HeldRows(model, barriers, 0.5, 0.0)
+    x = np.array([0.1, 0.0, 0.3, 0.0])
     tick = Tick(barriers.rows(x, 0.0), x, 0.0, DisturbanceKnowledge.constant(1, 0.0))
-    plain = FilterDecision(np.array([-0.6, 0.0]), FilterStatus.FILTERED)
-    assert tick.chi(plain.input) > 0.0
+    plain = FilterDecision(np.array([-0.5, 0.0]), FilterStatus.FILTERED)
+    # chi = a + 2 v + x = 0.2 loses 0.7 a second.
+    assert tick.chi(plain.input) == pytest.approx(0.2)
     asked = []
 
     def choose(margin):
@@ -383,7 +383,7 @@ def test_the_margin_gives_way_before_the_rows_do():
 
     assert held.lasting_decision(tick, plain, choose) is plain
     assert len(asked) == 1
-    assert asked[0] > 0.0
+    assert asked[0] >= 0.35
 
 
 def test_wrong_choices_are_named():

@@ -64,7 +64,7 @@ def assumptions(
     found.append(_volume_at_start(safety_filter, filter_context))
     if method.disturbance == "estimated" and isinstance(observer, RiseObserver):
         found.extend(_rate_orders(safety_filter, observer))
-    found.append(_sampling(period))
+    found.append(_sampling(safety_filter, period))
     return tuple(found)
 
 
@@ -209,10 +209,19 @@ def _rate_orders(
         )
 
 
-def _sampling(period: float) -> Assumption:
+def _sampling(safety_filter: SafetyFilter, period: float) -> Assumption:
+    if safety_filter.certified_hold:
+        return Assumption(
+            "sampled input",
+            "inputs are chosen to keep the rows until the next tick (Theorem 4, E77)",
+            safety_filter.certified_hold >= period,
+            {"period": period},
+            "barriers may dip between ticks",
+        )
     return Assumption(
         "sampled input",
-        "the theorems are for continuous time; the input is held over a period",
+        "the theorems are for continuous time, the input is held over a period: a run"
+        " says what that can have cost (E76), between_ticks: certified prevents it",
         None,
         {"period": period},
         "barriers may dip between ticks by an amount of the order of the period",

@@ -179,6 +179,7 @@ class SafetyFilter(LeafSystem):
         self._worst_case = disturbance_bound
         self._estimate_gain = estimate_gain
         self.hold_margin = hold_margin
+        self.certified_hold = certified_hold
         self._held_rows: HeldRows | None = None
         if certified_hold:
             self._held_rows = HeldRows(

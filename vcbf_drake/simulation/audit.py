@@ -33,7 +33,7 @@ VOLUME_DECREASE = "volume decrease"
 AUTHORITY = "authority"
 
 # What rounding may take from a margin that is exactly 0.
-_ROUNDING = 1e-9
+ROUNDING = 1e-9
 # A row that the whole input range moves by less than this is out of reach.
 LEAST_AUTHORITY = 1e-6
 
@@ -172,7 +172,7 @@ def _decrease_margin(times: Array, volume: Array, gain: float) -> Array:
 
 
 def _finding(statement: str, times: Array, margins: Array) -> dict[str, Any]:
-    broken = np.flatnonzero(margins < -_ROUNDING)
+    broken = np.flatnonzero(margins < -ROUNDING)
     worst = int(np.argmin(margins))
     return {
         "statement": statement,
@@ -198,7 +198,7 @@ def _are_inside(inputs: Array, input_set: InputSet) -> NDArray[np.bool_]:
     v = (inputs - input_set.center) / input_set.scale
     reach = v @ input_set.A_normalised.T
     inside: NDArray[np.bool_] = np.all(
-        reach <= input_set.b_normalised + _ROUNDING, axis=1
+        reach <= input_set.b_normalised + ROUNDING, axis=1
     )
     return inside
 

@@ -21,7 +21,13 @@ from vcbf_drake.safety import (
     assumptions,
     unpack_feasible_set,
 )
-from vcbf_drake.simulation.audit import audit_findings, audit_margins, reasons_against
+from vcbf_drake.simulation.audit import (
+    BETWEEN_TICKS,
+    ROUNDING,
+    audit_findings,
+    audit_margins,
+    reasons_against,
+)
 from vcbf_drake.simulation.certified_heights import (
     certified_least_barrier,
     is_certifiable,
@@ -78,6 +84,8 @@ def simulate(
     summary["reasons_against"] = reasons_against(
         found, summary["audit"], summary["outcome"] == "collision"
     )
+    if _fell_short(scenario, summary["certified_min_barrier"]):
+        summary["reasons_against"].append(f"not certified: {BETWEEN_TICKS}")
     summary["guaranteed"] = not summary["reasons_against"]
     if step_time:
         summary["step_cpu_ms"] = step_cpu_time(safety_filter, log)
@@ -108,6 +116,12 @@ def _certified_least(
         )
     except ModelError:
         return None
+
+
+def _fell_short(scenario: Scenario, certified: float | None) -> bool:
+    """Whether the margin that was asked for gave way, and it mattered."""
+    asked = scenario.between_ticks == "certified"
+    return asked and certified is not None and certified < -ROUNDING
 
 
 def check_assumptions(scenario: Scenario) -> tuple[Assumption, ...]:

@@ -9,6 +9,7 @@ from vcbf_drake.safety import BETWEEN_TICKS
 from vcbf_drake.simulation.run import simulate
 from vcbf_drake.simulation.scenario_file import load_scenario
 from vcbf_drake.studies.moving_wall import press_against_wall
+from vcbf_drake.viz.terminal import rounded_down
 
 RATES = (20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
 MOVING_WALL = "moving wall"
@@ -17,12 +18,12 @@ SCENARIOS = ("car-avoidance", "blimp-single-obstacle")
 # How densely h is looked at in the scenarios [s].
 _STEP = 1e-3
 _COLUMNS = {
-    "min_barrier": ("least h seen", ".2e"),
-    "certified_min_barrier": ("certified", ".2e"),
+    "min_barrier": ("least h seen", ".3g"),
+    "certified_min_barrier": ("certified", "down"),
     "median_barrier": ("median h", ".4f"),
     "reached_at": ("reached [s]", ".2f"),
     "min_volume": ("least V_v", ".4f"),
-    "max_abs_slack": ("greatest slack", ".2e"),
+    "max_abs_slack": ("greatest slack", ".3g"),
     "infeasible_ticks": ("infeasible ticks", "d"),
 }
 
@@ -132,4 +133,6 @@ def _row(cells: Sequence[str]) -> str:
 
 
 def _cell(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
+    if value is None:
+        return "-"
+    return rounded_down(value) if form == "down" else format(value, form)

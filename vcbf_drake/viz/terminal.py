@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from decimal import ROUND_FLOOR, Context
 import math
 import sys
 import textwrap
@@ -127,6 +128,10 @@ def _remarks(summary: Mapping[str, Any]) -> Iterator[str]:
     ]
     if broken:
         yield f"promises broken, first at (see summary.json): {', '.join(broken)}"
+    certified = summary.get("certified_min_barrier")
+    if certified is not None:
+        least = rounded_down(certified)
+        yield f"certified at every instant, between ticks too: h >= {least}"
 
 
 def _numbers(numbers: Mapping[str, float]) -> str:
@@ -138,3 +143,9 @@ def _numbers(numbers: Mapping[str, float]) -> str:
 def number_text(value: float | None) -> str:
     """Returns a number in three digits; a dash for none."""
     return "-" if value is None or math.isnan(value) else f"{value:.3g}"
+
+
+def rounded_down(value: float) -> str:
+    """Returns a bound from below in three digits that is still one."""
+    three_digits = Context(prec=3, rounding=ROUND_FLOOR)
+    return f"{float(three_digits.create_decimal_from_float(value)):.3g}"
