@@ -1,18 +1,29 @@
-"""Lawson and Hanson's active-set iterations on a handful of rows."""
+"""Goldfarb and Idnani's active-set iterations on a handful of rows."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from vcbf_drake.errors import Array
 
+# A row this near to the span of others, for its length, is in it.
+_INDEPENDENT = 1e-12
+
 
 def nonnegative_multipliers(A: Array, b: Array, reference: Array) -> Array:
     """Returns the y >= 0 that minimises 1/2 |A'y|^2 - y'(A reference - b).
 
-    The dual of the projection, by Lawson and Hanson's active-set iterations: the row
-    that is violated most joins, rows that would push leave. They end after finitely
-    many when the rows have a common point; a limit ends them when they have none.
+    The dual of the projection, by the dual method of Goldfarb and Idnani: the row that
+    is violated most joins, rows that would push leave. It ends when no row is violated,
+    or none of the active ones can make room for the one that is: then the rows have no
+    common point, and y is not a minimiser, for there is none. The caller has to check.
+
+    Args:
+        A: The rows, shape (n, m).
+        b: Their right-hand sides, shape (n,).
+        reference: The point that is projected, shape (m,).
     """
     violation = A @ reference - b
     tolerance = 1e-12 * (1.0 + float(np.abs(violation).max(initial=0.0)))
@@ -20,42 +31,52 @@ def nonnegative_multipliers(A: Array, b: Array, reference: Array) -> Array:
     for _ in range(3 * len(b)):
         excess = violation - A @ (y @ A)
         excess[active] = -np.inf
-        worst = excess.argmax()
-        if excess[worst] <= tolerance:
+        worst = int(excess.argmax())
+        if excess[worst] <= tolerance or not _join(A, y, active, worst, excess[worst]):
             break
-        active[worst] = True
-        target = _restricted_minimiser(A, violation, active, y)
-        while target.min() < 0.0:  # Walk towards the target; drop what blocks.
-            falling = active & (target <= 0.0)
-            step = np.min(y[falling] / (y[falling] - target[falling]))
-            y = y + step * (target - y)
-            active &= ~(falling & (y <= 1e-14))
-            y[~active] = 0.0
-            target = _restricted_minimiser(A, violation, active, y)
-        y = target
+    if np.count_nonzero(active) > 1:
+        exact = _restricted_minimiser(A, violation, active)
+        y = exact if exact.min() >= 0.0 else y
     return y
 
 
-def _restricted_minimiser(A: Array, violation: Array, active: Array, y: Array) -> Array:
+def _join(A: Array, y: Array, active: Array, row: int, excess: float) -> bool:
+    """Makes a violated row active, in place, and those inactive that stand in its way.
+
+    Along the active rows' span its multiplier takes over from theirs; what is left of
+    the row, at a right angle to them, moves the point. Returns whether it could be met.
+    """
+    length_square = float(A[row] @ A[row])
+    while (others := active.nonzero()[0]).size:
+        share = np.linalg.lstsq(A[others].T, A[row], rcond=None)[0]
+        left = A[row] - share @ A[others]
+        square = float(left @ left)
+        full = excess / square if square > _INDEPENDENT**2 * length_square else math.inf
+        blocking = (share > 0.0).nonzero()[0]
+        ratios = y[others[blocking]] / share[blocking]
+        step = min(full, float(ratios.min(initial=math.inf)))
+        if step == math.inf:
+            return False
+        y[row] += step
+        y[others] -= step * share
+        if step == full:
+            active[row] = True
+            return True
+        excess -= step * square
+        leaving = others[blocking[ratios.argmin()]]
+        y[leaving], active[leaving] = 0.0, False
+    y[row] += excess / length_square
+    active[row] = True
+    return True
+
+
+def _restricted_minimiser(A: Array, violation: Array, active: Array) -> Array:
     """The minimiser with y = 0 off the active rows: A A'y = violation on them.
 
     Solved as A s = violation, A'y = s: A A' would square how nearly parallel rows are.
-    When the row that joined depends on the others there is no such s. What is left of
-    the violation is then a direction with A'ray = 0, along which the cost falls without
-    end; the answer lies so far out on it, seen from y, that a row blocks the way.
     """
-    target = np.zeros(len(violation))
-    index = active.nonzero()[0]
-    if len(index) == 1:
-        target[index] = violation[index] / (A[index[0]] @ A[index[0]])
-    elif len(index) > 1:
-        rows = A[index]
-        step = np.linalg.lstsq(rows, violation[index], rcond=1e-12)[0]
-        ray = violation[index] - rows @ step
-        if np.abs(ray).max() > 1e-9 * (1.0 + np.abs(violation[index]).max()):
-            falling = ray < 0.0
-            reach = (y[index][falling] / -ray[falling]).max(initial=1.0)
-            target[index] = y[index] + 2.0 * reach * ray
-        else:
-            target[index] = np.linalg.lstsq(rows.T, step, rcond=1e-12)[0]
-    return target
+    y, index = np.zeros(len(violation)), active.nonzero()[0]
+    rows = A[index]
+    step = np.linalg.lstsq(rows, violation[index], rcond=1e-12)[0]
+    y[index] = np.linalg.lstsq(rows.T, step, rcond=1e-12)[0]
+    return y

@@ -14,7 +14,7 @@ from vcbf_drake.errors import Array, EmptySetError, SolverError
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.linear_program import minimise_linear
-from vcbf_drake.safety.nearest_point import nearest_point
+from vcbf_drake.safety.nearest_point import nearest_point, nearest_point_by_active_set
 
 InfeasiblePolicy = Literal["stop", "least_violation", "hold"]
 
@@ -155,14 +155,10 @@ def _hard_first(A: Array, b: Array, count: int, reference: Array) -> _Solution:
     With several, each in its turn gives way by the least that those before it allow.
     """
     k = len(b) - count
-    try:
-        return _hard(A, b, reference), 0.0, FilterStatus.FILTERED
-    except EmptySetError as error:
-        if max(error.conflict) < k:
-            raise  # Empty without them too.
-    except SolverError:
-        pass
-    v, relaxed = _hard(A[:k], b[:k], reference), b.copy()
+    found = nearest_point_by_active_set(A, b, reference)
+    if found is not None:
+        return found.point, 0.0, FilterStatus.FILTERED
+    v, relaxed = _hard(A[:k], b[:k], reference), b.copy()  # Empty without them too?
     for i in range(k, len(b)):
         if A[i].any():
             v = minimise_linear(A[i], A[:i], relaxed[:i])

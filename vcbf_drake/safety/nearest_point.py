@@ -58,40 +58,59 @@ def nearest_point(A: Array, b: Array, reference: Array) -> NearestPoint:
         EmptySetError: No point satisfies the rows; certified, not guessed.
         SolverError: No solver's answer could be verified.
     """
+    found = nearest_point_by_active_set(A, b, reference)
+    if found is None:
+        certificate = emptiness_certificate(A, b)
+        if certificate is not None:
+            raise EmptySetError(A, b, certificate.inradius, certificate.rows.tolist())
+        found = _by_solvers(A, b, reference)
+    if found is None:
+        raise SolverError("no solver's answer to the QP could be verified", A, b)
+    return found
+
+
+def nearest_point_by_active_set(
+    A: Array, b: Array, reference: Array
+) -> NearestPoint | None:
+    """Returns the verified nearest point; None where the set is empty, or all but.
+
+    Args:
+        A: The rows, shape (n, m).
+        b: The right-hand sides, shape (n,).
+        reference: The point to stay close to, shape (m,).
+    """
     if (A @ reference <= b).all():
         return NearestPoint(reference, np.zeros(len(b)))
-    length = np.sqrt(np.einsum("ij,ij->i", A, A))
-    blank = length <= 1e-12 * max(1.0, float(length.max(initial=0.0)))
-    if blank.any():
-        if (b[blank] < 0.0).any():
-            _raise_if_empty(A, b)
-        length[blank] = np.inf  # Such a row then reads 0 v <= 0.
+    length = _lengths(A)
+    if (b[length == np.inf] < 0.0).any():
+        return None
     rows, bounds = A / length[:, None], b / length
-    solution = _on_rows(slice(None), rows, bounds, reference)
-    if solution is None:
-        _raise_if_empty(A, b)
-        solution = _solved(rows, bounds, reference)
-    if solution is None:
-        raise SolverError("no solver's answer to the QP could be verified", A, b)
-    return NearestPoint(solution.point, solution.multipliers / length)
+    return _scaled(_on_rows(slice(None), rows, bounds, reference), length)
 
 
-def _raise_if_empty(A: Array, b: Array) -> None:
-    certificate = emptiness_certificate(A, b)
-    if certificate is not None:
-        raise EmptySetError(A, b, certificate.inradius, certificate.rows.tolist())
-
-
-def _solved(A: Array, b: Array, reference: Array) -> NearestPoint | None:
+def _by_solvers(A: Array, b: Array, reference: Array) -> NearestPoint | None:
     """Lets one solver after another propose which rows the nearest point touches."""
+    length = _lengths(A)
+    rows, bounds = A / length[:, None], b / length
     for solver, options in _solvers():
-        guess = _program(*A.shape).solve(solver, options, A, b, reference)
+        guess = _program(*A.shape).solve(solver, options, rows, bounds, reference)
         for touching in _TOUCHING:
-            near = (b - A @ guess < touching).nonzero()[0]
-            solution = _on_rows(near, A, b, reference)
+            near = (bounds - rows @ guess < touching).nonzero()[0]
+            solution = _on_rows(near, rows, bounds, reference)
             if solution is not None:
-                return solution
+                return _scaled(solution, length)
     return None
+
+
+def _lengths(A: Array) -> Array:
+    """The rows' lengths, (n,); infinite, so that it then reads 0 v <= 0, for a zero."""
+    length = np.sqrt(np.einsum("ij,ij->i", A, A))
+    length[length <= 1e-12 * max(1.0, float(length.max(initial=0.0)))] = np.inf
+    return length
+
+
+def _scaled(found: NearestPoint | None, length: Array) -> NearestPoint | None:
+    return found and NearestPoint(found.point, found.multipliers / length)
 
 
 def _on_rows(
