@@ -142,15 +142,20 @@ class RiseObserver(DisturbanceObserver):
         return step(memory, mean, elapsed)
 
     def _backward(self, memory: Array, mean: Array, dt: float) -> Array:
-        """Takes the implicit or saturated step (E40), (E51)."""
-        xtil, integral, _ = memory.reshape(3, -1)
+        """Takes the implicit or saturated step (E40), (E51), channel by channel."""
         gains, C = self.gains, self.gains.denominator(dt)
         jump = dt**2 * gains.beta
-        w = xtil + dt * (mean - integral)
-        s = np.minimum(1.0, np.maximum(-1.0, w / (C * self._layer + jump)))
-        xtil = (w - jump * s) / C
-        integral = integral + dt * (gains.stiffness * xtil + gains.beta * s)
-        return np.concatenate((xtil, integral, s))
+        reach = C * self._layer + jump
+        channels = []
+        for xtil, integral, _, d in zip(
+            *memory.reshape(3, -1).tolist(), mean.tolist(), strict=True
+        ):
+            w = xtil + dt * (d - integral)
+            s = min(1.0, max(-1.0, w / reach))
+            xtil_1 = (w - jump * s) / C
+            integral_1 = integral + dt * (gains.stiffness * xtil_1 + gains.beta * s)
+            channels.append((xtil_1, integral_1, s))
+        return np.array(channels).T.ravel()
 
     def _forward(self, memory: Array, mean: Array, dt: float) -> Array:
         """Takes the explicit step, Euler's of (E10)."""
