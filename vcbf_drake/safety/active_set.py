@@ -36,7 +36,7 @@ def nonnegative_multipliers(A: Array, b: Array, reference: Array) -> Array:
             break
     if np.count_nonzero(active) > 1:
         exact = _restricted_minimiser(A, violation, active)
-        y = exact if exact.min() >= 0.0 else y
+        y = exact if exact.min() >= 0.0 else np.maximum(y, 0.0)
     return y
 
 
