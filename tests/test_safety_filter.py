@@ -177,8 +177,8 @@ def test_a_volume_that_cannot_be_verified_is_said_and_its_row_left_out(
 
     without = make_filter(model, method="dob-cbf-qp")
     expected = evaluate(without, fixed(without, CLOSE), "input")
-    monkeypatch.setattr(EllipsoidVolume, "_measure", fail)
     safety_filter = make_filter(model)
+    monkeypatch.setattr(EllipsoidVolume, "_measure", fail)
     context = fixed(safety_filter, CLOSE)
     assert np.isnan(evaluate(safety_filter, context, "volume")[0])
     assert evaluate(safety_filter, context, "status")[0] == FilterStatus.FAILED
