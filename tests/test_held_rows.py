@@ -410,11 +410,3 @@ def test_wrong_choices_are_named():
     ):
         add(between_ticks="certified", fidelity="paper")
     add(between_ticks="certified", fidelity="paper", method="robust-cbf-qp")
-    with pytest.raises(
-        ModelError.__base__, match=r"between_ticks.*must be none without"
-    ):
-        load_scenario("car-avoidance", "{between_ticks: certified, fidelity: paper}")
-    with pytest.raises(
-        ModelError.__base__, match=r"between_ticks.*one of none, certif"
-    ):
-        load_scenario("car-avoidance", "{between_ticks: always}")

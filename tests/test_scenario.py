@@ -79,6 +79,7 @@ OneOfEverything:
   fidelity: paper
   corrections: {exact_slack: true}
   infeasible: hold
+  between_ticks: certified
   initial_state: [0.0, 0.0, 0.1, 0.2]
   target: [5.0, 0.0]
   duration: 6.0
@@ -393,10 +394,16 @@ REFUSED = [
     ("{method: dob}", "method", "'dob'; it must be one of cbf-qp, robust-cbf-qp"),
     ("{fidelity: exact}", "fidelity", "one of corrected, paper"),
     ("{infeasible: go}", "infeasible", "one of stop, least_violation, hold"),
+    ("{between_ticks: always}", "between_ticks", "one of none, certified"),
     ("{observer: {step: euler}}", "observer.step", "implicit, saturated, explicit"),
     ("{barrier: {form: cube}}", "barrier.form", "one of distance, squared"),
     ("{integrator: {scheme: rk4}}", "integrator.scheme", "runge_kutta3"),
     # Parts that must agree.
+    (
+        "{between_ticks: certified, fidelity: paper}",
+        "between_ticks",
+        "must be none without the correction error_floor",
+    ),
     ("{input_set: {lower: [0, 0, 1]}}", "input_set.lower[2]", "below upper"),
     ("{input_set: {A: [[1, 0, 0]], b: [-9]}}", "input_set", "is empty"),
     ("{period: 30}", "period", "at most the duration, 20 s"),
