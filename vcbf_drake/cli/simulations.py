@@ -43,12 +43,21 @@ def run(
     figures: Annotated[
         bool, typer.Option("--figures/--no-figures", help="Write the figures.")
     ] = True,
+    log_to: Annotated[
+        Path | None,
+        typer.Option(
+            "--log-to",
+            metavar="DIR",
+            file_okay=False,
+            help="Let the log grow there while the run goes, one .npy file an array.",
+        ),
+    ] = None,
 ) -> None:
     """Simulate one scenario: results, figures, a replay and a summary."""
     chosen = load(scenario, override, method)
     directory = out or Path("out") / f"{chosen.name}-{chosen.method}"
     with whole_or_not_at_all(directory) as staging:
-        results = _simulate([chosen])
+        results = _simulate([chosen], log_to)
         results[0].save(staging)
         write_pictures(results, staging, replay=replay, figures=figures)
     report_results(results, directory)
@@ -119,13 +128,19 @@ def diagram(
     typer.echo(f"written to {directory}")
 
 
-def _simulate(scenarios: list[Scenario]) -> list[Result]:
+def _simulate(
+    scenarios: list[Scenario], log_directory: Path | None = None
+) -> list[Result]:
     from vcbf_drake.simulation.run import simulate
     from vcbf_drake.viz.terminal import progress_bar
 
     def simulate_one(scenario: Scenario) -> Result:
         task = bar.add_task(scenario.method, total=1.0)
-        return simulate(scenario, lambda done: bar.update(task, completed=done))
+        return simulate(
+            scenario,
+            lambda done: bar.update(task, completed=done),
+            log_directory=log_directory,
+        )
 
     with progress_bar() as bar:
         return [simulate_one(scenario) for scenario in scenarios]

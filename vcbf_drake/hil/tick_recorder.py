@@ -10,7 +10,7 @@ from vcbf_drake.errors import Array
 from vcbf_drake.hil.controller_process import ControllerProcess
 from vcbf_drake.safety import SafetyFilter
 from vcbf_drake.simulation.loop import logged_ports
-from vcbf_drake.simulation.run import finish_log
+from vcbf_drake.simulation.run_log import finish_log
 
 
 class TickRecorder:

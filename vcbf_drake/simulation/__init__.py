@@ -1,5 +1,6 @@
 """Scenarios, the loop they describe, and what happens when it runs."""
 
+from vcbf_drake.simulation.log_files import read_log_files
 from vcbf_drake.simulation.loop import barriers, make_loop
 from vcbf_drake.simulation.result import Result, load_result
 from vcbf_drake.simulation.run import check_assumptions, simulate
@@ -21,6 +22,7 @@ __all__ = [
     "load_result",
     "load_scenario",
     "make_loop",
+    "read_log_files",
     "shipped_scenarios",
     "simulate",
     "step_cpu_time",

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-import io
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -28,7 +29,8 @@ class Result:
             (T, q), error_bound, slack, volume and status (T,), barriers and
             authority (T, N),
             polytope_A (T, rows, m), polytope_b (T, rows), ellipsoid_shape (T, m, m),
-            ellipsoid_center (T, m), audit (T, P), the margins of `PROMISES`.
+            ellipsoid_center (T, m), audit (T, P), the margins of `PROMISES`. Mapped
+            from files where the run's log went to disk.
     """
 
     scenario: Scenario
@@ -39,12 +41,13 @@ class Result:
         """Writes summary.json, log.npz and scenario.yaml; each whole or not at all."""
         directory = Path(directory)
         directory.mkdir(parents=True, exist_ok=True)
-        buffer = io.BytesIO()
-        np.savez_compressed(buffer, **self.log)  # type: ignore[arg-type]
         summary = json.dumps(self.summary, indent=2, allow_nan=True) + "\n"
-        _write(directory / "log.npz", buffer.getvalue())
-        _write(directory / "scenario.yaml", dump_scenario(self.scenario).encode())
-        _write(directory / "summary.json", summary.encode())
+        with _replacing(directory / "log.npz") as file:
+            np.savez_compressed(file, **self.log)  # type: ignore[arg-type]
+        with _replacing(directory / "scenario.yaml") as file:
+            file.write(dump_scenario(self.scenario).encode())
+        with _replacing(directory / "summary.json") as file:
+            file.write(summary.encode())
 
 
 def load_result(directory: str | Path) -> Result:
@@ -61,7 +64,13 @@ def load_result(directory: str | Path) -> Result:
     return Result(load_scenario(directory / "scenario.yaml"), summary, log)
 
 
-def _write(path: Path, content: bytes) -> None:
+@contextmanager
+def _replacing(path: Path) -> Iterator[BinaryIO]:
+    """Opens a file that takes the path's place when it is whole."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_bytes(content)
-    os.replace(temporary, path)
+    try:
+        with temporary.open("wb") as file:
+            yield file
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)

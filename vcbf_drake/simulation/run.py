@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+import math
+from pathlib import Path
 import time
 
 import numpy as np
@@ -19,13 +21,11 @@ from vcbf_drake.safety import (
     Assumption,
     SafetyFilter,
     assumptions,
-    unpack_feasible_set,
 )
 from vcbf_drake.simulation.audit import (
     BETWEEN_TICKS,
     ROUNDING,
     audit_findings,
-    audit_margins,
     reasons_against,
 )
 from vcbf_drake.simulation.certified_heights import (
@@ -33,13 +33,9 @@ from vcbf_drake.simulation.certified_heights import (
     is_certifiable,
 )
 from vcbf_drake.simulation.faults import fault_assumptions
-from vcbf_drake.simulation.loop import (
-    COLLISION_MONITOR,
-    LOG_PREFIX,
-    make_loop,
-    measurement_noise,
-)
+from vcbf_drake.simulation.loop import make_loop, measurement_noise
 from vcbf_drake.simulation.result import Result
+from vcbf_drake.simulation.run_log import RunLog
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.step_time import step_cpu_time
 from vcbf_drake.simulation.summary import Ending, summarise
@@ -48,11 +44,15 @@ Progress = Callable[[float], None]
 
 # Isolates the instant of a collision to a microsecond; integration has fixed steps.
 _WITNESS_ACCURACY = 1e-4
-_SCALARS = ("error_bound", "error_bound_rate", "slack", "volume", "status")
+# How often the log goes to disk: after this time at the latest [s].
+_LONGEST_PIECE = 10.0
 
 
 def simulate(
-    scenario: Scenario, progress: Progress | None = None, step_time: bool = True
+    scenario: Scenario,
+    progress: Progress | None = None,
+    step_time: bool = True,
+    log_directory: str | Path | None = None,
 ) -> Result:
     """Runs the scenario's loop from its initial state to its end.
 
@@ -60,27 +60,28 @@ def simulate(
         scenario: A validated scenario.
         progress: Called now and then with the fraction of the duration that is done.
         step_time: Whether to measure the filter's step afterwards, for the summary.
+        log_directory: Where the log grows while the run goes, one .npy file an array,
+            readable at any time by `read_log_files`; the result's arrays are mapped
+            from there, and memory stays flat. In memory if None.
     """
     diagram = make_loop(scenario)
     simulator = make_simulator(diagram, scenario)
     found = loop_assumptions(scenario, diagram, simulator.get_context())
+    record = RunLog(diagram, log_directory)
     started = time.process_time()
-    ending = _advance(simulator, scenario, progress)
-    context = simulator.get_context()
-    log = _read_log(diagram, context)
-    safety_filter: SafetyFilter = diagram.GetSubsystemByName("filter")
-    barriers = diagram.GetSubsystemByName(COLLISION_MONITOR).barrier_set
-    bounds = diagram.GetSubsystemByName("disturbance").bounds
-    log["audit"] = audit_margins(log, safety_filter, barriers, bounds)
+    ending = _advance(simulator, scenario, record, progress)
+    log, path = record.ticks.arrays(), record.path.arrays()
     cpu_time = time.process_time() - started
-    path_time, path = _find(diagram, context, "path")
-    heights = barriers.values_along(path, path_time)
-    summary = summarise(scenario, safety_filter, log, path_time, path, heights, ending)
+    safety_filter: SafetyFilter = diagram.GetSubsystemByName("filter")
+    times, heights = path["time"], path["heights"]
+    summary = summarise(
+        scenario, safety_filter, log, times, path["state"], heights, ending
+    )
     summary["certified_min_barrier"] = _certified_least(
         scenario, diagram, found, log, ending
     )
     summary["assumptions"] = [vars(assumption) for assumption in found]
-    summary["audit"] = audit_findings(log, path_time, heights, scenario.volume.gain)
+    summary["audit"] = audit_findings(log, times, heights, scenario.volume.gain)
     summary["reasons_against"] = reasons_against(
         found, summary["audit"], summary["outcome"] == "collision"
     )
@@ -167,17 +168,28 @@ def loop_assumptions(
 
 
 def _advance(
-    simulator: Simulator, scenario: Scenario, progress: Progress | None
+    simulator: Simulator, scenario: Scenario, record: RunLog, progress: Progress | None
 ) -> Ending:
     status = simulator.Initialize()
-    pieces = 1 if progress is None else 100
-    for fraction in np.arange(1, pieces + 1) / pieces:
+    for stop in _stops(scenario, record.is_on_disk, progress is not None):
         if _ending(status).monitor:
             break
-        status = simulator.AdvanceTo(scenario.duration * fraction)
+        status = simulator.AdvanceTo(stop)
+        if record.is_on_disk:
+            record.take(simulator.get_mutable_context())
         if progress is not None:
-            progress(float(fraction))
+            progress(stop / scenario.duration)
+    record.take(simulator.get_mutable_context())
     return _ending(status)
+
+
+def _stops(scenario: Scenario, is_on_disk: bool, reports: bool) -> list[float]:
+    """Where to stop on the way, at control ticks so that no step is cut; the end."""
+    duration, period = scenario.duration, scenario.period
+    pieces = math.ceil(duration / _LONGEST_PIECE) if is_on_disk else 1
+    pieces = max(pieces, 100 if reports else 1)
+    ticks = {int(k * duration / (pieces * period)) for k in range(1, pieces)}
+    return [*(tick * period for tick in sorted(ticks - {0})), duration]
 
 
 def _ending(status: SimulatorStatus) -> Ending:
@@ -185,44 +197,3 @@ def _ending(status: SimulatorStatus) -> Ending:
     return Ending(
         status.return_time(), str(status.system().get_name()) if ended else ""
     )
-
-
-def _find(diagram: Diagram, context: Context, name: str) -> tuple[Array, Array]:
-    sink = diagram.GetSubsystemByName(LOG_PREFIX + name)
-    log = sink.FindLog(context)
-    return log.sample_times().copy(), log.data().T.copy()
-
-
-def _read_log(diagram: Diagram, context: Context) -> dict[str, Array]:
-    names = [
-        system.get_name().removeprefix(LOG_PREFIX)
-        for system in diagram.GetSystems()
-        if system.get_name().startswith(LOG_PREFIX)
-    ]
-    log: dict[str, Array] = {}
-    for name in names:
-        if name == "path":
-            continue
-        times, data = _find(diagram, context, name)
-        log["time"] = times
-        log[name] = data
-    return finish_log(log, diagram.GetSubsystemByName("filter"))
-
-
-def finish_log(log: dict[str, Array], safety_filter: SafetyFilter) -> dict[str, Array]:
-    """Returns the log of a `Result` from the values of ports at the ticks.
-
-    Args:
-        log: Arrays (T, size) by the names of `logged_ports`, and others.
-        safety_filter: The filter that ran.
-    """
-    log = {name: v[:, 0] if name in _SCALARS else v for name, v in log.items()}
-    packed = unpack_feasible_set(
-        log.pop("feasible_set"), safety_filter.num_rows, safety_filter.model.num_inputs
-    )
-    log["polytope_A"], log["polytope_b"] = packed.A, packed.b
-    rows = packed.A[:, len(safety_filter.input_set.b) :]
-    log["authority"] = np.linalg.norm(rows * safety_filter.input_set.scale, axis=2)
-    log["ellipsoid_shape"], log["ellipsoid_center"] = packed.shape, packed.center
-    log["status"] = log["status"].astype(int)
-    return log
