@@ -8,12 +8,14 @@ import subprocess
 import sys
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from vcbf_drake.cli import app
 from vcbf_drake.safety.assumptions import Assumption
 from vcbf_drake.safety.methods import METHODS
+from vcbf_drake.simulation.log_files import LogFiles
 import vcbf_drake.simulation.run as run_module
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.scenario_file import shipped_scenarios
@@ -75,10 +77,14 @@ def stand_ins(monkeypatch: pytest.MonkeyPatch) -> list[Scenario]:
     simulated: list[Scenario] = []
 
     def simulate(
-        scenario: Scenario, progress: Callable[[float], None]
+        scenario: Scenario,
+        progress: Callable[[float], None],
+        log_directory: Path | None,
     ) -> StandInResult:
         simulated.append(scenario)
         progress(0.5)
+        if log_directory is not None:
+            LogFiles(log_directory).append({"time": np.zeros(1)})
         return StandInResult(scenario)
 
     def write_figures(results: Sequence[Any], directory: Path) -> list[Path]:
@@ -201,10 +207,22 @@ def test_bad_scenario_from_a_shell() -> None:
     )
 
 
+def test_a_log_can_grow_somewhere_else(
+    stand_ins: list[Scenario], tmp_path: Path
+) -> None:
+    log, out = tmp_path / "log", tmp_path / "out"
+    shown = invoke(
+        "run", "car-avoidance", "--log-to", str(log), "--out", str(out), "--no-replay"
+    )
+    assert shown.exit_code == 0
+    assert files(log) == {"time.npy"}
+    assert "time.npy" not in files(out)
+
+
 def test_other_failures_are_one_line_and_status_1(
     stand_ins: list[Scenario], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def simulate(scenario: Scenario, progress: object) -> None:
+    def simulate(scenario: Scenario, progress: object, **_: object) -> None:
         raise RuntimeError("the solver\nbroke")
 
     monkeypatch.setattr(run_module, "simulate", simulate)

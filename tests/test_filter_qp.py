@@ -200,7 +200,9 @@ def failing(*arguments):
 
 def test_an_emptiness_that_cannot_be_proven_is_a_failure(monkeypatch):
     """Not called infeasible without a certificate; the least violation acts."""
-    monkeypatch.setattr(filter_qp, "emptiness_certificate", failing)
+    monkeypatch.setattr(
+        "vcbf_drake.safety.nearest_point.emptiness_certificate", failing
+    )
     feasible = set_of([[1.0, 0.0], [-1.0, 0.0]], [-0.5, 0.2])
     decision = choose(feasible, [0.0, 0.5])
     assert decision.status == FilterStatus.FAILED and decision.conflict == ()

@@ -47,6 +47,8 @@ def _join(A: Array, y: Array, active: Array, row: int, excess: float) -> bool:
     the row, at a right angle to them, moves the point. Returns whether it could be met.
     """
     length_square = float(A[row] @ A[row])
+    if length_square == 0.0:
+        return False
     while (others := active.nonzero()[0]).size:
         share = np.linalg.lstsq(A[others].T, A[row], rcond=None)[0]
         left = A[row] - share @ A[others]

@@ -82,8 +82,6 @@ def nearest_point_by_active_set(
     if (A @ reference <= b).all():
         return NearestPoint(reference, np.zeros(len(b)))
     length = _lengths(A)
-    if (b[length == np.inf] < 0.0).any():
-        return None
     rows, bounds = A / length[:, None], b / length
     return _scaled(_on_rows(slice(None), rows, bounds, reference), length)
 
@@ -103,9 +101,9 @@ def _by_solvers(A: Array, b: Array, reference: Array) -> NearestPoint | None:
 
 
 def _lengths(A: Array) -> Array:
-    """The rows' lengths, (n,); infinite, so that it then reads 0 v <= 0, for a zero."""
-    length = np.sqrt(np.einsum("ij,ij->i", A, A))
-    length[length <= 1e-12 * max(1.0, float(length.max(initial=0.0)))] = np.inf
+    """The rows' lengths, (n,); 1, to leave it alone, for one that is all but zero."""
+    length: Array = np.sqrt(np.einsum("ij,ij->i", A, A))
+    length[length <= 1e-12 * max(1.0, length.max())] = 1.0
     return length
 
 

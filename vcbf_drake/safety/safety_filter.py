@@ -448,8 +448,9 @@ class SafetyFilter(LeafSystem):
     def _calc_packed_feasible_set(self, context: Context, output: BasicVector) -> None:
         feasible = self.feasible_set(context)
         ellipsoid, m = self._ellipsoid(context), self.model.num_inputs
-        frame, center = np.full((m, m), np.nan), np.full(m, np.nan)
-        if ellipsoid is not None:
+        if ellipsoid is None:
+            frame, center = np.full((m, m), np.nan), np.full(m, np.nan)
+        else:
             scale = self.input_set.scale
             frame = scale[:, None] * ellipsoid.shape
             center = self.input_set.center + scale * ellipsoid.center
