@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 import math
 
 import numpy as np
@@ -54,6 +55,7 @@ class BarrierSet:
                     f" {type(barrier).__name__}"
                 )
         self.names = tuple(barrier.name for barrier in barriers)
+        self._model = model
         self._num_states = model.num_states
         self._num_inputs = model.num_inputs
         self._num_entries = model.num_inputs + 1 + model.num_disturbances
@@ -64,7 +66,6 @@ class BarrierSet:
             if isinstance(barrier, PerceivedBarrier)
         ]
         self.obstacles_size = _obstacles_size([each for _, each in self._perceived])
-        self._no_row = no_row(model)
         degrees = [functions.relative_degree for functions in self._functions]
         start = self._num_entries
         self._chains = [(i, slice(start, start + r)) for i, r in enumerate(degrees)]
@@ -233,6 +234,11 @@ class BarrierSet:
             _evaluate(each.value, (*point, *each.parameters), 1)[0]
             for each in self._functions_at(point[-1], obstacles)
         ]
+
+    @cached_property
+    def _no_row(self) -> RowFunctions:
+        """What an empty slot has."""
+        return no_row(self._model)
 
     def _functions_at(self, t: float, obstacles: Array | None) -> list[RowFunctions]:
         """Returns the functions with the perceived obstacles' parameters."""

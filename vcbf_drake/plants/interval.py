@@ -70,9 +70,11 @@ class Interval:
     def __mul__(self, other: Number) -> Interval:
         a, b = self.low, self.high
         if not isinstance(other, Interval):
-            low, high = (
-                (a * other, b * other) if other >= 0.0 else (b * other, a * other)
-            )
+            if other == 1.0:  # Generated code is full of it.
+                return self
+            low, high = a * other, b * other
+            if other < 0.0:
+                low, high = high, low
         else:
             c, d = other.low, other.high
             if a >= 0.0 and c >= 0.0:
@@ -93,6 +95,10 @@ class Interval:
     def __pow__(self, exponent: int) -> Interval:
         if exponent < 0:
             return _reciprocal(self**-exponent)
+        if exponent == 2:
+            root = absolute(self)
+            low, high = root.low * root.low, root.high * root.high
+            return Interval(max(nextafter(low, -inf), 0.0), nextafter(high, inf))
         if exponent % 2 == 0:
             return _increasing(lambda x: math.pow(x, exponent), absolute(self), 0.0)
         return _increasing(lambda x: math.pow(x, exponent), self)

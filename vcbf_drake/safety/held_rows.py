@@ -86,7 +86,8 @@ class HeldRows:
         barrier_set.require_enclosures()
         with contextlib.suppress(ArithmeticError, ValueError):  # Singular at 0.
             model.nominal_rate_over([0.0] * model.num_states, [0.0] * model.num_inputs)
-        self.period = period
+        # Ticks are whole periods up to rounding.
+        self.period = period * (1.0 + _ROUNDING)
         self._model = model
         self._barriers = barrier_set
         self._disturbance_bound = disturbance_bound
@@ -99,8 +100,8 @@ class HeldRows:
         """
         most, ranges = self._disturbance_bound, []
         for estimate in known.estimate.tolist():
-            low = max(estimate - known.bound, -most)
-            high = min(estimate + known.bound, most)
+            ball = Interval(-known.bound, known.bound) + estimate
+            low, high = max(ball.low, -most), min(ball.high, most)
             # What cannot be true (an estimate too far off) still has a nearest truth.
             ranges.append(Interval(min(low, most), max(high, -most)))
         return ranges
@@ -123,11 +124,7 @@ class HeldRows:
         except (ArithmeticError, ValueError):
             return None
 
-    def least(
-        self,
-        tick: Tick,
-        u: Array,
-    ) -> Array:
+    def least(self, tick: Tick, u: Array) -> Array:
         """Returns a lower bound of every row's chi until the next tick, shape (N,).
 
         It is -inf where none was found.
@@ -140,7 +137,7 @@ class HeldRows:
         tube = self.tube(tick.state.tolist(), u.tolist(), d)
         if tube is None:
             return np.full(self._barriers.size, -np.inf)
-        box = [*tube.states, Interval(tick.time, tick.time + self.period)]
+        box = [*tube.states, Interval(0.0, self.period) + tick.time]
         enclosures = self._barriers.enclosures(tick.time, tick.obstacles)
         weights = _pair([*(-u).tolist(), 1.0, *d])
         # Far from its bound, a row is safe wherever in the tube the state is (E75) ...
@@ -179,7 +176,7 @@ class HeldRows:
                 return found
             margin = np.where(lacking, _HEADROOM * (chi - least), margin)
             found = choose(margin)
-        return found
+        return decision if found.status >= FilterStatus.INFEASIBLE else found
 
 
 def least_height(
