@@ -32,7 +32,7 @@ def car():
 
 def at(car, method, speed=1.0, observer=RiseObserver, barriers=(AHEAD,), **options):
     """The hypotheses by name, of a car at the origin."""
-    noise = options.pop("noise", 0.0)
+    noise = [options.pop("noise")] if "noise" in options else []
     observer = observer(car, PERIOD, BOUNDS)
     walls = [b.barrier([4.0, 3.0]) if b is AHEAD else b for b in barriers]
     safety_filter = SafetyFilter(car, walls, INPUTS, method=method, **options)
@@ -43,7 +43,7 @@ def at(car, method, speed=1.0, observer=RiseObserver, barriers=(AHEAD,), **optio
         values |= {"error_bound": [0.3], "error_bound_rate": [0.0]}
     for name, value in values.items():
         safety_filter.GetInputPort(name).FixValue(context, np.array(value, float))
-    found = assumptions(safety_filter, context, observer, PERIOD, noise)
+    found = assumptions(safety_filter, context, observer, PERIOD, *noise)
     return {a.name: a for a in found}
 
 

@@ -315,6 +315,46 @@ def test_what_cannot_be_certified_is_not_returned(monkeypatch):
     np.testing.assert_array_equal(raised.value.b, np.ones(4))
 
 
+@pytest.mark.parametrize("m", [2, 3, 4])
+def test_the_certificate_bounds_what_is_missing(m):
+    """Of ellipsoids and multipliers that are off by a little, in their coordinates."""
+    rng = np.random.default_rng(90 + m)
+    bounded = 0
+    for size in np.repeat(10.0 ** np.arange(-8.0, -1.0), 20):
+        A, b = random_polytope(rng, m)
+        best = inscribed_ellipsoid(A, b)
+        frame = best.shape @ (np.eye(m) + size * rng.normal(size=(m, m)))
+        center = best.center + size * best.shape @ rng.normal(size=m)
+        normals = A @ frame
+        length = np.linalg.norm(normals, axis=1)
+        excess = (b - A @ center) / length - 1.0
+        weights = best.multipliers * length
+        weights *= 1.0 + size * rng.normal(size=len(b))
+        bound = certified_ellipsoid._gap(
+            normals / length[:, None], excess, np.maximum(weights, 0.0)
+        )
+        inside = math.log(abs(np.linalg.det(frame))) + m * math.log1p(excess.min())
+        missing = best.log_det - inside
+        assert bound >= missing - 1e-9 * (1.0 + missing)
+        if size <= 1e-4:  # And it is not much more than that.
+            assert bound <= 1e3 * m * size
+            bounded += 1
+    assert bounded == 100
+
+
+@pytest.mark.parametrize("m", [2, 3, 4, 5])
+def test_the_cone_program_proposes_the_multipliers_too(m):
+    rng = np.random.default_rng(80 + m)
+    for _ in range(10):
+        A, b = random_polytope(rng, m)
+        center, L, multipliers = cone_program.cone_program(len(b), m, 1e-10).solve(A, b)
+        e = inscribed_ellipsoid(A, b)
+        np.testing.assert_allclose(center, e.center, atol=1e-5)
+        np.testing.assert_allclose(L @ L.T, e.shape @ e.shape, atol=1e-5)
+        scale = e.multipliers.max()
+        np.testing.assert_allclose(multipliers, e.multipliers, atol=1e-3 * scale)
+
+
 def test_a_solver_that_gives_up_is_not_believed(monkeypatch):
     monkeypatch.setattr(cone_program.ConeProgram, "solve", lambda self, A, b: None)
     with pytest.raises(SolverError):

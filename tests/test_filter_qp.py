@@ -12,7 +12,8 @@ from vcbf_drake.safety import (
     filter_qp,
 )
 from vcbf_drake.safety.feasible_set import feasible_set
-from vcbf_drake.safety.filter_qp import VolumeRow, choose_input
+from vcbf_drake.safety.filter_qp import VolumeRow, choose_input, failed_decision
+from vcbf_drake.safety.nearest_point import nearest_point
 
 BOX = InputSet.box([-1.0, -2.0], [3.0, 2.0])
 ORIGIN = np.zeros(2)
@@ -94,6 +95,7 @@ def test_infeasible_rows_are_named():
     decision = choose(feasible, [0.0, 0.0])
     assert decision.status == FilterStatus.INFEASIBLE
     assert decision.conflict == (4, 5)  # After the box's four rows.
+    assert decision.slack == 0.0
 
 
 def test_volume_rows_give_way_one_after_the_other():
@@ -194,6 +196,13 @@ def test_a_reference_far_outside_is_brought_back():
     np.testing.assert_allclose(decision.input, [3.0, -2.0], atol=1e-6)
 
 
+def test_a_reference_far_outside_is_brought_back_along_a_row():
+    """To (1, 0): as far on either input, in input ranges, from where it came."""
+    decision = choose(set_of([1.0, 1.0], 1.0), [1e200, 1e200])
+    assert decision.status == FilterStatus.FILTERED
+    np.testing.assert_allclose(decision.input, [1.0, 0.0], atol=1e-6)
+
+
 def failing(*arguments):
     raise SolverError("no answer", np.zeros((1, 2)), np.zeros(1))
 
@@ -207,6 +216,30 @@ def test_an_emptiness_that_cannot_be_proven_is_a_failure(monkeypatch):
     decision = choose(feasible, [0.0, 0.5])
     assert decision.status == FilterStatus.FAILED and decision.conflict == ()
     np.testing.assert_allclose(decision.input, [-0.35, 0.5], atol=1e-6)
+
+
+def test_the_fallback_on_a_set_that_is_not_empty_stays_near_the_reference():
+    """No barrier need give way, so none is kept further than it asks for."""
+    feasible = set_of([[1.0, 0.0], [0.0, 1.0]], [0.5, 5.0])
+    decision = failed_decision(feasible, np.array([0.4, 0.2]), ORIGIN, BOX)
+    assert decision.status == FilterStatus.FAILED
+    np.testing.assert_allclose(decision.input, [0.5, 0.4], atol=1e-6)
+
+
+def test_a_volume_row_that_holds_after_all_has_no_slack(monkeypatch):
+    """The first attempt fails without a proof of emptiness; the second keeps all."""
+    attempts = []
+
+    def failing_once(*arguments):
+        attempts.append(arguments)
+        return failing() if len(attempts) == 1 else nearest_point(*arguments)
+
+    monkeypatch.setattr(filter_qp, "nearest_point", failing_once)
+    row = VolumeRow(a=np.array([1.0, 0.0]), c=-0.5, slack_penalty=1e3)
+    decision = choose(set_of([0.0, 1.0], 1.0), [-0.8, 1.5], row)
+    assert len(attempts) > 1
+    assert decision.status == FilterStatus.FILTERED and decision.slack == 0.0
+    np.testing.assert_allclose(decision.input, [-0.8, 1.0], atol=1e-9)
 
 
 def test_without_any_solver_the_held_input_acts(monkeypatch):

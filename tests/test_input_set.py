@@ -111,6 +111,8 @@ def test_faulty_sets_are_refused():
     with pytest.raises(UnboundedSetError) as raised:
         InputSet(A[:2], b[:2])
     assert np.all(A[:2] @ raised.value.direction <= 0.0)
+    np.testing.assert_array_equal(raised.value.A, A[:2])
+    np.testing.assert_array_equal(raised.value.b, b[:2])
     with pytest.raises(UnboundedSetError):  # A strip: its inradius is finite.
         InputSet([[1.0, 0.0], [-1.0, 0.0]], [1.0, 1.0])
     with pytest.raises(ValueError, match="must be finite"):

@@ -83,6 +83,17 @@ def test_balls_of_every_size_are_refused():
         inscribed_ball(np.array([[1.0, 0.0], [0.0, 1.0]]), np.ones(2))
 
 
+def test_ordinary_sets_need_the_fast_program_alone(monkeypatch):
+    monkeypatch.setattr(inscribed_ball_module, "largest_ball", None)
+    rng = np.random.default_rng(6)
+    for m in (1, 2, 3):
+        for _ in range(20):
+            A, b = random_rows(rng, m)
+            assert inscribed_ball(A, b).radius == pytest.approx(
+                linprog_radius(A, b), abs=1e-8
+            )
+
+
 def test_without_the_fast_program_the_answer_is_the_same(monkeypatch):
     rng = np.random.default_rng(5)
     sets = [random_rows(rng, 3) for _ in range(20)]

@@ -243,6 +243,23 @@ def guarded_blimp(method="dob-vcbf-qp"):
     return builder.Build(), added, log
 
 
+def test_the_fallbacks_and_the_observer_read_what_the_hold_puts_out():
+    diagram, added, _ = guarded_blimp()
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(0.5)
+    held, seen, observed = (
+        port.Eval(system.GetMyContextFromRoot(simulator.get_context()))
+        for system, port in (
+            (added.hold, added.hold.get_output_port()),
+            (added.filter, added.filter.GetInputPort("held_input")),
+            (added.observer, added.observer.GetInputPort("input")),
+        )
+    )
+    assert held.any()
+    np.testing.assert_array_equal(seen, held)
+    np.testing.assert_array_equal(observed, held)
+
+
 @pytest.mark.parametrize("method", ["dob-vcbf-qp", "wang-xu-dob-cbf-qp", "vcbf-qp"])
 def test_add_safety_filter_keeps_a_users_loop_safe(method):
     diagram, _, log = guarded_blimp(method)

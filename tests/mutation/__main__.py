@@ -16,7 +16,7 @@ import importlib
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, SourceFileLoader
 from importlib.util import spec_from_file_location
-from itertools import takewhile
+from itertools import accumulate, takewhile
 import json
 import os
 from pathlib import Path
@@ -64,6 +64,7 @@ class _Stopwatch:
 
     def __init__(self, folder: Path, usual: dict[str, float] | None = None) -> None:
         self.seconds: dict[str, float] = {}
+        self.failed: list[str] = []
         self._cache, self._usual = folder.absolute() / "cache", usual
 
     @pytest.hookimpl(trylast=True)
@@ -80,6 +81,11 @@ class _Stopwatch:
         outcome = yield
         self.seconds[item.nodeid] = _cpu_seconds() - started
         return outcome
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Without a mutant a test that fails says nothing of any."""
+        if report.failed:
+            self.failed.append(report.nodeid)
 
 
 def _cpu_seconds() -> float:
@@ -119,31 +125,31 @@ def _in_child(work: Callable[[], int]) -> int:
 
 def _measure(tests: list[str], folder: Path) -> None:
     """Which tests reach which lines, and how long they take: baseline.json."""
-    data = folder / "coverage"
+    data, seconds = folder / "coverage", folder / "seconds.json"
 
     def run() -> int:
         os.environ["COVERAGE_FILE"] = str(data)
         watch = _Stopwatch(folder)
-        status = pytest.main(
-            [*_QUIET, *_MEASURING, *tests],
-            plugins=[watch],
-        )
-        (folder / "seconds.json").write_text(json.dumps(watch.seconds))
+        status = pytest.main([*_QUIET, *_MEASURING, *tests], plugins=[watch])
+        seconds.write_text(json.dumps({"all": watch.seconds, "failed": watch.failed}))
         return int(status)
 
-    if _in_child(run) != 0:
-        raise SystemExit("the tests fail without any mutant")
+    if _in_child(run) > pytest.ExitCode.TESTS_FAILED:
+        raise SystemExit("the tests cannot be run")
+    measured = json.loads(seconds.read_text())
+    for test in measured["failed"]:
+        print(f"left out, for it fails without a mutant: {test}")
+        del measured["all"][test]
     found = coverage.CoverageData(str(data))
     found.read()
     lines = {
         os.path.relpath(path): {
-            line: sorted({c.rsplit("|", 1)[0] for c in contexts if c})
+            line: sorted({c.rsplit("|", 1)[0] for c in contexts} & {*measured["all"]})
             for line, contexts in found.contexts_by_lineno(path).items()
         }
         for path in found.measured_files()
     }
-    seconds = json.loads((folder / "seconds.json").read_text())
-    text = json.dumps({"seconds": seconds, "lines": lines})
+    text = json.dumps({"seconds": measured["all"], "lines": lines})
     (folder / "baseline.json").write_text(text)
 
 
@@ -167,20 +173,26 @@ def _tried(
 
 
 def _reaching(
-    lines: dict[str, list[str]], line: int, seconds: dict[str, float], budget: float
+    path: Path, line: int, lines: dict[str, list[str]], seconds: dict[str, float]
 ) -> list[str]:
-    """The tests that reach a line, the fastest first, as long as they fit a budget.
+    """The tests that reach a line, the fastest first.
 
-    A line that runs at import is reached by all that reach any line of the module.
+    A line that runs when its module is imported is reached by every test; then those
+    of tests/test_<module>.py come first.
     """
-    reaching = lines.get(str(line)) or sorted({t for ts in lines.values() for t in ts})
-    tests, total = [], 0.0
-    for test in sorted(reaching, key=lambda t: (seconds[t], t)):
-        total += seconds[test]
-        if tests and total > budget:
-            break
-        tests.append(test)
-    return tests
+    own = f"tests/test_{path.stem}.py"
+    reaching = lines.get(str(line), [])
+    if reaching:
+        return sorted(reaching, key=lambda test: (seconds[test], test))
+    return sorted(
+        seconds, key=lambda test: (not test.startswith(own), seconds[test], test)
+    )
+
+
+def _within(budget: float, tests: list[str], seconds: dict[str, float]) -> list[str]:
+    """The first tests that fit a budget, one at least."""
+    total = list(accumulate(seconds[test] for test in tests))
+    return tests[: max(1, sum(spent <= budget for spent in total))]
 
 
 def _sampled(path: Path, share: float, seed: int) -> list[tuple[int, Mutant]]:
@@ -222,7 +234,8 @@ def main() -> None:
                 if (str(path), number) in known:
                     continue
                 lines = measured["lines"].get(str(path), {})
-                tests = _reaching(lines, mutant.line, seconds, options.budget)
+                tests = _reaching(path, mutant.line, lines, seconds)
+                tests = _within(options.budget, tests, seconds)
                 outcome = _tried(path, mutant, tests, seconds, options.out)
                 result = {"path": str(path), "number": number, "outcome": outcome}
                 result |= {"line": mutant.line, "before": mutant.before}

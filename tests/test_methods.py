@@ -1,0 +1,25 @@
+"""The six methods against what their papers do."""
+
+import pytest
+
+from vcbf_drake.safety import METHODS
+from vcbf_drake.safety.methods import method_named
+
+
+def test_methods_do_what_their_papers_do():
+    choices = {n: (m.disturbance, m.volume, m.observer) for n, m in METHODS.items()}
+    assert choices == {
+        "cbf-qp": ("ignored", False, "rise"),
+        "robust-cbf-qp": ("worst_case", False, "rise"),
+        "wang-xu-dob-cbf-qp": ("estimated", False, "linear"),
+        "vcbf-qp": ("ignored", True, "rise"),
+        "dob-cbf-qp": ("estimated", False, "rise"),
+        "dob-vcbf-qp": ("estimated", True, "rise"),
+    }
+    assert all(method.source for method in METHODS.values())
+
+
+def test_a_method_is_found_by_its_name():
+    assert method_named("vcbf-qp") is METHODS["vcbf-qp"]
+    with pytest.raises(ValueError, match=r"method: got 'magic'; allowed: cbf-qp, "):
+        method_named("magic")
