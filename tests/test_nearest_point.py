@@ -92,6 +92,8 @@ def test_reference_inside_passes_through_untouched():
     solution = nearest_point(A, b, reference)
     assert solution.point is reference
     assert not solution.multipliers.any()
+    on_an_edge = np.array([1.0, -0.3])
+    assert nearest_point(A, b, on_an_edge).point is on_an_edge
 
 
 def test_multipliers_satisfy_the_optimality_conditions_in_the_units_given():
@@ -118,3 +120,8 @@ def test_a_row_without_coefficients_is_empty_only_when_its_bound_is_negative():
     assert nearest_point(A, np.array([1.0, 1.0, 0.0]), far).point == pytest.approx(1.0)
     with pytest.raises(EmptySetError):
         nearest_point(A, np.array([1.0, 1.0, -1e-3]), far)
+    # One such row is enough, whatever the others of its kind say.
+    A = np.vstack([A, [0.0]])
+    for bounds in ([1.0, 1.0, -1e-3, 5.0], [1.0, 1.0, 5.0, -1e-3]):
+        with pytest.raises(EmptySetError):
+            nearest_point(A, np.array(bounds), far)

@@ -231,6 +231,22 @@ def test_recession_along_a_face():
     np.testing.assert_allclose(d, [0.0, 1.0], atol=1e-15)
 
 
+@pytest.mark.parametrize("m", [2, 3, 4])
+def test_recession_along_a_prism_is_exact(m):
+    """Bounded across and at one end: one direction alone, met by every side."""
+    rng = np.random.default_rng(60 + m)
+    for _ in range(20):
+        across = rng.normal(size=(3, m - 1))
+        sides = np.c_[
+            np.vstack([np.eye(m - 1), -np.eye(m - 1), across]), np.zeros(2 * m + 1)
+        ]
+        rotation = np.linalg.qr(rng.normal(size=(m, m)))[0]
+        A = np.vstack([sides, -np.eye(m)[-1:]]) @ rotation.T
+        A *= 10.0 ** rng.uniform(-3.0, 3.0, (len(A), 1))
+        d = recession_direction(A)
+        np.testing.assert_allclose(d, rotation[:, -1], atol=1e-11)
+
+
 @pytest.mark.parametrize("exponent", range(-14, -7))
 def test_rows_that_are_nearly_opposite_are_proven_empty(exponent: int) -> None:
     rng = np.random.default_rng(exponent + 20)
