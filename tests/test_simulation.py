@@ -144,7 +144,7 @@ def test_summary_has_the_public_keys(demo):
         "infeasible_at", "collided_at", "conflict", "min_barrier", "min_volume",
         "volume_measure",
         "max_abs_slack", "slack_active_fraction", "failed_ticks", "final_distance",
-        "rows_without_authority", "audit", "guaranteed",
+        "rows_without_authority", "audit", "guaranteed", "certified_min_barrier",
         "ticks", "final_status", "relaxed_ticks", "infeasible_ticks", "reasons_against",
         "assumptions", "step_cpu_ms", "real_time_factor",
     }  # fmt: skip
