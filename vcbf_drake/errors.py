@@ -71,4 +71,14 @@ class ModelError(VcbfError):
 
 
 class ScenarioError(VcbfError):
-    """A scenario cannot be loaded: one line with file, key, value, what is allowed."""
+    """A scenario cannot be loaded: one line with file, key, value, what is allowed.
+
+    The line is printable, whatever the file holds: other characters are escaped.
+    """
+
+    def __init__(self, message: str) -> None:
+        super().__init__("".join(map(_printable, message)))
+
+
+def _printable(character: str) -> str:
+    return character if character.isprintable() else ascii(character)[1:-1]

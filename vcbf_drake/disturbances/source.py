@@ -25,6 +25,9 @@ from vcbf_drake.disturbances.signals import (
 )
 from vcbf_drake.errors import Array, ModelError
 
+# Between two samples [s]; a spline's third derivative goes with its inverse cube.
+_SHORTEST_INTERVAL = 1e-9
+
 
 class Signal(Protocol):
     """A disturbance signal as a scenario describes it."""
@@ -112,7 +115,7 @@ class BandLimitedNoise:
         _check("std", self.std, bool(np.all(std >= 0.0)), "not below 0")
         _check_positive("bandwidth", self.bandwidth)
         _check("seed", self.seed, self.seed >= 0, "not below 0")
-        _check("tones", self.tones, self.tones >= 1, "at least 1")
+        _check("tones", self.tones, 1 <= self.tones <= 1000, "from 1 to 1000")
         generator = np.random.default_rng(self.seed)
         count = len(std) * self.tones
         # The mean square of a tone is half its squared amplitude.
@@ -140,7 +143,9 @@ class Recorded:
         """Returns the signal as a function of time; see `Signal`."""
         times = _vector("times", self.times)
         _check("times", self.times, len(times) >= 3, "three at least")
-        _check("times", self.times, bool(np.all(np.diff(times) > 0.0)), "increasing")
+        apart = bool(np.all(np.diff(times) >= _SHORTEST_INTERVAL))
+        rule = f"increasing, by at least {_SHORTEST_INTERVAL:g} s"
+        _check("times", self.times, apart, rule)
         if times[0] > 0.0 or times[-1] < horizon:
             raise ModelError(
                 f"times span [{times[0]:g}, {times[-1]:g}] s; they must span"

@@ -43,6 +43,8 @@ Node: TypeAlias = Any  # A yaml.Node; PyYAML has no type stubs.
 
 _DIRECTORY = Path(__file__).parent / "scenarios"
 _OVERRIDE = "override"
+# A text of a few lines may stand for any number of values: aliases of aliases.
+_MOST_VALUES = 1_000_000
 
 
 def shipped_scenarios() -> tuple[str, ...]:
@@ -189,7 +191,9 @@ def _compose(text: str, source: str) -> Node:
         root = loader.get_single_node()
         if not isinstance(root, yaml.MappingNode):
             raise ScenarioError(f"{source}: expected a mapping, got {_shown(root)}")
-        _flatten(root, loader)
+        _flatten(root, loader, {})
+    except RecursionError:
+        raise ScenarioError(f"{source}: nested too deeply") from None
     except yaml.MarkedYAMLError as error:
         where = _where(error.problem_mark or error.context_mark)
         raise ScenarioError(f"{where}: not YAML: {error.problem}") from None
@@ -210,21 +214,48 @@ def _compose_overrides(overrides: str | Mapping[str, Any]) -> Node:
         ) from None
 
 
-def _flatten(node: Node, loader: Any) -> None:
-    """Refuses keys given twice and resolves merge keys (``<<``), at every depth."""
+def _flatten(node: Node, loader: Any, counts: dict[Node, int]) -> int:
+    """Resolves merge keys (``<<``) at every depth; returns how many values there are.
+
+    Refuses keys given twice, nodes that contain themselves, and a text that stands for
+    more than a million values.
+
+    Args:
+        node: The node.
+        loader: What composed it.
+        counts: The values of every node so far; 0 while they are still counted.
+    """
+    if node in counts:  # An alias.
+        if not counts[node]:
+            _fail(node, (), "contains itself")
+        return counts[node]
+    counts[node], values = 0, []
     if isinstance(node, yaml.SequenceNode):
-        for item in node.value:
-            _flatten(item, loader)
+        values = node.value
     elif isinstance(node, yaml.MappingNode):
-        seen = set()
-        for key, value in node.value:
-            if not isinstance(key, yaml.ScalarNode):
-                _fail(key, (), f"{_shown(key)} as a key; keys are words")
-            if key.value in seen:
-                _fail(key, (key.value,), "given twice")
-            seen.add(key.value)
-            _flatten(value, loader)
+        _check_keys(node)
+        values = [value for _, value in node.value]
+    count = 1 + sum(_flatten(value, loader, counts) for value in values)
+    if count > _MOST_VALUES:
+        _fail(node, (), f"stands for more than {_MOST_VALUES} values")
+    if isinstance(node, yaml.MappingNode):
         loader.flatten_mapping(node)
+        # Of a key that is merged more than once, the last one counts.
+        node.value = list(
+            {key.value: (key, value) for key, value in node.value}.values()
+        )
+    counts[node] = count
+    return count
+
+
+def _check_keys(node: Node) -> None:
+    seen = set()
+    for key, _ in node.value:
+        if not isinstance(key, yaml.ScalarNode):
+            _fail(key, (), f"{_shown(key)} as a key; keys are words")
+        if key.value in seen:
+            _fail(key, (key.value,), "given twice")
+        seen.add(key.value)
 
 
 def _merge(base: Node, top: Node) -> Node:
@@ -382,7 +413,7 @@ def _build_scalar(node: Node, hint: Any, path: KeyPath) -> Any:
     try:
         if isinstance(node, yaml.ScalarNode):
             return _parse(node, hint)
-    except ValueError:
+    except (ValueError, KeyError):
         pass
     _fail(node, path, f"expected {expected}, got {_shown(node)}")
 

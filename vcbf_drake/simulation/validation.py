@@ -83,6 +83,8 @@ def validate(scenario: Scenario) -> None:
         InvalidFieldError: A `ScenarioError` that names the field, its value and what
             is allowed.
     """
+    _check_name(scenario.name)
+    _check_magnitudes(scenario)
     _check_numbers(scenario)
     _check_choices(scenario)
     _check_sizes(scenario)
@@ -97,10 +99,26 @@ def validate(scenario: Scenario) -> None:
 def _require(allowed: bool, path: KeyPath, value: object, rule: str) -> None:
     if not allowed:
         shown = f"{value:g}" if isinstance(value, float) else repr(value)
+        shown = shown if len(shown) <= 200 else f"{shown[:197]}..."
         raise InvalidFieldError(path, f"{shown}; it must be {rule}")
 
 
+def _check_name(name: str) -> None:
+    """Results are written into a directory of that name."""
+    allowed = not name or (_NAME.fullmatch(name) is not None and len(name) <= 100)
+    rule = "at most 100 letters, digits, spaces and _ . + -, a letter or digit first"
+    _require(allowed, ("name",), name, rule)
+
+
+_NAME = re.compile(r"\w[\w .+-]*")
+
+
 # Numbers ---------------------------------------------------------------------------
+
+# Control periods in a run; its log must fit into a computer.
+_MOST_TICKS = 1e7
+# No quantity is as large, in SI units; a product of a few such numbers is still finite.
+_LARGEST = 1e15
 
 _POSITIVE = {
     BarrierGains: {"gains"},
@@ -118,6 +136,18 @@ _NON_NEGATIVE = {
     Observer: {"period"},
     Obstacle: {"margin"},
 }
+
+
+def _check_magnitudes(value: Any, path: KeyPath = ()) -> None:
+    """Checks that every number below a value is of a size to calculate with."""
+    if is_dataclass(value):
+        for name in (each.name for each in fields(value)):
+            _check_magnitudes(getattr(value, name), (*path, name))
+    elif isinstance(value, list | tuple | np.ndarray):
+        for index, item in enumerate(value):
+            _check_magnitudes(item, (*path, index))
+    elif isinstance(value, int) or (isinstance(value, float) and math.isfinite(value)):
+        _require(abs(value) <= _LARGEST, path, value, f"at most {_LARGEST:g} in size")
 
 
 def _check_numbers(value: Any, path: KeyPath = (), sign: str = "") -> None:
@@ -230,6 +260,12 @@ def _check_fault_sizes(scenario: Scenario, kind: PlantKind) -> None:
         _check_size(
             (path, "measurement_bias"), faults.measurement_bias, kind.states, "state"
         )
+    _require(
+        faults.measurement_delay <= scenario.duration,
+        (path, "measurement_delay"),
+        faults.measurement_delay,
+        f"at most the duration, {scenario.duration:g} s",
+    )
     for index, gust in enumerate(faults.gusts):
         _check_size(
             (path, "gusts", index, "amplitude"),
@@ -275,7 +311,7 @@ def _check_disturbance(scenario: Scenario) -> None:
 def _check_gains(gains: Sequence[float]) -> None:
     k1, k2 = gains
     _require(
-        k1**2 >= 4.0 * k2,
+        k1 * k1 >= 4.0 * k2,
         ("barrier", "gains"),
         list(gains),
         "(k1, k2) with real roots of s^2 + k1 s + k2, so k1^2 >= 4 k2",
@@ -293,6 +329,13 @@ def _check_period(scenario: Scenario) -> None:
         ("period",),
         scenario.period,
         f"at most the duration, {scenario.duration:g} s",
+    )
+    least = scenario.duration / _MOST_TICKS
+    _require(
+        scenario.period >= least,
+        ("period",),
+        scenario.period,
+        f"at least {least:g} s, for {_MOST_TICKS:g} ticks",
     )
     _require(
         scenario.observer.period <= scenario.period,

@@ -1,0 +1,101 @@
+"""Hostile scenario files: one printable line, in good time, and nothing executed."""
+
+import re
+
+import pytest
+
+from vcbf_drake import ScenarioError
+from vcbf_drake.simulation.scenario_file import parse_scenario
+
+SMALL = """\
+s:
+  plant: !CarParameters {}
+  controller: !CarControllerParameters {}
+  input_set: {lower: [-1, -1], upper: [1, 1]}
+  initial_state: [0, 0, 0, 0]
+  target: [3, 0]
+"""
+LAUGHS = "a: &a0 [x, x]\n" + "".join(
+    f"_{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 9)
+)
+MERGED_LAUGHS = "a: &a0 {x: 1}\n" + "".join(
+    f"_{i}: &a{i} {{<<: [{', '.join([f'*a{i - 1}'] * 9)}]}}\n" for i in range(1, 12)
+)
+
+
+def complaint(text, overrides=None):
+    with pytest.raises(ScenarioError) as error:
+        parse_scenario(text, "hostile.yaml", overrides)
+    line = str(error.value)
+    assert line.isprintable()
+    assert len(line) < 400
+    return line
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("s: " + "[" * 10_000, "nested too deeply"),
+        ("s: " + "{a: " * 3000 + "1" + "}" * 3000, "nested too deeply"),
+        ("s: &a [*a]", "contains itself"),
+        ("s: &a {b: [*a]}", "contains itself"),
+        ("s: &a {<<: *a}", "contains itself"),
+        (LAUGHS, "more than 1000000 values"),
+        (MERGED_LAUGHS, "more than 1000000 values"),
+        ('s: !!python/object/apply:os.system ["exit"]', "expected a mapping"),
+        ("s: !!python/name:os.system {duration: x}", "expected a number"),
+        ("s: \x00", "not YAML"),
+        ('"s\\e[2J": {plant: 1}\n"\\n": 3', r"holds 2 scenarios.*s\\x1b\[2J, \\n"),
+    ],
+    ids=lambda value: value[:12],
+)
+def test_files(text, expected):
+    assert re.search(expected, complaint(text))
+
+
+SIGNAL = "{{disturbance: [!{}]}}"
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        (
+            SIGNAL.format("BandLimitedNoise {std: [1], tones: 1000000000}"),
+            "tones: 1000",
+        ),
+        (
+            SIGNAL.format("BandLimitedNoise {std: [1], seed: 1" + 400 * "0" + "}"),
+            "seed: 10",
+        ),
+        (
+            SIGNAL.format(
+                "Recorded {times: [-1e308, 0, 1e308], values: [[1], [2], [3]]}"
+            ),
+            r"times\[0\]: -1e\+308",
+        ),
+        (
+            SIGNAL.format("Recorded {times: [0, 1e-320, 99], values: [[1], [2], [3]]}"),
+            "increasing, by at least 1e-09 s",
+        ),
+        ("{noise: {seed: 1" + 400 * "0" + "}}", "noise.seed: 10.*1e\\+15 in size"),
+        ("{noise: {seed: " + 5000 * "9" + "}}", "noise.seed: expected a whole number"),
+        ("{barrier: {gains: [1e308, 1]}}", r"gains\[0\]: 1e\+308"),
+        ("{hardware: {predict: !!bool maybe}}", "predict: expected true or false"),
+        ("{duration: 1, period: 1e-300}", "period: 1e-300; it must be at least 1e-07"),
+        ("{faults: {measurement_delay: 1e9}}", "measurement_delay: 1e\\+09"),
+        ('{name: "../../outside"}', "name: '../../outside'"),
+        ("{name: /outside}", "name: '/outside'"),
+        ("{name: ..}", "name: '..'"),
+        ('{volume: {"measure\\n\\n": 1}}', r"volume.measure\\n\\n: unknown key"),
+    ],
+    ids=lambda value: value[:40],
+)
+def test_overrides(overrides, expected):
+    assert re.search(expected, complaint(SMALL, overrides))
+
+
+def test_a_merged_mapping_may_be_used_twice():
+    text = "_base: &base {gain: 2.0}\n_v: &v {<<: *base, gain: 3.0}\n" + SMALL
+    text += "  volume: *v\n"
+    scenario = parse_scenario(text + "_again: *v\n", "twice.yaml")
+    assert scenario.volume.gain == 3.0
