@@ -34,10 +34,7 @@ def nonnegative_multipliers(A: Array, b: Array, reference: Array) -> Array:
         worst = int(excess.argmax())
         if excess[worst] <= tolerance or not _join(A, y, active, worst, excess[worst]):
             break
-    if np.count_nonzero(active) > 1:
-        exact = _restricted_minimiser(A, violation, active)
-        y = exact if exact.min() >= 0.0 else np.maximum(y, 0.0)
-    return y
+    return np.maximum(y, 0.0)
 
 
 def _join(A: Array, y: Array, active: Array, row: int, excess: float) -> bool:
@@ -70,15 +67,3 @@ def _join(A: Array, y: Array, active: Array, row: int, excess: float) -> bool:
     y[row] += excess / length_square
     active[row] = True
     return True
-
-
-def _restricted_minimiser(A: Array, violation: Array, active: Array) -> Array:
-    """The minimiser with y = 0 off the active rows: A A'y = violation on them.
-
-    Solved as A s = violation, A'y = s: A A' would square how nearly parallel rows are.
-    """
-    y, index = np.zeros(len(violation)), active.nonzero()[0]
-    rows = A[index]
-    step = np.linalg.lstsq(rows, violation[index], rcond=1e-12)[0]
-    y[index] = np.linalg.lstsq(rows.T, step, rcond=1e-12)[0]
-    return y
