@@ -29,7 +29,8 @@ from vcbf_drake.safety import FilterStatus
 PERIOD = 0.02  # [s]
 # The ring's mean radius, its breath [m] and the breath's rate [rad/s], and how fast it
 # moves on [m/s]. A row holds at the ticks: a ring that is much faster than this one
-# catches the car by a millimetre between two ticks, and by less the shorter they are.
+# catches the car by a millimetre between two ticks. AddSafetyFilter's between_ticks
+# prevents that.
 RING = (1.6, 0.5, 0.4, 0.2)
 
 

@@ -5,8 +5,11 @@ The oracle has its own closed forms of plants and rows, and its own integrator.
 
 from dataclasses import replace
 import math
+from pathlib import Path
 
 import numpy as np
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 import pytest
@@ -24,7 +27,16 @@ from vcbf_drake import (
     load_scenario,
     simulate,
 )
-from vcbf_drake.barriers import BarrierSet, PerceivedSpheres, ackermann_limit
+from vcbf_drake.barriers import (
+    BarrierSet,
+    BoxObstacle,
+    CapsuleObstacle,
+    EllipsoidObstacle,
+    HalfSpace,
+    PerceivedSpheres,
+    StateLimit,
+    ackermann_limit,
+)
 from vcbf_drake.disturbances import DisturbanceBounds
 from vcbf_drake.plants import BlimpParameters, CarParameters
 from vcbf_drake.plants.interval import Interval
@@ -33,6 +45,7 @@ from vcbf_drake.safety import DisturbanceKnowledge, HeldRows, Tick, least_height
 from vcbf_drake.safety.filter_qp import FilterDecision, FilterStatus
 from vcbf_drake.studies.moving_wall import press_against_wall
 
+ROOT = Path(__file__).parents[1]
 GAINS = (4.0, 3.0)
 STEPS = 200
 
@@ -296,6 +309,65 @@ def test_what_has_no_enclosure_is_said_in_one_line():
     with pytest.raises(ModelError, match=r"no enclosure on intervals.*cases") as error:
         SafetyFilter(model, barriers, inputs, method="cbf-qp", certified_hold=0.01)
     assert "\n" not in str(error.value)
+
+
+GAINS_OF_ANY = (10.0, 3.55)
+SHAPES = [
+    BoxObstacle([1.5, 0.1, 0.0], [0.3, 0.4, 0.5]),
+    CapsuleObstacle([1.5, 0.1, 0.0], [1.5, 1.0, 1.0], 0.3, [0.1, 0.0, 0.0]),
+    EllipsoidObstacle([1.5, 0.1, 0.0], [0.3, 0.4, 0.5]),
+    HalfSpace([-1.0, 0.0, 0.0], -2.0),
+    SphereObstacle([1.5, 0.1, 0.0], 0.4),
+]
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: type(shape).__name__)
+@pytest.mark.parametrize("robust", [False, True])
+def test_every_kind_of_barrier_has_an_enclosure(shape, robust):
+    """The bounds hold for rows along a run, whoever wrote the rows."""
+    model = ControlAffineModel.from_system(Blimp(BLIMP))
+    barrier = shape.barrier(GAINS_OF_ANY)
+    barriers = BarrierSet(model, [barrier.robust_to(0.5) if robust else barrier])
+    generator = np.random.default_rng(3)
+    for _ in range(5):
+        x = np.array([0.0, 0.0, 0.0, *generator.normal(size=5)])
+        u = generator.uniform(-1, 1, 3) * [0.3, 0.3, 0.02]
+        d = generator.uniform(-0.3, 0.3, 3)
+        known = DisturbanceKnowledge(d, np.zeros(3), 0.0, 0.0, 0.0)
+        period = 0.02
+        tick = Tick(barriers.rows(x, 0.0), x, 0.0, known)
+        (least,) = HeldRows(model, barriers, period, 1.0).least(tick, u)
+        seen, step = [], period / 50
+        for k in range(51):
+            rows = barriers.rows(x, k * step)
+            seen.append((rows.b + rows.w @ d - rows.A @ u).item())
+            middle = x + 0.5 * step * blimp_rate(x, u, d)
+            x = x + step * blimp_rate(middle, u, d)
+        assert min(seen) - 0.2 * abs(seen[0]) - 0.5 < least <= min(seen) + 1e-6
+
+
+def test_a_model_from_a_urdf_file_has_an_enclosure():
+    plant = MultibodyPlant(0.0)
+    Parser(plant).AddModels(str(ROOT / "examples/models/planar_arm.urdf"))
+    plant.Finalize()
+    model = ControlAffineModel.from_system(plant, "actuation")
+    barriers = BarrierSet(model, StateLimit(3, -1.5, 1.5).barriers([15.0]))
+    x, u, period = np.array([0.4, -0.2, 0.3, 1.4]), np.array([1.0, 0.1]), 0.005
+    known = DisturbanceKnowledge.constant(0, 0.0)
+    tick = Tick(barriers.rows(x, 0.0), x, 0.0, known)
+    least = HeldRows(model, barriers, period, 0.0).least(tick, u)
+    context = plant.CreateDefaultContext()
+    plant.get_actuation_input_port().FixValue(context, u)
+    seen, step = [], period / 50
+    for _ in range(51):
+        plant.SetPositionsAndVelocities(context, x)
+        rate = plant.EvalTimeDerivatives(context).CopyToVector()
+        # h = 1.5 -+ elbow speed, h' + 15 h
+        seen.append([15.0 * (x[3] + 1.5) + rate[3], 15.0 * (1.5 - x[3]) - rate[3]])
+        x = x + step * rate
+    lowest = np.min(seen, axis=0)
+    assert np.all(least <= lowest + 1e-3)
+    assert np.all(least >= lowest - 2.0)
 
 
 # The filter --------------------------------------------------------------------------
