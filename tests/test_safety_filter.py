@@ -20,6 +20,7 @@ from vcbf_drake.errors import SolverError
 from vcbf_drake.safety import METHODS, FilterStatus, unpack_feasible_set
 from vcbf_drake.safety import safety_filter as safety_filter_module
 from vcbf_drake.safety.feasibility_measure import EllipsoidVolume
+from vcbf_drake.safety.volume_barrier import VolumeBarrier, volume_row
 
 LIMITS = InputSet.box([-0.05, -0.2, -0.02], [0.25, 0.2, 0.02])
 CLOSE = np.array([0.0, 0.0, 0.0, 0.1, 0.25, 0.0, 0.1, 0.0])
@@ -183,6 +184,42 @@ def test_a_volume_that_cannot_be_verified_is_said_and_its_row_left_out(
     assert np.isnan(evaluate(safety_filter, context, "volume")[0])
     assert evaluate(safety_filter, context, "status")[0] == FilterStatus.FAILED
     np.testing.assert_array_equal(evaluate(safety_filter, context, "input"), expected)
+
+
+def test_the_guards_row_is_kept_beside_the_volume_row(model):
+    """The guard is the determinant, its row as a filter with that measure has it."""
+    settings = {"measure": "inradius", "widening": 4.0, "gain": 50.0}
+    alone = make_filter(model, volume_barrier=VolumeBarrier(**settings))
+    guarded = make_filter(
+        model, volume_barrier=VolumeBarrier(**settings, guard="volume", guard_gain=0.05)
+    )
+    paper = make_filter(model, volume_barrier=VolumeBarrier(gain=0.05))
+    context = fixed(paper, CLOSE)
+    a, c = volume_row(
+        paper.volume(context),
+        *model.drift_and_input_matrix(CLOSE),
+        model.disturbance_matrix,
+        paper.knowledge(context),
+        0.05,
+        total_derivative=True,
+    )
+    u_alone, u_guarded = (
+        evaluate(f, fixed(f, CLOSE), "input") for f in (alone, guarded)
+    )
+    assert a @ u_alone > c + 1.0
+    assert a @ u_guarded <= c + 1e-9
+
+
+def test_rows_that_exclude_each_other_are_named(model):
+    safety_filter = make_filter(model)
+    near = np.array([[1.0, 0.0, 0.0]])
+    A = np.vstack([LIMITS.A, near, -near])
+    b = np.append(LIMITS.b, [0.1, -0.05])
+    assert safety_filter.conflicting_rows(A, b) == ()
+    b[-2] = -0.2  # Below the lower limit -0.05; "far" asks for 0.05 at least.
+    assert safety_filter.conflicting_rows(A, b) == ("near", "far")
+    b[-1] = 0.3
+    assert safety_filter.conflicting_rows(A, b) == ("lower limit of input 0", "near")
 
 
 def test_rows_are_named_after_what_they_limit(model):

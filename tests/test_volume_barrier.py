@@ -8,11 +8,11 @@ from pydrake.systems.analysis import Simulator
 import pytest
 
 from vcbf_drake import Blimp, ControlAffineModel, InputSet, SphereObstacle
-from vcbf_drake.barriers import BarrierSet
+from vcbf_drake.barriers import BarrierRows, BarrierSet
 from vcbf_drake.safety import DisturbanceKnowledge, VolumeBarrier
 from vcbf_drake.safety.feasibility_measure import EllipsoidVolume
 from vcbf_drake.safety.feasible_set import feasible_set
-from vcbf_drake.safety.volume_barrier import volume, volume_row
+from vcbf_drake.safety.volume_barrier import Volume, volume, volume_row
 from vcbf_drake.simulation import load_scenario, make_loop
 
 THRESHOLD = 0.02
@@ -237,3 +237,77 @@ def test_printed_derivative_is_not_the_one_that_is_measured():
 def test_volume_barrier_refuses_numbers_that_make_no_sense():
     with pytest.raises(ValueError, match=r"VolumeBarrier\.gain: got -1\.0"):
         VolumeBarrier(gain=-1.0)
+
+
+class StraightRows:
+    """Rows whose numbers [A, b, w] are linear in (x, t), with small w."""
+
+    def __init__(self, rng):
+        A = rng.normal(size=(3, 3)) / INPUTS.scale
+        b = A @ INPUTS.center + rng.uniform(0.5, 2.0, 3)
+        self._offset = np.column_stack([A, b, 0.1 * rng.normal(size=(3, 3))])
+        self._slope = rng.normal(size=(3, 7, 3)) * [0.1, 0.1, 0.1]
+
+    def rows(self, x, t):
+        numbers = self._offset + self._slope @ np.append(x, t)
+        return BarrierRows(
+            value=np.ones(3),
+            chain=tuple(np.ones(2) for _ in range(3)),
+            A=numbers[:, :3],
+            b=numbers[:, 3],
+            w=numbers[:, 4:],
+            num_states=2,
+            gradients=lambda rows: self._slope[list(rows)],
+        )
+
+
+def test_rows_that_the_disturbance_hardly_moves_are_differentiated_too():
+    """In one random direction of (x, t, estimate, bound) at a time."""
+    rng, checked = np.random.default_rng(12), 0
+    for _ in range(20):
+        barriers = StraightRows(rng)
+        known = DisturbanceKnowledge(rng.normal(size=3), np.zeros(3), 0.3, 0.0, 0.0)
+        step = rng.normal(size=7)
+
+        def moved(h, known=known, step=step, barriers=barriers):
+            known = dataclasses.replace(
+                known,
+                estimate=known.estimate + h * step[3:6],
+                bound=known.bound + h * step[6],
+            )
+            return barriers, h * step[:2], h * step[2], known
+
+        exact = evaluate(*moved(0.0))
+        if exact.value < 0.05:
+            continue
+        slope = np.concatenate(
+            [exact.state, [exact.time], exact.estimate, [exact.bound]]
+        )
+        coarse, fine = (
+            (drake_volume(*moved(h)) - drake_volume(*moved(-h))) / (2.0 * h)
+            for h in (2e-4, 1e-4)
+        )
+        if slope.any() and abs(coarse - fine) < 1e-4 * abs(fine):
+            checked += 1
+            assert slope @ step == pytest.approx(fine, rel=3e-3, abs=1e-3)
+    assert checked > 5
+
+
+@pytest.mark.parametrize("moving", ["state", "time", "estimate", "bound", "negative"])
+def test_the_plateau_ends_where_any_row_could_take_room_away(moving):
+    flat = Volume(0.5, None, np.zeros(4), 0.0, np.zeros(2), 0.0)
+    assert flat.is_on_plateau
+    changed = {
+        "state": {"state": np.array([0.0, 0.0, 1e-9, 0.0])},
+        "time": {"time": -0.1},
+        "estimate": {"estimate": np.array([0.0, 0.2])},
+        "bound": {"bound": -0.3},
+        "negative": {"value": -1e-3},
+    }
+    assert not dataclasses.replace(flat, **changed[moving]).is_on_plateau
+
+
+def test_the_label_says_what_is_measured():
+    assert VolumeBarrier().label == "volume"
+    wide = VolumeBarrier(measure="root_volume", widening=2.5)
+    assert wide.label == "root volume, inputs x 2.5"
