@@ -54,9 +54,12 @@ _QUIET = (
     *("-W", "ignore::pytest.PytestAssertRewriteWarning"),
 )
 _MEASURING = ("-m", "not slow", "--cov", "--cov-context=test", "--cov-report=")
-# Tests failed, modules could not be imported.
-_NOTICED = {pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED}
-_NOTICED |= {pytest.ExitCode.USAGE_ERROR}
+# A test failed, or a module could not be imported.
+_NOTICED = (
+    pytest.ExitCode.TESTS_FAILED,
+    pytest.ExitCode.INTERRUPTED,
+    pytest.ExitCode.USAGE_ERROR,
+)
 
 
 class _Stopwatch:
@@ -149,6 +152,9 @@ def _measure(tests: list[str], folder: Path) -> None:
         }
         for path in found.measured_files()
     }
+    order = sorted(measured["all"], key=lambda test: (measured["all"][test], test))
+    if _in_child(lambda: int(pytest.main([*_QUIET, *order]))) != 0:
+        raise SystemExit("without a mutant the tests fail in another order")
     text = json.dumps({"seconds": measured["all"], "lines": lines})
     (folder / "baseline.json").write_text(text)
 
@@ -164,7 +170,7 @@ def _tried(
         watch = _Stopwatch(folder, usual)
         return int(pytest.main([*_QUIET, "-x", *tests], plugins=[watch]))
 
-    status = _in_child(run) if tests else 0
+    status = _in_child(run)
     if status == -signal.SIGPROF:
         return "hangs"
     if status > 0 and status not in _NOTICED:
