@@ -11,12 +11,12 @@ from vcbf_drake import (
     RiseObserver,
     SafetyFilter,
 )
-from vcbf_drake.barriers import HalfSpace, StateInputLimit
+from vcbf_drake.barriers import HalfSpace, StateInputLimit, StateLimit
 from vcbf_drake.disturbances import DisturbanceBounds, RiseGains
 from vcbf_drake.safety import METHODS, Corrections, VolumeBarrier, assumptions
 
 PERIOD = 0.02
-INPUTS = InputSet.box([-4.0, -1.0], [4.0, 2.0])
+INPUTS = InputSet.box([-4.0, -0.5], [4.0, 1.0])
 BOUNDS = DisturbanceBounds(0.3, 0.2, 0.1)
 # A wall 5 m ahead of a car that drives towards it: x <= 5, x' = v cos(heading).
 AHEAD = HalfSpace([-1.0, 0.0], -5.0)
@@ -50,7 +50,7 @@ def at(car, method, speed=1.0, observer=RiseObserver, barriers=(AHEAD,), **optio
 def test_the_inputs_are_bounded(car):
     bounded = at(car, "cbf-qp")["bounded input set"]
     assert bounded.holds
-    assert bounded.numbers == {"smallest half-width": 1.5}
+    assert bounded.numbers == {"smallest half-width": 0.75}
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -146,6 +146,11 @@ def test_the_printed_orders_of_rates_are_information(car):
     # alpha = 5, gamma = 4 by default: lambda_V = min(alpha - 1, gamma).
     assert first.numbers == {"lambda_V": 4.0, "lambda_r": 1.0}
     assert second.numbers == {"lambda_V": 4.0, "lambda_Vv": 2.5}
+    [slow] = StateLimit(2, upper=30.0).barriers([0.5])
+    with_slow = at(car, "dob-vcbf-qp", barriers=(AHEAD, slow, STEERING))
+    assert with_slow["lambda_V >= lambda_r"].numbers["lambda_r"] == 0.5
+    without = at(car, "dob-vcbf-qp", barriers=(STEERING,))
+    assert np.isnan(without["lambda_V >= lambda_r"].numbers["lambda_r"])
     linear = at(car, "wang-xu-dob-cbf-qp", observer=LinearDisturbanceObserver)
     assert "lambda_V >= lambda_r" not in linear
 
@@ -160,3 +165,12 @@ def test_gains_that_are_too_small_are_named_with_both_sides(car):
     beta = conditions[-1]
     # (E49): delta2 + (1 + lambda_V T) delta3 / max(1, alpha - gamma).
     assert beta.numbers == pytest.approx({"left": 0.1, "right": 0.2 + 1.08 * 0.1})
+
+
+@pytest.mark.parametrize(
+    ("hold", "holds"), [(PERIOD, True), (0.5 * PERIOD, False), (2.0 * PERIOD, True)]
+)
+def test_a_certified_hold_covers_the_period_or_not(car, hold, holds):
+    sampled = at(car, "dob-cbf-qp", certified_hold=hold)["sampled input"]
+    assert sampled.holds is holds
+    assert sampled.numbers == {"period": PERIOD}

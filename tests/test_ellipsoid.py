@@ -342,6 +342,19 @@ def test_the_certificate_bounds_what_is_missing(m):
     assert bounded == 100
 
 
+@pytest.mark.parametrize("m", [1, 2, 3])
+def test_the_certificate_of_a_cube_is_never_below_its_error(m):
+    """The unit ball is the largest: nothing is missing, whatever the multipliers."""
+    n = box_rows(m)
+    for error in np.linspace(-0.25, 0.04, 30):
+        bound = certified_ellipsoid._gap(
+            n, np.zeros(2 * m), np.full(2 * m, 0.5 + 0.5 * error)
+        )
+        assert 0.0 <= bound < 0.5 * m * error * error + 1e-15 or bound == math.inf
+    exact = certified_ellipsoid._gap(n, np.zeros(2 * m), np.full(2 * m, 0.5))
+    assert exact == 0.0
+
+
 @pytest.mark.parametrize("m", [2, 3, 4, 5])
 def test_the_cone_program_proposes_the_multipliers_too(m):
     rng = np.random.default_rng(80 + m)

@@ -12,6 +12,8 @@ from vcbf_drake import (
     ControlAffineModel,
     DisturbanceSource,
     InputSet,
+    LinearDisturbanceObserver,
+    RiseObserver,
     SafetyFilter,
     SphereObstacle,
 )
@@ -295,6 +297,14 @@ def test_the_fallbacks_and_the_observer_read_what_the_hold_puts_out():
     assert held.any()
     np.testing.assert_array_equal(seen, held)
     np.testing.assert_array_equal(observed, held)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_gets_the_observer_of_its_paper(method):
+    observer = guarded_blimp(method)[1].observer
+    is_linear = isinstance(observer, LinearDisturbanceObserver)
+    assert is_linear == (method == "wang-xu-dob-cbf-qp")
+    assert is_linear != isinstance(observer, RiseObserver)
 
 
 @pytest.mark.parametrize("method", ["dob-vcbf-qp", "wang-xu-dob-cbf-qp", "vcbf-qp"])
