@@ -10,6 +10,8 @@ from vcbf_drake.errors import Array
 
 # A row this near to the span of others, for its length, is in it.
 _INDEPENDENT = 1e-12
+# A row violated by less, relative to the reference's violations, need not join.
+_TOLERANCE = 1e-11
 
 
 def nonnegative_multipliers(A: Array, b: Array, reference: Array) -> Array:
@@ -26,7 +28,7 @@ def nonnegative_multipliers(A: Array, b: Array, reference: Array) -> Array:
         reference: The point that is projected, shape (m,).
     """
     violation = A @ reference - b
-    tolerance = 1e-12 * (1.0 + float(np.abs(violation).max(initial=0.0)))
+    tolerance = _TOLERANCE * (1.0 + float(np.abs(violation).max(initial=0.0)))
     y, active = np.zeros(len(b)), np.zeros(len(b), dtype=bool)
     for _ in range(3 * len(b)):
         excess = violation - A @ (y @ A)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+import math
 from typing import Literal
 
 import numpy as np
@@ -14,7 +15,11 @@ from vcbf_drake.errors import Array, EmptySetError, SolverError
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.linear_program import minimise_linear
-from vcbf_drake.safety.nearest_point import nearest_point, nearest_point_by_active_set
+from vcbf_drake.safety.nearest_point import (
+    FEASIBILITY_TOLERANCE,
+    nearest_point,
+    nearest_point_by_active_set,
+)
 
 InfeasiblePolicy = Literal["stop", "least_violation", "hold"]
 
@@ -22,8 +27,14 @@ INFEASIBLE_POLICIES: tuple[InfeasiblePolicy, ...] = ("stop", "least_violation", 
 
 # A reference this many input ranges away is as good as one infinitely far.
 _FARTHEST_REFERENCE = 1e6
-# A minimal relaxation leaves a set without interior; this opens it for the QP.
+# A minimal relaxation leaves a set without interior; rows opened by this distance, in
+# normalised inputs, give the QP one. At narrow angles it takes more.
 _OPENING = 1e-9
+# Rows shorter than this do not set the scale.
+_BLANK = 1e-12
+# How often the least violation is sought again in smaller units.
+_MOST_UNITS = 4
+_WIDER = (0.0, 1e-8, 1e-7, 1e-6)
 
 
 class FilterStatus(IntEnum):
@@ -54,6 +65,11 @@ class VolumeRow:
     a: Array
     c: float
     slack_penalty: float
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether every number in it is finite."""
+        return math.isfinite(self.c) and bool(np.isfinite(self.a).all())
 
     def normalised(self, input_set: InputSet) -> VolumeRow:
         """Returns the row in normalised inputs."""
@@ -96,7 +112,8 @@ def choose_input(
 
     Args:
         feasible: Input limits and barrier rows.
-        volume_rows: The volume barrier's rows, the one that gives way last first.
+        volume_rows: The volume barrier's rows, finite, the one that gives way last
+            first.
         reference: The controller's input, shape (m,).
         held_input: The input applied now, shape (m,); for the fallbacks.
         input_set: The inputs the actuators can produce.
@@ -159,16 +176,41 @@ def _hard_first(A: Array, b: Array, count: int, reference: Array) -> _Solution:
     if found is not None:
         return found.point, 0.0, FilterStatus.FILTERED
     v, relaxed = _hard(A[:k], b[:k], reference), b.copy()  # Empty without them too?
+    length = np.zeros(len(b))
     for i in range(k, len(b)):
         if A[i].any():
             v = minimise_linear(A[i], A[:i], relaxed[:i])
-        relaxed[i] = max(b[i], float(A[i] @ v) + _OPENING * (1.0 + abs(b[i])))
-    try:
-        v = _hard(A, relaxed, reference)
-    except (EmptySetError, SolverError):
-        pass  # The last linear program's own minimiser is a solution too.
-    slack = min(0.0, float((b[k:] - A[k:] @ v).min()))
+        length[i] = np.linalg.norm(A[i])
+        relaxed[i] = max(b[i], float(A[i] @ v) + _OPENING * length[i])
+    v = _opened(A, relaxed, length, reference, v)
+    excess = A[:k] @ v - b[:k]
+    if (excess > FEASIBILITY_TOLERANCE * np.linalg.norm(A[:k], axis=1)).any():
+        raise SolverError("no least slack that leaves the other rows alone", A, b)
+    return _with_slack(A[k:], b[k:], v)
+
+
+def _with_slack(A: Array, b: Array, v: Array) -> _Solution:
+    slack = min(0.0, float((b - A @ v).min()))
     return v, slack, FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
+
+
+def _opened(A: Array, b: Array, length: Array, reference: Array, v: Array) -> Array:
+    """The nearest point of a set with next to no interior, near its point v.
+
+    Args:
+        A: The rows.
+        b: Their right-hand sides, opened.
+        length: The rows' lengths; 0 for those that must not be opened further.
+        reference: The point to stay close to.
+        v: What is returned where the QP fails and v leaves no row.
+    """
+    for opening in _WIDER:
+        try:
+            return _hard(A, b + opening * length, reference)
+        except (EmptySetError, SolverError, LinAlgError):
+            if (A @ v <= b).all():
+                break
+    return v
 
 
 def _with_penalty(
@@ -180,11 +222,14 @@ def _with_penalty(
     """
     k, root = len(penalties), np.sqrt(penalties)
     slopes = np.concatenate([np.zeros((len(b) - k, k)), np.diag(1.0 / root)])
-    solution = _hard(np.column_stack([A, slopes]), b, np.append(reference, np.zeros(k)))
-    v, slacks = solution[:-k], solution[-k:] / root
-    slack = float(slacks.min())
-    status = FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
-    return v, slack, status
+    hard, all_A = len(b) - k, np.column_stack([A, slopes])
+    try:
+        solution = _hard(all_A, b, np.append(reference, np.zeros(k)))
+    except EmptySetError as error:
+        # With free slacks it is empty only where the other rows are.
+        _hard(A[:hard], b[:hard], reference)
+        raise SolverError("no solution with slacks", all_A, b) from error
+    return _with_slack(A[hard:], b[hard:], solution[:-k])
 
 
 def _infeasible(
@@ -222,25 +267,40 @@ def _least_violation(
 ) -> Array:
     """The input within its limits whose worst weighted barrier violation is least.
 
-    min t subject to weight_i (a_i u - b_i) <= t; among those inputs, the one nearest
-    to the reference.
+    min t subject to weight_i (a_i u - b_i) <= t, t >= 0; among those inputs, the one
+    nearest to the reference.
     """
     A, b = feasible.A_v[feasible.cutting], feasible.b_v[feasible.cutting]
-    give = np.zeros(len(feasible.b_v))
-    give[feasible.num_input_rows :] = 1.0 / feasible.weights
-    give = give[feasible.cutting]
-    with_violation = np.column_stack([A, -give])
-    no_reward = np.append(np.zeros(A.shape[1]), -1.0)  # violation >= 0
-    cost = np.append(np.zeros(A.shape[1]), 1.0)
-    try:
-        solution = minimise_linear(
-            cost, np.vstack([with_violation, no_reward]), np.append(b, 0.0)
-        )
-        v, violation = solution[:-1], solution[-1]
-        relaxed = b + give * (violation + _OPENING * (1.0 + violation))
-        v = _hard(A, relaxed, reference)
-    except EmptySetError:
-        pass  # The linear program's own minimiser is a solution too.
-    except (SolverError, LinAlgError):
+    k, length = feasible.num_input_rows, np.linalg.norm(A, axis=1)
+    weight = feasible.weights[feasible.cutting[k:] - k]
+    give = np.append(np.zeros(k), 1.0 / weight)
+    # No input violates a row by less than this; t is counted from there.
+    sure = weight * (-b[k:] - np.abs(A[k:]).sum(axis=1))
+    relaxed = b + give * np.max(sure, initial=0.0)
+    unit = float(np.max(weight * length[k:], initial=_BLANK))
+    v, least = held_input, np.inf
+    for _ in range(_MOST_UNITS):
+        try:
+            candidate = _least_relaxation(A, relaxed, unit * give)
+        except (SolverError, LinAlgError):
+            break
+        excess = A @ candidate - relaxed
+        worst = float(np.max(weight * excess[k:], initial=0.0))
+        if worst >= least or excess[:k].max() > FEASIBILITY_TOLERANCE:
+            break
+        v, least = candidate, worst
+        if worst > 1e-3 * unit or worst == 0.0:
+            break
+        unit = worst  # In the units before, it may be rounding.
+    if least == np.inf:
         return input_set.project(held_input)
+    relaxed += least * give + _OPENING * length
+    v = _opened(A, relaxed, length, reference, v)
     return input_set.project(input_set.center + input_set.scale * v)
+
+
+def _least_relaxation(A: Array, b: Array, give: Array) -> Array:
+    """Returns a v with ``A v <= b + t give`` for the least t >= 0."""
+    last = np.append(np.zeros(A.shape[1]), 1.0)
+    rows = np.vstack([np.column_stack([A, -give]), -last])
+    return minimise_linear(last, rows, np.append(b, 0.0))[:-1]

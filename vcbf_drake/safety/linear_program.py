@@ -10,7 +10,15 @@ from pydrake.solvers import ClpSolver, MathematicalProgram
 
 from vcbf_drake.errors import Array, SolverError
 
+# A point that leaves every row, measured as a distance, by no more than this is one.
 _FEASIBILITY_TOLERANCE = 1e-7
+# What counts as no violation at all.
+_EXACT = 1e-10
+# The scale of the program's cost: the solver's tolerance on multipliers is absolute.
+_SHARPNESS = 1e4
+# How often, and how much closer each time, a solution is sought again from itself.
+_MOST_REFINEMENTS = 3
+_ZOOM = 1e4
 
 
 def minimise_linear(cost: Array, A: Array, b: Array) -> Array:
@@ -24,12 +32,41 @@ def minimise_linear(cost: Array, A: Array, b: Array) -> Array:
     Raises:
         SolverError: No minimiser was found: the set is empty or the cost unbounded.
     """
-    point, success = _program(*A.shape).solve(cost, A, b)
-    if not success or np.max(A @ point - b) > _FEASIBILITY_TOLERANCE * (
-        1.0 + np.abs(b).max()
-    ):
+    rows, bounds = _of_unit_length(A, b)
+    cost = cost * (_SHARPNESS / (float(np.linalg.norm(cost)) or 1.0))
+    point, zoom, program = np.zeros(len(cost)), 1.0, _program(*A.shape)
+    for _ in range(_MOST_REFINEMENTS):
+        solution = program.solve(cost, rows, zoom * (bounds - rows @ point))
+        if solution is None:
+            break
+        move, multipliers = solution
+        point = _touching(rows, bounds, point + move / zoom, multipliers)
+        if np.max(rows @ point - bounds) <= _EXACT:
+            return point
+        zoom *= _ZOOM  # The solver's tolerance on rows is absolute too.
+    excess = float(np.max(rows @ point - bounds))
+    if zoom == 1.0 or excess > _FEASIBILITY_TOLERANCE * (1.0 + np.abs(point).max()):
         raise SolverError("the linear program has no verified solution", A, b)
     return point
+
+
+def _of_unit_length(A: Array, b: Array) -> tuple[Array, Array]:
+    """The rows of unit length; those of no length stay as they are."""
+    length = np.linalg.norm(A, axis=1)
+    length[length == 0.0] = 1.0
+    return A / length[:, None], b / length
+
+
+def _touching(A: Array, b: Array, point: Array, multipliers: Array) -> Array:
+    """Moves the point, by little, onto the rows that carry the cost."""
+    carry = multipliers < -1e-9
+    slack = (b - A @ point)[carry]
+    if not slack.any():
+        return point
+    moved: Array = point + np.linalg.lstsq(A[carry], slack, rcond=1e-9)[0]
+    # Rows that nearly coincide, but for the solver's tolerance, meet elsewhere.
+    worse = np.max(A @ moved - b) > max(_EXACT, float(np.max(A @ point - b)))
+    return point if worse else moved
 
 
 class _Program:
@@ -45,14 +82,17 @@ class _Program:
         ).evaluator()
         self._rows = self._program.AddLinearConstraint(
             np.ones((num_rows, num_variables)), self._below, self._below, v
-        ).evaluator()
+        )
 
-    def solve(self, cost: Array, A: Array, b: Array) -> tuple[Array, bool]:
+    def solve(self, cost: Array, A: Array, b: Array) -> tuple[Array, Array] | None:
+        """Returns a minimiser and the rows' multipliers (at most 0), or None."""
         with self._lock:
             self._cost.UpdateCoefficients(cost, 0.0)
-            self._rows.UpdateCoefficients(A, self._below, b)
+            self._rows.evaluator().UpdateCoefficients(A, self._below, b)
             result = ClpSolver().Solve(self._program)
-        return result.get_x_val(), result.is_success()
+            if not result.is_success():
+                return None
+            return result.get_x_val(), np.asarray(result.GetDualSolution(self._rows))
 
 
 @lru_cache(maxsize=256)

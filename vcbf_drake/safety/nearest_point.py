@@ -25,6 +25,16 @@ from vcbf_drake.safety.polytope import emptiness_certificate
 FEASIBILITY_TOLERANCE = 1e-9
 # Its duality gap, relative to the size of the cost's terms, is at most this.
 GAP_TOLERANCE = 1e-9
+# Rows of sets that may have no interior are opened by this. Half the tolerance is left
+# for what a projection onto the input set moves afterwards.
+_OPENING = 0.4 * FEASIBILITY_TOLERANCE
+# A row shorter than this, which moves by no more over all normalised inputs, is blank.
+_BLANK = 1e-12
+# A reference further away than this is approached step by step.
+_NEAR = 10.0
+_MOST_STEPS = 20
+# Relative, of a sum of rows times multipliers.
+_ROUNDING = 1e-15
 # Rows this close to a solver's answer may be active; the wider reach forgives a
 # solver's tolerance, the narrower one keeps apart rows that nearly meet.
 _TOUCHING = (1e-7, 1e-4)
@@ -63,7 +73,7 @@ def nearest_point(A: Array, b: Array, reference: Array) -> NearestPoint:
         certificate = emptiness_certificate(A, b)
         if certificate is not None:
             raise EmptySetError(A, b, certificate.inradius, certificate.rows.tolist())
-        found = _by_solvers(A, b, reference)
+        found = _opened(A, b, reference) or _by_solvers(A, b, reference)
     if found is None:
         raise SolverError("no solver's answer to the QP could be verified", A, b)
     return found
@@ -83,7 +93,57 @@ def nearest_point_by_active_set(
         return NearestPoint(reference, np.zeros(len(b)))
     length = _lengths(A)
     rows, bounds = A / length[:, None], b / length
-    return _scaled(_on_rows(slice(None), rows, bounds, reference), length)
+    return _scaled(_active_set(rows, bounds, reference), length)
+
+
+def _opened(A: Array, b: Array, reference: Array) -> NearestPoint | None:
+    """The nearest point of a set that is empty by less than can be told.
+
+    It counts as one with a point, which is where its rows meet when they are opened.
+    """
+    length = _lengths(A)
+    rows, bounds = A / length[:, None], b / length
+    found = _active_set(rows, bounds + _OPENING, reference)
+    if found is None or np.max(rows @ found.point - bounds) > FEASIBILITY_TOLERANCE:
+        return None
+    return _scaled(found, length)
+
+
+def _active_set(A: Array, b: Array, reference: Array) -> NearestPoint | None:
+    """Solves the optimality conditions on all rows; None where that fails."""
+    solution = None
+    if np.abs(reference).max() > _NEAR:
+        solution = _from_afar(A, b, reference)
+    return solution or _on_rows(slice(None), A, b, reference)
+
+
+def _from_afar(A: Array, b: Array, reference: Array) -> NearestPoint | None:
+    """The same from references that are not too far away.
+
+    A point p is nearest to r exactly when it is nearest to p + s (r - p), s > 0: seen
+    from far away, what tells the rows apart would drown in rounding. And when it is
+    nearest to r - A'z, of multipliers z that it has at least: where the rows that push
+    stay the same, most of their push is taken off.
+    """
+    point = reference / np.abs(reference).max()
+    taken_off, pushed = np.zeros(len(b)), np.zeros(len(b), dtype=bool)
+    for _ in range(_MOST_STEPS):
+        away = reference - taken_off @ A - point
+        near = _NEAR * max(1.0, float(np.abs(point).max()))
+        times = max(1.0, float(np.abs(away).max()) / near)
+        solution = _on_rows(slice(None), A, b, point + away / times)
+        if solution is None:
+            return None
+        multipliers = taken_off + times * solution.multipliers
+        moved = float(np.abs(solution.point - point).max())
+        point, pushes = solution.point, solution.multipliers > 0.0
+        if times == 1.0 or moved <= 1e-12 * near:
+            is_optimal = _is_optimal(A, b, point, multipliers)
+            return NearestPoint(point, multipliers) if is_optimal else None
+        if (pushes == pushed).all():
+            taken_off += 0.9 * (times - 1.0) * solution.multipliers
+        pushed = pushes
+    return None
 
 
 def _by_solvers(A: Array, b: Array, reference: Array) -> NearestPoint | None:
@@ -103,7 +163,7 @@ def _by_solvers(A: Array, b: Array, reference: Array) -> NearestPoint | None:
 def _lengths(A: Array) -> Array:
     """The rows' lengths, (n,); 1, to leave it alone, for one that is all but zero."""
     length: Array = np.sqrt(np.einsum("ij,ij->i", A, A))
-    length[length <= 1e-12 * max(1.0, length.max())] = 1.0
+    length[length <= _BLANK] = 1.0
     return length
 
 
@@ -121,9 +181,22 @@ def _on_rows(
     multipliers = np.zeros(len(b))
     multipliers[rows] = nonnegative_multipliers(A[rows], b[rows], reference)
     point = reference - multipliers @ A
+    if _is_optimal(A, b, point, multipliers):
+        return NearestPoint(point, multipliers)
+    point = _touching(A, b, reference, multipliers)
     if not _is_optimal(A, b, point, multipliers):
         return None
     return NearestPoint(point, multipliers)
+
+
+def _touching(A: Array, b: Array, reference: Array, multipliers: Array) -> Array:
+    """Moves r - A'y onto the rows with y > 0, as far as rounding explains it."""
+    point: Array = reference - multipliers @ A
+    pushing = multipliers > 0.0
+    slack = (b - A @ point)[pushing]
+    move = np.linalg.lstsq(A[pushing], slack, rcond=1e-12)[0]
+    rounding = _ROUNDING * (np.abs(reference).max() + multipliers.sum())
+    return point + move if np.abs(move).max() <= rounding else point
 
 
 def _is_optimal(A: Array, b: Array, point: Array, multipliers: Array) -> bool:

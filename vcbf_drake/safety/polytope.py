@@ -114,7 +114,7 @@ def _irreducible(rows: UnitRows, ball: Ball) -> Array:
             lighter = y.copy()
             lighter[row] = 0.0
             candidate = Ball(rows, ball.center, _balanced(rows.A, lighter))
-            if candidate.bound < -_FEASIBILITY_TOLERANCE:
+            if candidate.proves_emptiness:
                 y = candidate.multipliers
     return y
 
@@ -234,6 +234,11 @@ class Ball:
         is_balanced = np.linalg.norm(multipliers @ rows.A) <= _BALANCE_TOLERANCE
         self.bound = float(multipliers @ self.slack) if is_balanced else np.inf
         self.gap = self.bound - self.radius
+        # Not by the slack of a centre that may be far away, and rounded as coarsely.
+        proof = float(multipliers @ rows.b) if is_balanced else np.inf
+        self.proves_emptiness = proof < -_FEASIBILITY_TOLERANCE
+        has_point = self.radius >= -_FEASIBILITY_TOLERANCE
+        self.is_decisive = has_point or self.proves_emptiness
         # Of the rows it touches, |b_i| = |a_i center + radius|.
         self.rounding = 1e-15 * float(np.linalg.norm(center) + abs(self.radius))
         self.is_largest = self.gap <= max(1e-12 * abs(self.radius), self.rounding)
@@ -262,12 +267,11 @@ def _decisive_ball(rows: UnitRows) -> Ball:
     """
     decisive = None
     for ball in _ever_larger_balls(rows):
-        if ball.is_largest:
+        if ball.is_largest and ball.is_decisive:
             return ball
         y = _balanced_by_others(rows.A, ball.multipliers)
         proof = Ball(rows, ball.center, y / y.sum()) if y.any() else ball
-        has_point = proof.radius >= -_FEASIBILITY_TOLERANCE
-        if has_point or proof.bound < -_FEASIBILITY_TOLERANCE:
+        if proof.is_decisive:
             decisive = decisive or proof
     if decisive is None:
         raise SolverError("neither a point nor a proof of emptiness", *rows.given)

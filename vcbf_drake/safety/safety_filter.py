@@ -392,6 +392,8 @@ class SafetyFilter(LeafSystem):
             if self._held_input.HasValue(context)
             else np.zeros(self.model.num_inputs)
         )
+        if not np.isfinite(self._state.Eval(context)).all():
+            return FilterDecision(self.input_set.project(held), FilterStatus.FAILED)
         rows, failed = self._volume_rows(context)
         feasible = self.feasible_set(context)
 
@@ -428,7 +430,9 @@ class SafetyFilter(LeafSystem):
             for v, gain in measured
             if v is not None and not v.is_on_plateau  # Else 0 <= lambda_Vv V_v.
         ]
-        return rows, any(v is None for v, _ in measured)
+        finite = [row for row in rows if row.is_finite]
+        is_whole = len(finite) == len(rows) and all(v is not None for v, _ in measured)
+        return finite, not is_whole
 
     def _volume_row(self, context: Context, v: Volume, gain: float) -> VolumeRow:
         drift, input_matrix = self.model.drift_and_input_matrix(

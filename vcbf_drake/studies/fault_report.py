@@ -21,7 +21,8 @@ A run is *guaranteed* when every hypothesis of `vcbf-drake check` held and the a
 which knows the truth of the simulation, found every promise below kept at every tick.
 It is *inside the assumptions* when the hypotheses held and with them what the theorems
 ask of a run as it goes; the other promises are then theirs. The labels are those of
-[theory.md](theory.md)."""
+[theory.md](theory.md). What the filter alone promises, on random hostile data, is in
+[properties.md](properties.md)."""
 
 _COLUMNS = {
     "reached": "reached",

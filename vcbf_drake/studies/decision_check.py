@@ -1,0 +1,300 @@
+"""What a decision of the filter promises, checked by arithmetic.
+
+Nothing here is shared with the filter but its data, and no solver is asked. A decision
+comes with enough to be verified from first principles: the point itself proves that
+there is one, multipliers prove that none is better, or that there is none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from vcbf_drake.errors import Array
+from vcbf_drake.safety import FilterDecision, FilterStatus, InputSet
+from vcbf_drake.safety.filter_qp import InfeasiblePolicy, VolumeRow
+from vcbf_drake.studies.first_order_optimality import suboptimality
+
+# The filter said that no solver's answer was verified: no promise, but worth a count.
+UNSOLVED = "solved"
+# How far outside a row an input may be, as a distance in normalised inputs.
+FEASIBILITY = 1e-9
+# How much better another input may be, relative to the size of the cost's terms.
+OPTIMALITY = 1e-8
+# The same, relative to a cost that is mostly the penalty of slacks.
+COST = 1e-9
+# A reference further away than this counts as one that is this far.
+_FARTHEST = 1e6
+# A row shorter than this, in normalised inputs, is met by every input or by none.
+_BLANK = 1e-12
+_EPSILON = float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True)
+class Tick:
+    """Everything that one decision depends on.
+
+    Attributes:
+        input_set: The inputs the actuators can produce.
+        A: The barriers' rows, shape (N, m).
+        b: Their right-hand sides, the disturbance's margin included, shape (N,).
+        weights: How much a violation of each counts, shape (N,).
+        volume_rows: The volume barrier's; None where they are not known.
+        reference: Shape (m,).
+        held_input: Shape (m,).
+        exact_slack: Whether volume rows give way by as little as possible.
+        policy: What is done where no input satisfies the barriers' rows.
+        state: What the rows are of; empty where that is nothing in particular.
+    """
+
+    input_set: InputSet
+    A: Array
+    b: Array
+    weights: Array
+    volume_rows: Sequence[VolumeRow] | None
+    reference: Array
+    held_input: Array
+    exact_slack: bool
+    policy: InfeasiblePolicy
+    state: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether state, rows and reference are numbers, so that there is an answer."""
+        parts = (self.state, self.A, self.b, self.reference)
+        return all(bool(np.isfinite(part).all()) for part in parts)
+
+    def normalised(self, u: Array) -> Array:
+        """Returns an input as v, u = center + scale v."""
+        v: Array = (u - self.input_set.center) / self.input_set.scale
+        return v
+
+    def far(self, u: Array) -> Array:
+        """Returns the same, brought near from where no difference is left."""
+        with np.errstate(over="ignore"):
+            v = self.normalised(u)
+        return v.clip(-_FARTHEST, _FARTHEST)
+
+
+def broken_promises(tick: Tick, decision: FilterDecision) -> tuple[str, ...]:
+    """Returns what the decision does not keep, a word or two each.
+
+    Args:
+        tick: What the filter was given.
+        decision: What it answered.
+    """
+    if not np.isfinite([*decision.input, decision.slack]).all():
+        return ("finite",)
+    with np.errstate(over="ignore"):  # Rows of next to nothing are infinitely far.
+        return tuple(dict.fromkeys(_broken(tick, decision)))
+
+
+def _broken(tick: Tick, decision: FilterDecision) -> Iterator[str]:
+    status, v = decision.status, tick.normalised(decision.input)
+    limits = _Rows.of(tick.input_set, tick.input_set.A, tick.input_set.b)
+    if limits.violation(v) > FEASIBILITY:
+        yield "inside"
+    if (status == FilterStatus.RELAXED) != (decision.slack < 0.0):
+        yield "slack"
+    if bool(decision.conflict) != (status == FilterStatus.INFEASIBLE):
+        yield "conflict"
+    if not tick.is_finite:
+        if status != FilterStatus.FAILED:
+            yield "status"
+        elif not _is_held(tick, limits, v):
+            yield "fallback"
+        return
+    rows = _Rows.of(tick.input_set, tick.A, tick.b)
+    if status == FilterStatus.FAILED:
+        yield UNSOLVED
+    elif status == FilterStatus.INFEASIBLE:
+        yield from _broken_when_infeasible(tick, decision, limits, rows, v)
+    else:
+        if rows.live.violation(v) > FEASIBILITY:
+            yield "rows"
+        if (
+            status == FilterStatus.REFERENCE
+            and (decision.input != tick.reference).any()
+        ):
+            yield "reference"
+        if tick.volume_rows is not None:
+            yield from _broken_when_feasible(tick, decision, limits.and_(rows), v)
+
+
+def _broken_when_infeasible(
+    tick: Tick, decision: FilterDecision, limits: _Rows, rows: _Rows, v: Array
+) -> Iterator[str]:
+    if not _is_conflict(limits.and_(rows), list(decision.conflict)):
+        yield "conflict"
+    if tick.policy == "hold":
+        if not _is_held(tick, limits, v):
+            yield "fallback"
+    elif not _is_least_violation(tick.weights, limits, rows, v):
+        yield "least violation"
+
+
+def _broken_when_feasible(
+    tick: Tick, decision: FilterDecision, rows: _Rows, v: Array
+) -> Iterator[str]:
+    volume_rows = tick.volume_rows or ()
+    rows_v = _Rows.of(
+        tick.input_set,
+        np.reshape([row.a for row in volume_rows], (-1, len(v))),
+        np.array([row.c for row in volume_rows]),
+    )
+    slack = rows_v.slack(v)
+    worst = min(0.0, float(np.min(slack * rows_v.unit, initial=0.0)))
+    if abs(decision.slack - worst) > FEASIBILITY * (
+        1.0 + np.max(rows_v.unit, initial=0)
+    ):
+        yield "slack"
+    if decision.status != FilterStatus.RELAXED and rows_v.violation(v) > FEASIBILITY:
+        yield "volume row"
+    gradient = v - tick.far(tick.reference)
+    if not tick.exact_slack:
+        penalty = np.array([row.slack_penalty for row in volume_rows])
+        if not _is_least_penalty(rows, rows_v, penalty, gradient, v):
+            yield "optimal"
+        return
+    for i in range(len(slack)):  # Each in its turn gives way as little as it can.
+        if slack[i] < -FEASIBILITY and not rows.is_optimal(rows_v.G[i], v):
+            yield "least slack"
+        given_way = np.minimum(slack[i : i + 1], 0.0)
+        rows = rows.and_(rows_v.only(i).relaxed(given_way))
+    if not rows.is_optimal(gradient, v):
+        yield "optimal"
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Rows ``G v <= h`` of unit length in normalised inputs v.
+
+    Attributes:
+        G: Shape (n, m); zeros where a row has no direction.
+        h: Shape (n,).
+        unit: What the rows were divided by: their length, or 1, shape (n,).
+        rounding: How well h can be known, shape (n,).
+    """
+
+    G: Array
+    h: Array
+    unit: Array
+    rounding: Array
+
+    @staticmethod
+    def of(inputs: InputSet, A: Array, b: Array) -> _Rows:
+        """The rows ``A u <= b``."""
+        G, h = A * inputs.scale, b - A @ inputs.center
+        size = np.abs(A) @ (np.abs(inputs.center) + inputs.scale) + np.abs(b)
+        # By the largest entry first: squares of tiny entries would vanish.
+        largest = np.abs(G).max(axis=1, initial=0.0)
+        unit = np.where(largest > 0.0, largest, 1.0)
+        G, h, size = G / unit[:, None], h / unit, size / unit
+        length = np.maximum(np.linalg.norm(G, axis=1), 0.5)  # At least 1, or it is 0.
+        G, h, size = G / length[:, None], h / length, size / length
+        return _Rows(G, h, unit * length, 8.0 * _EPSILON * size)
+
+    @property
+    def live(self) -> _Rows:
+        """Without the rows that move, over all inputs, by next to nothing."""
+        return _Rows(*(each[self.unit > _BLANK] for each in vars(self).values()))
+
+    def and_(self, other: _Rows) -> _Rows:
+        mine, others = vars(self).values(), vars(other).values()
+        return _Rows(*(np.concatenate(pair) for pair in zip(mine, others, strict=True)))
+
+    def only(self, i: int) -> _Rows:
+        return _Rows(*(each[i : i + 1] for each in vars(self).values()))
+
+    def relaxed(self, slack: Array) -> _Rows:
+        return _Rows(self.G, self.h - slack, self.unit, self.rounding)
+
+    def slack(self, v: Array) -> Array:
+        slack: Array = self.h - self.G @ v
+        return slack
+
+    def violation(self, v: Array) -> float:
+        """The largest distance to a row's wrong side, beyond rounding."""
+        return float(np.max(-self.slack(v) - self.rounding, initial=0.0))
+
+    def is_optimal(self, gradient: Array, v: Array) -> bool:
+        """Whether no point that has the tolerance to spare is better to first order."""
+        enough = OPTIMALITY * (1.0 + float(np.linalg.norm(gradient)))
+        reach = np.full(len(v), 2.0)  # In the box |v_j| <= 1 that bounds all inputs.
+        h = self.h - FEASIBILITY
+        return suboptimality(gradient, self.G, h, v, reach, enough) <= enough
+
+
+def _is_held(tick: Tick, limits: _Rows, v: Array) -> bool:
+    """Whether v is the input nearest to the held one."""
+    if np.isfinite(tick.held_input).all():
+        return limits.is_optimal(v - tick.far(tick.held_input), v)
+    return bool(np.allclose(v, tick.normalised(tick.input_set.interior), atol=1e-9))
+
+
+def _is_conflict(rows: _Rows, named: list[int]) -> bool:
+    """Whether no input meets the rows that are named, and some point any fewer.
+
+    Farkas: y >= 0 with y'G = 0 and y'h < 0, to rounding on the box |v_j| <= 1. Without
+    one of them the rows are independent, and so have a common point.
+    """
+    if not named:
+        return False
+    G, h = rows.G[named], rows.h[named]
+    balanced = np.vstack([G.T, np.ones(len(named))])
+    y = np.linalg.lstsq(balanced, np.append(np.zeros(len(G.T)), 1.0), rcond=None)[0]
+    y = np.maximum(y, 0.0)
+    proof = float(y @ h) + float(np.abs(y @ G).sum())
+    fewer = (np.delete(G, i, axis=0) for i in range(len(named)))
+    return proof < 0.0 and all(_are_independent(each) for each in fewer)
+
+
+def _are_independent(G: Array) -> bool:
+    singular = np.linalg.svd(G, compute_uv=False)
+    return len(G) <= len(G.T) and bool(singular.min(initial=1.0) > 4.0 * _EPSILON)
+
+
+def _is_least_violation(weights: Array, limits: _Rows, rows: _Rows, v: Array) -> bool:
+    """Whether the worst weighted violation t at v is the least of all.
+
+    A linear program in (v, t): rows of the limits as they are, rows of the barriers
+    G v - t / weight <= h, in units of t in which its coefficients are 1 or more.
+    """
+    weight = weights * rows.unit
+    if not len(weight):
+        return True
+    worst = float(np.max(-weight * rows.slack(v), initial=0.0)) / weight.max()
+    give = np.concatenate([np.zeros(len(limits.h)), weight.max() / weight])
+    both = limits.and_(rows)
+    no_reward = np.append(np.zeros(len(v)), -1.0)  # t >= 0
+    G = np.vstack([np.column_stack([both.G, -give]), no_reward])
+    h, length = np.append(both.h, 0.0), np.linalg.norm(G, axis=1)
+    length[length == 0.0] = 1.0
+    gradient = np.append(np.zeros(len(v)), 1.0)
+    rounding = float(np.max(weight * rows.rounding)) / weight.max()
+    enough = OPTIMALITY * (1.0 + worst) + rounding
+    reach, point = np.append(np.full(len(v), 2.0), worst), np.append(v, worst)
+    gap = suboptimality(gradient, G / length[:, None], h / length, point, reach, enough)
+    return gap <= enough
+
+
+def _is_least_penalty(
+    rows: _Rows, volume_rows: _Rows, penalty: Array, gradient: Array, v: Array
+) -> bool:
+    """Whether (v, s) minimises |v - reference|^2 + |s|^2, where s = sqrt(M) delta."""
+    root = np.sqrt(penalty)
+    s = root * np.minimum(volume_rows.slack(v) * volume_rows.unit, 0.0)
+    k = len(root)
+    per_slack = np.diag(1.0 / (root * volume_rows.unit)) if k else np.zeros((0, 0))
+    G = np.block([[rows.G, np.zeros((len(rows.h), k))], [volume_rows.G, per_slack]])
+    length = np.linalg.norm(G, axis=1)
+    length[length == 0.0] = 1.0
+    h = np.concatenate([rows.h, volume_rows.h])
+    slope, point = np.concatenate([gradient, s]), np.concatenate([v, s])
+    pull = float(np.linalg.norm(gradient) + np.abs(s * root * volume_rows.unit).sum())
+    enough = OPTIMALITY * (1.0 + pull) + COST * float(slope @ slope)
+    reach = np.append(np.full(len(v), 2.0), np.full(k, np.abs(s).sum()))
+    gap = suboptimality(slope, G / length[:, None], h / length, point, reach, enough)
+    return gap <= enough

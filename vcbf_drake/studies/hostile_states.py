@@ -1,0 +1,138 @@
+"""Random states of real plants, and of what a filter is told of them."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from pydrake.systems.framework import Context
+
+from vcbf_drake.barriers import PerceivedSpheres, StateInputLimit, ackermann_limit
+from vcbf_drake.errors import Array
+from vcbf_drake.plants import Blimp, Car, ControlAffineModel
+from vcbf_drake.safety import (
+    METHODS,
+    FilterDecision,
+    InfeasiblePolicy,
+    InputSet,
+    SafetyFilter,
+)
+from vcbf_drake.safety.filter_qp import INFEASIBLE_POLICIES
+from vcbf_drake.studies.decision_check import Tick
+
+PLANTS = ("blimp", "car")
+MOST_OBSTACLES = 4
+
+Generator = np.random.Generator
+
+
+class _Filter(NamedTuple):
+    system: SafetyFilter
+    context: Context
+    spheres: PerceivedSpheres
+
+
+def random_decision(rng: Generator, plant: str) -> tuple[Tick, FilterDecision]:
+    """Returns what a filter of that plant answers somewhere, and to what.
+
+    The state is anywhere: between obstacles, inside one, at its centre, far away, or
+    not a number; so are reference, estimate and error bound.
+
+    Args:
+        rng: The generator.
+        plant: One of `PLANTS`.
+    """
+    method = str(rng.choice(list(METHODS)))
+    policy = INFEASIBLE_POLICIES[int(rng.integers(len(INFEASIBLE_POLICIES)))]
+    safety_filter, context, spheres = _filter(plant, method, policy)
+    inputs = safety_filter.input_set
+    signals = _signals(rng, safety_filter, spheres)
+    for name, value in signals.items():
+        safety_filter.GetInputPort(name).FixValue(context, value)
+    context.SetTime(float(rng.uniform(0.0, 100.0)))
+    with np.errstate(all="ignore"):
+        decision = safety_filter.decision(context)
+        feasible = safety_filter.feasible_set(context)
+    limits = len(inputs.b)
+    tick = Tick(
+        input_set=inputs,
+        A=feasible.A[limits:],
+        b=feasible.b[limits:],
+        weights=feasible.weights,
+        volume_rows=None if safety_filter.method.volume else (),
+        reference=signals["reference"],
+        held_input=signals["held_input"],
+        exact_slack=True,
+        policy=policy,
+        state=signals["state"],
+    )
+    return tick, decision
+
+
+@cache
+def _filter(plant: str, method: str, policy: InfeasiblePolicy) -> _Filter:
+    limits: list[StateInputLimit] = []
+    if plant == "blimp":
+        model = ControlAffineModel.from_system(Blimp())
+        inputs = InputSet.box([-0.25, -0.25, -0.02], [0.25, 0.25, 0.02])
+        dimensions, position = 3, Blimp.position_indices
+    else:
+        model = ControlAffineModel.from_system(Car())
+        inputs = InputSet.box([-3.0, -4.5], [3.0, 4.5])
+        dimensions, position = 2, Car.position_indices
+        limits = [*ackermann_limit(2.0, 0.1)]
+    spheres = PerceivedSpheres(MOST_OBSTACLES, dimensions)
+    obstacles = spheres.barriers([4.0, 3.0], position)
+    system = SafetyFilter(
+        model,
+        [*obstacles, *limits],
+        inputs,
+        method=method,
+        infeasible=policy,
+        disturbance_bound=0.1,
+        estimate_gain=5.0,
+    )
+    return _Filter(system, system.CreateDefaultContext(), spheres)
+
+
+def _signals(
+    rng: Generator, system: SafetyFilter, spheres: PerceivedSpheres
+) -> dict[str, Array]:
+    """Values of the filter's input ports."""
+    inputs, k = system.input_set, spheres.dimensions
+    n, m, q = (
+        system.model.num_states,
+        system.model.num_inputs,
+        system.model.num_disturbances,
+    )
+    signals: dict[str, Array] = {
+        "state": rng.uniform(-1.0, 1.0, n) * _size(rng),
+        "reference": inputs.center + inputs.scale * rng.uniform(-2, 2, m) * _size(rng),
+        "held_input": inputs.center + inputs.scale * rng.uniform(-1.5, 1.5, m),
+    }
+    if system.method.disturbance == "estimated":
+        signals["disturbance_estimate"] = _size(rng) * np.array(
+            rng.uniform(-0.1, 0.1, q)
+        )
+        signals["estimate_rate"] = np.array(rng.uniform(-0.1, 0.1, q))
+        signals["error_bound"] = _size(rng) * rng.uniform(0.0, 0.1, 1)
+        signals["error_bound_rate"] = -signals["error_bound"]
+    count = int(rng.integers(0, MOST_OBSTACLES + 1))
+    signals["obstacles"] = spheres.pack(
+        rng.uniform(-2.0, 2.0, (count, k)),
+        rng.uniform(-0.3, 0.3, (count, k)) * rng.integers(0, 2),
+        rng.uniform(0.05, 1.0, count),
+    )
+    if count and rng.random() < 0.05:  # Right at an obstacle's centre.
+        signals["state"][list(range(k))] = signals["obstacles"][:k]
+    if rng.random() < 0.15:
+        name = str(rng.choice(list(signals)))
+        spoilt = signals[name]
+        spoilt[int(rng.integers(spoilt.size))] = rng.choice([np.nan, np.inf, -np.inf])
+    return signals
+
+
+def _size(rng: Generator) -> float:
+    """Mostly 1, at times anything."""
+    return float(10.0 ** rng.uniform(-9.0, 9.0)) if rng.random() < 0.1 else 1.0
