@@ -6,6 +6,7 @@ import pytest
 
 from vcbf_drake import ScenarioError, load_scenario, make_loop, simulate
 from vcbf_drake.safety import FilterStatus
+from vcbf_drake.safety.assumptions import assumptions
 from vcbf_drake.simulation.sensor_faults import DelayedMeasurement, LostMeasurements
 
 BLIMP, CAR = "blimp-multiple-obstacles", "car-avoidance"
@@ -22,6 +23,7 @@ FAULTS = {
     "disturbance": "disturbance: 2.5",
     "gust": "gusts: [{amplitude: [0.0, 0.5, 0.0], start: 1.0, duration: 0.5}]",
     "solver": "solver_failure: 0.2",
+    "process": "outage: 0.03, outage_duration: 0.2",
 }
 
 
@@ -214,3 +216,43 @@ def test_bad_faults_are_refused_by_name(faults, problem):
 def test_a_car_has_no_drag_to_be_wrong():
     with pytest.raises(ScenarioError, match=r"faults\.drag: 0\.7; it must be 1"):
         load_scenario(CAR, "{faults: {drag: 0.7}}")
+
+
+def test_a_killed_process_asks_for_nothing_and_starts_anew():
+    result = run("outage: 0.02, outage_duration: 0.2, seed: 3", duration=4.0)
+    log, limits = result.log, result.scenario.input_set.input_set()
+    down = log["status"] == FilterStatus.FAILED
+    starts = np.flatnonzero(~down[:-1] & down[1:]) + 1
+    assert 1 <= len(starts)
+    for start in starts[:-1]:
+        assert down[start : start + 10].all()  # 0.2 s at least
+    nothing = limits.project(np.zeros(limits.num_inputs))
+    assert (log["input"][down] == nothing).all()
+    # The tick after an outage only takes the state: no disturbance is known.
+    up = np.flatnonzero(down[:-1] & ~down[1:]) + 1
+    assert len(up)
+    assert not log["disturbance_estimate"][up].any()
+    assert (log["error_bound"][up] == log["error_bound"][0]).all()
+    assert log["disturbance_estimate"][up[0] + 20].any()
+    assert "hypothesis: process at every tick" in result.summary["reasons_against"]
+
+
+def test_an_outage_is_a_function_of_the_tick():
+    loops = [run("outage: 0.02, seed: 3", duration=1.0).log for _ in range(2)]
+    assert np.array_equal(loops[0]["input"], loops[1]["input"])
+
+
+def test_an_empty_slot_starts_nowhere():
+    overrides = "{obstacles: [{center: [9.0, 9.0], radius: 0.2}], faults: {sight: 0.5}}"
+    loop = make_loop(load_scenario(CAR, overrides))
+    safety_filter = loop.GetSubsystemByName("filter")
+    context = loop.CreateDefaultContext()
+    observer = loop.GetSubsystemByName("filter_observer")
+    found = {
+        each.name: each
+        for each in assumptions(
+            safety_filter, safety_filter.GetMyContextFromRoot(context), observer, PERIOD
+        )
+    }
+    assert not any(name.startswith("start inside: seen obstacle") for name in found)
+    assert found["input authority"].holds is not False

@@ -6,9 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.systems.framework import Context
 
-from vcbf_drake.barriers import Barrier
+from vcbf_drake.barriers import Barrier, BarrierRows
 from vcbf_drake.disturbances import DisturbanceObserver, RiseObserver
 from vcbf_drake.safety.polytope import recession_direction
 from vcbf_drake.safety.safety_filter import SafetyFilter
@@ -145,9 +146,12 @@ def _disturbance_relative_degree(safety_filter: SafetyFilter) -> Assumption:
 def _barriers_at_start(
     safety_filter: SafetyFilter, context: Context
 ) -> Iterator[Assumption]:
-    rows = safety_filter.feasible_set(context).rows
-    for name, chain in zip(safety_filter.barrier_set.names, rows.chain, strict=True):
-        if len(chain) == 0:
+    rows, names = (
+        safety_filter.feasible_set(context).rows,
+        safety_filter.barrier_set.names,
+    )
+    for name, chain, is_empty in zip(names, rows.chain, _are_empty(rows), strict=True):
+        if len(chain) == 0 or is_empty:
             continue
         yield Assumption(
             f"start inside: {name}",
@@ -161,7 +165,7 @@ def _barriers_at_start(
 def _authority_at_start(safety_filter: SafetyFilter, context: Context) -> Assumption:
     rows = safety_filter.feasible_set(context).rows
     authority = np.linalg.norm(rows.A * safety_filter.input_set.scale, axis=1)
-    least = float(authority.min(initial=np.inf))
+    least = float(authority[~_are_empty(rows)].min(initial=np.inf))
     return Assumption(
         "input authority",
         "every row has an input that moves it: L_g L_f^(r-1) h != 0 (R33)",
@@ -169,6 +173,13 @@ def _authority_at_start(safety_filter: SafetyFilter, context: Context) -> Assump
         {"least authority": least},
         "a row without authority is infeasible as soon as its right side is negative",
     )
+
+
+def _are_empty(rows: BarrierRows) -> NDArray[np.bool_]:
+    """Which rows are those of slots without an obstacle: no value, and no condition."""
+    says_nothing = ~rows.A.any(axis=1) & (rows.b >= 0.0)
+    has_levels = np.array([len(chain) > 0 for chain in rows.chain], dtype=bool)
+    return np.isnan(rows.value) & says_nothing & has_levels
 
 
 def _volume_at_start(safety_filter: SafetyFilter, context: Context) -> Assumption:

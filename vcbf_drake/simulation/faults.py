@@ -52,12 +52,19 @@ class Faults:
     gusts: list[StepGust] = field(default_factory=list)
     # Probability that a tick's solvers fail.
     solver_failure: float = 0.0
+    # Probability that the process of filter and observer is killed at a tick.
+    outage: float = 0.0
+    # How long it then takes until it runs again, with a fresh observer [s].
+    outage_duration: float = 0.5
 
     def validate(self) -> None:
         """Raises ValueError for a number that is not allowed."""
-        for name in ("measurement_loss", "solver_failure"):
+        for name in ("measurement_loss", "solver_failure", "outage"):
             _check(name, getattr(self, name), 0.0, 1.0, "from 0 to 1")
-        for name in ("seed", "measurement_delay", "sight", "actuator_lag", "drag"):
+        for name in (
+            *("seed", "measurement_delay", "sight", "actuator_lag", "drag"),
+            "outage_duration",
+        ):
             _check(name, getattr(self, name), 0.0, math.inf, "finite and not below 0")
         _check("disturbance", self.disturbance, -math.inf, math.inf, "finite")
         if not 0.0 < self.actuator_limit <= 1.0:
@@ -140,6 +147,15 @@ def fault_assumptions(faults: Faults) -> Iterator[Assumption]:
             "solvers at every tick",
             "no solver fails",
             {"probability of failure": faults.solver_failure},
+        ),
+        (
+            faults.outage > 0.0,
+            "process at every tick",
+            "filter and observer run without a break",
+            {
+                "probability of being killed": faults.outage,
+                "outage": faults.outage_duration,
+            },
         ),
     ]
     for is_broken, name, statement, numbers in found:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import (
@@ -20,9 +21,16 @@ from pydrake.systems.primitives import (
     Saturation,
 )
 
+from vcbf_drake.disturbances import DisturbanceObserver, RiseObserver
 from vcbf_drake.plants import BlimpParameters, CarParameters
 from vcbf_drake.safety import SafetyFilter
 from vcbf_drake.simulation.faults import Faults
+from vcbf_drake.simulation.killed_process import (
+    KilledLinearObserver,
+    KilledRiseObserver,
+    KilledSafetyFilter,
+    Outages,
+)
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.sensor_faults import DelayedMeasurement, LostMeasurements
 from vcbf_drake.simulation.undeclared_disturbance import UndeclaredDisturbance
@@ -133,17 +141,50 @@ def faulty_actuator(
 
 
 def filter_class(scenario: Scenario) -> Callable[..., SafetyFilter]:
-    """Returns what makes the filter: one whose solvers fail, where that is a fault.
+    """Returns what makes the filter: one that fails, where that is a fault.
 
     Args:
         scenario: With its faults.
     """
     faults = scenario.faults
-    if faults.solver_failure == 0.0:
+    if faults.solver_failure == 0.0 and faults.outage == 0.0:
         return SafetyFilter
-    return partial(
-        UnreliableSafetyFilter,
-        probability=faults.solver_failure,
-        period=scenario.period,
-        seed=faults.seed,
-    )
+    unreliable: dict[str, Any] = {
+        "probability": faults.solver_failure,
+        "period": scenario.period,
+        "seed": faults.seed,
+    }
+    if faults.outage == 0.0:
+        return partial(UnreliableSafetyFilter, **unreliable)
+    return partial(KilledSafetyFilter, outages=outages(scenario), **unreliable)
+
+
+def faulty_observer(
+    scenario: Scenario, observer: Callable[..., DisturbanceObserver]
+) -> Callable[..., DisturbanceObserver]:
+    """Returns what makes the observer: one that starts again, where that is a fault.
+
+    Args:
+        scenario: With its faults.
+        observer: `RiseObserver` or `LinearDisturbanceObserver`.
+    """
+    if scenario.faults.outage == 0.0:
+        return observer
+    killed = KilledRiseObserver if observer is RiseObserver else KilledLinearObserver
+
+    def make(*arguments: Any, **keywords: Any) -> DisturbanceObserver:
+        made = killed(*arguments, **keywords)
+        made.outages = outages(scenario)
+        return made
+
+    return make
+
+
+def outages(scenario: Scenario) -> Outages:
+    """Returns when the filter's process is down.
+
+    Args:
+        scenario: With its faults.
+    """
+    faults = scenario.faults
+    return Outages(faults.outage, faults.outage_duration, scenario.period, faults.seed)

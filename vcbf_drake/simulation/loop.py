@@ -47,6 +47,7 @@ from vcbf_drake.simulation.collision_monitor import CollisionMonitor
 from vcbf_drake.simulation.faulty_loop import (
     faulty_actuator,
     faulty_measurement,
+    faulty_observer,
     filter_class,
     true_disturbance,
     true_parameters,
@@ -347,14 +348,14 @@ def make_observer(
     """
     settings = scenario.observer
     if METHODS[scenario.method].observer == "linear":
-        return LinearDisturbanceObserver(
+        return faulty_observer(scenario, LinearDisturbanceObserver)(
             model,
             period,
             bounds,
             rate=settings.linear_rate,
             longest_interval=longest_interval,
         )
-    return RiseObserver(
+    return faulty_observer(scenario, RiseObserver)(
         model,
         period,
         bounds,

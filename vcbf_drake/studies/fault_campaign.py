@@ -98,11 +98,16 @@ def _gust(scenario: Scenario, generator: Generator) -> dict[str, Any]:
 
 
 def _sight(scenario: Scenario, generator: Generator) -> dict[str, Any]:
-    return {"faults": {"sight": 1.5}}
+    return {"faults": {"sight": 2.5}}
 
 
 def _solver(scenario: Scenario, generator: Generator) -> dict[str, Any]:
     return {"faults": {"solver_failure": 0.05, "seed": _seed(generator)}}
+
+
+def _process(scenario: Scenario, generator: Generator) -> dict[str, Any]:
+    outage = scenario.period / 5.0
+    return {"faults": {"outage": outage, "seed": _seed(generator)}}
 
 
 def _seed(generator: Generator) -> int:
@@ -122,8 +127,13 @@ FAULTS = tuple(
         ("plant", "true mass and drag each 30 % above or below the model's", _plant),
         ("disturbance", "the disturbance is twice what is declared", _disturbance),
         ("gust", "a step of size delta1, 2 s long, in a random direction", _gust),
-        ("sight", "obstacles appear 1.5 m ahead", _sight),
+        ("sight", "obstacles appear 2.5 m ahead", _sight),
         ("solver", "the solvers fail at a twentieth of the ticks", _solver),
+        (
+            "process",
+            "filter and observer die every 5 s or so; no input for 0.5 s, then anew",
+            _process,
+        ),
     )
 )
 
