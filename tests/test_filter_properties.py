@@ -4,6 +4,8 @@ The checker shares no code with the filter: see `vcbf_drake.studies.decision_che
 same instances, in greater numbers, are run by `vcbf-drake reliability`.
 """
 
+import dataclasses
+
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -104,10 +106,61 @@ def test_every_promise_is_kept_on_hostile_ticks(kind, number):
     assert set(example.broken) <= {UNSOLVED}
 
 
-# Each once broke a promise.
-FOUND = ()
+# Each once broke a promise, or had no answer.
+# fmt: off
+FOUND = (
+    2016, 2031, 2039, 2046, 2049, 2050, 2060, 2061, 2079, 2138, 2148, 2218, 2276,
+    2300, 2301, 2325, 2343, 2352, 2394, 2439, 2460, 2508, 2711, 2730, 2782, 2794,
+    2965, 3083, 3085, 3151, 3251, 3372, 3409, 3413, 3524, 3545, 3774, 3950,
+)
+# fmt: on
 
 
 @pytest.mark.parametrize("number", FOUND)
 def test_what_was_found(number):
     assert make_example(0, number).broken == ()
+
+
+def forged(decision, **changes):
+    return dataclasses.replace(decision, **changes)
+
+
+def forgeries(tick, decision):
+    """Answers that are not what they say they are, and what gives them away."""
+    if decision.status == FilterStatus.INFEASIBLE:
+        yield ("conflict",), forged(decision, conflict=())
+        yield ("conflict",), forged(decision, conflict=decision.conflict[1:])
+        everything = tuple(range(len(tick.input_set.b) + len(tick.b)))
+        if len(everything) > tick.input_set.num_inputs + 1:
+            yield ("conflict",), forged(decision, conflict=everything)
+        yield ("rows",), forged(decision, status=FilterStatus.FILTERED, conflict=())
+    if decision.status == FilterStatus.FILTERED:
+        step = 1e-4 * (tick.input_set.interior - decision.input)
+        v = tick.normalised(decision.input)
+        pull = np.linalg.norm(v - tick.far(tick.reference))
+        is_far = np.abs(step / tick.input_set.scale).max() > 1e-5
+        if is_far and pull > 0.1 and (tick.exact_slack or not tick.volume_rows):
+            moved = forged(decision, input=decision.input + step)
+            yield ("optimal", "rows", "volume row"), moved
+        yield ("conflict",), forged(decision, status=FilterStatus.INFEASIBLE)
+        yield ("reference",), forged(decision, status=FilterStatus.REFERENCE)
+    if decision.status == FilterStatus.RELAXED:
+        yield ("slack",), forged(decision, slack=0.0)
+        yield ("slack",), forged(decision, slack=2.0 * decision.slack - 1e-3)
+    outside = decision.input + 3.0 * tick.input_set.scale
+    yield ("inside",), forged(decision, input=outside)
+    yield ("finite",), forged(decision, input=np.nan * decision.input)
+
+
+@pytest.mark.parametrize("kind", ["generic", "empty", "tiny", "huge"])
+def test_the_checker_finds_what_is_not_true(kind):
+    found = 0
+    for number in range(ALL_KINDS.index(kind), 6 * len(ALL_KINDS), len(ALL_KINDS)):
+        example = make_example(2, number)
+        if example.broken:
+            continue
+        for expected, forgery in forgeries(example.tick, example.decision):
+            broken = set(broken_promises(example.tick, forgery))
+            assert broken & set(expected), (number, expected, broken)
+            found += 1
+    assert found > 10

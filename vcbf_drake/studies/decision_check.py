@@ -29,6 +29,8 @@ COST = 1e-9
 _FARTHEST = 1e6
 # A row shorter than this, in normalised inputs, is met by every input or by none.
 _BLANK = 1e-12
+# Multipliers of sum 1 balance rows of unit length when what is left is below this.
+_BALANCE = 1e-11
 _EPSILON = float(np.finfo(float).eps)
 
 
@@ -237,8 +239,8 @@ def _is_held(tick: Tick, limits: _Rows, v: Array) -> bool:
 def _is_conflict(rows: _Rows, named: list[int]) -> bool:
     """Whether no input meets the rows that are named, and some point any fewer.
 
-    Farkas: y >= 0 with y'G = 0 and y'h < 0, to rounding on the box |v_j| <= 1. Without
-    one of them the rows are independent, and so have a common point.
+    Farkas: y >= 0 with y'G = 0, to rounding, and y'h < 0 even so on the box |v_j| <= 1.
+    Without one of them the rows are independent, and so have a common point.
     """
     if not named:
         return False
@@ -246,9 +248,10 @@ def _is_conflict(rows: _Rows, named: list[int]) -> bool:
     balanced = np.vstack([G.T, np.ones(len(named))])
     y = np.linalg.lstsq(balanced, np.append(np.zeros(len(G.T)), 1.0), rcond=None)[0]
     y = np.maximum(y, 0.0)
-    proof = float(y @ h) + float(np.abs(y @ G).sum())
+    imbalance = float(np.abs(y @ G).sum())
+    is_proof = imbalance <= _BALANCE and float(y @ h) + imbalance < 0.0
     fewer = (np.delete(G, i, axis=0) for i in range(len(named)))
-    return proof < 0.0 and all(_are_independent(each) for each in fewer)
+    return is_proof and all(_are_independent(each) for each in fewer)
 
 
 def _are_independent(G: Array) -> bool:
