@@ -1,5 +1,7 @@
 """The feasible set: the disturbance's worst, and the same set in other inputs."""
 
+import dataclasses
+
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -80,6 +82,23 @@ def test_rows_that_are_left_out_hold_on_the_whole_bounding_box(input_set):
         assert feasible.cutting.tolist() == expected
         kinds |= set(cuts.tolist())
     assert kinds == {True, False}
+
+
+@pytest.mark.parametrize("input_set", [BOX, TRIANGLE])
+def test_a_reserve_is_taken_off_the_barrier_rows_alone(input_set):
+    rng = np.random.default_rng(7)
+    rows, known = random_rows(rng, 4), knowledge(rng)
+    reserve, k = rng.uniform(0.0, 1.0, 4), len(input_set.b)
+    feasible = feasible_set(input_set, rows, known)
+    tightened = feasible.tightened(reserve)
+    assert_allclose(tightened.b[:k], feasible.b[:k])
+    assert_allclose(tightened.b[k:], feasible.b[k:] - reserve)
+    assert_allclose(tightened.b_v[:k], feasible.b_v[:k])
+    assert_allclose(tightened.b_v[k:], feasible.b_v[k:] - reserve)
+    assert_allclose(tightened.A_v, feasible.A_v)
+    rows = dataclasses.replace(rows, b=rows.b - reserve)
+    expected = feasible_set(input_set, rows, known)
+    assert tightened.cutting.tolist() == expected.cutting.tolist()
 
 
 @pytest.mark.parametrize("where", ["A", "b", "w"])

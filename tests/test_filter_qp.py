@@ -61,6 +61,15 @@ def test_filtered_input_is_the_nearest_in_the_normalised_norm():
     decision = choose(set_of([1.0, 1.0], 1.0), [2.0, 1.0])
     assert decision.status == FilterStatus.FILTERED
     np.testing.assert_allclose(decision.input, [1.0, 0.0], atol=1e-9)
+    assert decision.slack == 0.0
+
+
+@pytest.mark.parametrize("exact_slack", [True, False])
+def test_a_volume_row_that_holds_anyway_has_no_slack(exact_slack):
+    row = VolumeRow(a=np.array([0.0, 1.0]), c=1.0, slack_penalty=1e3)
+    decision = choose(set_of([1.0, 1.0], 1.0), [2.0, 1.0], row, exact_slack=exact_slack)
+    assert decision.status == FilterStatus.FILTERED and decision.slack == 0.0
+    np.testing.assert_allclose(decision.input, [1.0, 0.0], atol=1e-9)
 
 
 def test_volume_row_is_kept_exactly_when_it_can_be():

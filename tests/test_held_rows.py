@@ -41,7 +41,13 @@ from vcbf_drake.disturbances import DisturbanceBounds
 from vcbf_drake.plants import BlimpParameters, CarParameters
 from vcbf_drake.plants.interval import Interval
 from vcbf_drake.plants.reach_tube import reach_tube
-from vcbf_drake.safety import DisturbanceKnowledge, HeldRows, Tick, least_height
+from vcbf_drake.safety import (
+    DisturbanceKnowledge,
+    HeldRows,
+    Tick,
+    held_rows,
+    least_height,
+)
 from vcbf_drake.safety.filter_qp import FilterDecision, FilterStatus
 from vcbf_drake.studies.moving_wall import press_against_wall
 
@@ -482,3 +488,47 @@ def test_wrong_choices_are_named():
     ):
         add(between_ticks="certified", fidelity="paper")
     add(between_ticks="certified", fidelity="paper", method="robust-cbf-qp")
+
+
+def random_box(rng, shape, size):
+    return rng.normal(size=shape), size * rng.uniform(size=shape)
+
+
+def corners(rng, box, count):
+    """Random corners of a box, where what is linear in each entry is least."""
+    middle, radius = box
+    signs = rng.choice([-1.0, 1.0], size=(count, *middle.shape))
+    return middle + signs * radius
+
+
+@pytest.mark.parametrize("size", [0.0, 0.1, 2.0])
+def test_sums_of_products_are_bounded_from_below_and_closely(size):
+    """Each product of two intervals is least at one of its four corners."""
+    rng = np.random.default_rng(31)
+    for _ in range(20):
+        entries, weights = random_box(rng, (3, 5), size), random_box(rng, 5, size)
+        (middle, radius), (z, z_radius) = entries, weights
+        ends = [
+            (middle + s * radius) * (z + t * z_radius)
+            for s in (-1.0, 1.0)
+            for t in (-1.0, 1.0)
+        ]
+        least = np.min(ends, axis=0).sum(axis=1)
+        bound = held_rows._least_products(entries, weights)
+        assert (bound <= least).all()
+        assert (bound >= least - 2.0 * radius @ z_radius - 1e-9).all()
+
+
+@pytest.mark.parametrize("size", [0.0, 0.1, 2.0])
+def test_rates_are_bounded_from_below(size):
+    """Of z'G F over many corners of z, G and F; exact where nothing is uncertain."""
+    rng = np.random.default_rng(32)
+    for _ in range(20):
+        z, G, F = (random_box(rng, shape, size) for shape in (2, (1, 2, 2), 2))
+        bound = held_rows._least_rates(z, G, F)
+        values = np.einsum(
+            "sk,sikj,sj->si", *(corners(rng, box, 3000) for box in (z, G, F))
+        )
+        assert (bound <= values.min(axis=0)).all()
+        if size == 0.0:
+            np.testing.assert_allclose(bound, values[0], atol=1e-9)

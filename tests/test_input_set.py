@@ -113,8 +113,11 @@ def test_faulty_sets_are_refused():
     assert np.all(A[:2] @ raised.value.direction <= 0.0)
     np.testing.assert_array_equal(raised.value.A, A[:2])
     np.testing.assert_array_equal(raised.value.b, b[:2])
-    with pytest.raises(UnboundedSetError):  # A strip: its inradius is finite.
-        InputSet([[1.0, 0.0], [-1.0, 0.0]], [1.0, 1.0])
+    strip = np.array([[1.0, 0.0], [-1.0, 0.0]]), np.array([1.0, 2.0])
+    with pytest.raises(UnboundedSetError) as raised:  # Its inradius is finite.
+        InputSet(*strip)
+    np.testing.assert_array_equal(raised.value.A, strip[0])
+    np.testing.assert_array_equal(raised.value.b, strip[1])
     with pytest.raises(ValueError, match="must be finite"):
         InputSet(A, b * np.nan)
 

@@ -3,6 +3,7 @@ import pytest
 import quadprog
 
 from vcbf_drake.errors import EmptySetError
+from vcbf_drake.safety import nearest_point as nearest_point_module
 from vcbf_drake.safety.nearest_point import nearest_point
 
 
@@ -125,3 +126,25 @@ def test_a_row_without_coefficients_is_empty_only_when_its_bound_is_negative():
     for bounds in ([1.0, 1.0, -1e-3, 5.0], [1.0, 1.0, 5.0, -1e-3]):
         with pytest.raises(EmptySetError):
             nearest_point(A, np.array(bounds), far)
+
+
+@pytest.mark.parametrize("kind", ["plain", "badly scaled rows"])
+def test_the_solvers_find_what_the_active_set_would(kind, monkeypatch):
+    """When it gives up, on sets that are not empty."""
+    monkeypatch.setattr(
+        nearest_point_module, "nearest_point_by_active_set", lambda *_: None
+    )
+    rng = np.random.default_rng([9, len(kind)])
+    solved = 0
+    for _ in range(60):
+        A, b, reference = random_problem(rng, kind)
+        expected = quadprog_answer(A, b, reference)
+        if expected is None:
+            continue
+        solved += 1
+        found = nearest_point(A, b, reference)
+        np.testing.assert_allclose(found.point, expected, atol=1e-8)
+        np.testing.assert_allclose(
+            reference - found.multipliers @ A, found.point, atol=1e-9
+        )
+    assert solved > 20
