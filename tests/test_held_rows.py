@@ -245,10 +245,14 @@ def test_a_disturbance_is_within_both_of_its_bounds():
         (d,) = held.disturbances(known)
         return d.low, d.high
 
-    assert ends(0.5, 0.2) == (0.3, 0.7)
-    assert ends(0.9, 0.5) == (0.4, 1.0)
-    assert ends(-0.9, 0.5) == (-1.0, -0.4)
-    assert ends(2.0, 0.5) == (1.0, 1.0)  # Not true; the nearest truth.
+    cases = [
+        ((0.5, 0.2), (0.3, 0.7)),
+        ((0.9, 0.5), (0.4, 1.0)),
+        ((-0.9, 0.5), (-1.0, -0.4)),
+        ((2.0, 0.5), (1.0, 1.0)),  # Not true; the nearest truth.
+    ]
+    for given, expected in cases:
+        assert ends(*given) == pytest.approx(expected, abs=1e-15)
 
 
 def test_a_singular_row_has_no_bound():
@@ -259,6 +263,18 @@ def test_a_singular_row_has_no_bound():
     known = DisturbanceKnowledge.constant(1, 0.0)
     tick = Tick(barriers.rows(x, 0.0), x, 0.0, known)
     assert held.least(tick, np.zeros(2)) == -np.inf
+
+
+def test_what_is_not_known_stays_so():
+    rates = np.array([2.0, 1.0])
+    assert math.isnan(least_height(np.array([1.0, math.nan]), rates, 0.0, 0.1))
+    assert math.isnan(least_height(np.array([math.nan, 1.0]), rates, 0.0, 0.1))
+    assert least_height(np.array([1.0, 1.0]), rates, -math.inf, 0.1) == -math.inf
+
+
+def test_a_run_without_obstacles_has_nothing_to_certify():
+    scenario = load_scenario("car-avoidance", {"obstacles": [], "duration": 0.2})
+    assert simulate(scenario, step_time=False).summary["certified_min_barrier"] is None
 
 
 def test_limits_and_empty_slots_are_rows_too():

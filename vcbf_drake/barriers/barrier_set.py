@@ -198,7 +198,8 @@ class BarrierSet:
             ]
             for point in self._points(x, t)
         ]
-        numbers = np.array(lists, dtype=float).reshape(-1, self.size, self._width)
+        shape = len(lists), self.size, self._width
+        numbers = np.array(lists, dtype=float).reshape(shape)
         m, e = self._num_inputs, self._num_entries
         return RowsAlong(
             value=numbers[:, :, e],

@@ -193,7 +193,8 @@ def least_height(
     least = least_chi
     for phi, rate in zip(chain[::-1].tolist(), decay_rates[::-1].tolist(), strict=True):
         decay = math.exp(-rate * duration)
-        least = min(phi, decay * phi + (1.0 - decay) / rate * least)
+        at_end = decay * phi + (1.0 - decay) / rate * least
+        least = at_end if math.isnan(at_end) else min(phi, at_end)
     return least
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+import math
 
 import numpy as np
 
@@ -51,7 +52,8 @@ def certified_least_barrier(
 ) -> float:
     """Returns what no h of a run was below, at the ticks or between them (E76).
 
-    It is true of every disturbance that agrees with what was known at the ticks.
+    That is true of every disturbance that agrees with what was known at the ticks.
+    -inf where nothing is certain, inf without a barrier.
 
     Args:
         safety_filter: The filter that ran.
@@ -111,8 +113,8 @@ class _Holds:
             [hull(*channel) for channel in zip(*d, strict=True)],
         )
         if tube is None:
-            return -np.inf
-        start, end = self._times[first], self._times[last - 1] + self._period
+            return -math.inf
+        start, end = self._times[first], self._times[last - 1] + self._rows.period
         box = [*tube.states, Interval(float(start), float(end))]
         low, _ = self._barriers.enclosures(float(start)).values(box)
         return _least(low[list(self._decay_rates)])
@@ -122,10 +124,12 @@ class _Holds:
         x, t = self._states[k], float(self._times[k])
         tick = Tick(self._barriers.rows(x, t), x, t, self._known[k])
         chi = self._rows.least(tick, self._inputs[k])
-        return min(
+        found = [
             least_height(tick.rows.chain[row], rates, float(chi[row]), self._period)
             for row, rates in self._decay_rates.items()
-        )
+        ]
+        # Where a barrier is singular nothing is certain.
+        return -math.inf if any(map(math.isnan, found)) else min(found)
 
 
 def _knowledge(

@@ -108,7 +108,7 @@ def _certified_least(
     # A hold that the run's end cut short counts: it is bounded for its whole period.
     holds = int(np.sum(log["time"] < ending.time))
     try:
-        return certified_least_barrier(
+        least = certified_least_barrier(
             diagram.GetSubsystemByName("filter"),
             log,
             holds,
@@ -117,6 +117,7 @@ def _certified_least(
         )
     except ModelError:
         return None
+    return least if np.isfinite(least) else None
 
 
 def _fell_short(scenario: Scenario, certified: float | None) -> bool:
