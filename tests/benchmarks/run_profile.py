@@ -12,11 +12,12 @@ from vcbf_drake.disturbances import DisturbanceObserver
 from vcbf_drake.safety import safety_filter
 from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver
 from vcbf_drake.safety.infeasibility_monitor import InfeasibilityMonitor
-from vcbf_drake.simulation import run
+from vcbf_drake.simulation import run, run_log
 from vcbf_drake.simulation.collision_monitor import CollisionMonitor
+from vcbf_drake.simulation.run_log import RunLog
 
 PARTS = [
-    (run, "_advance", "Drake: integrator, ports, logs"),
+    (run, "_advance", "Drake: integrator, ports, log sinks"),
     (Blimp, "DoCalcTimeDerivatives", "plant"),
     (BlimpController, "_calc_reference", "controller"),
     (DisturbanceObserver, "_calc_posterior", "observer"),
@@ -27,7 +28,8 @@ PARTS = [
     (DisturbanceObserver, "_calc_error_bound_rate", "observer"),
     (CollisionMonitor, "least_barrier", "collision witness"),
     (InfeasibilityMonitor, "_check", "infeasibility monitor"),
-    (run, "audit_margins", "audit"),
+    (run_log, "audit_margins", "audit"),
+    (RunLog, "take", "log: unpacked, and every h between ticks"),
     (BarrierSet, "rows", "filter: rows"),
     (BarrierSet, "_gradients", "filter: gradient"),
     (SafetyFilter, "_calc_feasible_set", "filter: feasible set"),
