@@ -24,7 +24,8 @@ from vcbf_drake.hil import Bus, InProcess, SimulatedClock, make_vehicle
 from vcbf_drake.hil.timeline import Timeline
 from vcbf_drake.plants import ControlAffineModel
 from vcbf_drake.simulation import barriers
-from vcbf_drake.simulation.loop import add_simulated_plant, make_observer
+from vcbf_drake.simulation.loop import add_simulated_plant
+from vcbf_drake.simulation.parts import make_observer
 from vcbf_drake.simulation.run import make_simulator
 
 CASES = [("blimp-multiple-obstacles", 6.0), ("car-avoidance", 4.0)]

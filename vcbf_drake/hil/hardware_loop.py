@@ -13,12 +13,8 @@ from vcbf_drake.hil.state_receiver import StateReceiver
 from vcbf_drake.hil.state_watchdog import StateWatchdog
 from vcbf_drake.plants import ControlAffineModel
 from vcbf_drake.safety import AddedSafetyFilter
-from vcbf_drake.simulation.loop import (
-    add_controller_and_filter,
-    make_observer,
-    make_plant,
-    make_source,
-)
+from vcbf_drake.simulation.loop import add_controller_and_filter
+from vcbf_drake.simulation.parts import make_observer, make_plant, make_source
 from vcbf_drake.simulation.scenario import Scenario
 
 

@@ -17,9 +17,8 @@ from vcbf_drake.simulation.loop import (
     LOG_PREFIX,
     add_collision_monitor,
     add_simulated_plant,
-    barriers,
-    make_plant,
 )
+from vcbf_drake.simulation.parts import barriers, make_plant
 from vcbf_drake.simulation.scenario import Scenario
 
 

@@ -1,7 +1,8 @@
 """Scenarios, the loop they describe, and what happens when it runs."""
 
 from vcbf_drake.simulation.log_files import read_log_files
-from vcbf_drake.simulation.loop import barriers, make_loop
+from vcbf_drake.simulation.loop import make_loop
+from vcbf_drake.simulation.parts import barriers
 from vcbf_drake.simulation.result import Result, load_result
 from vcbf_drake.simulation.run import check_assumptions, simulate
 from vcbf_drake.simulation.scenario import Scenario

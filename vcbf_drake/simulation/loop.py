@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 from pydrake.systems.framework import (
@@ -16,26 +16,16 @@ from pydrake.systems.framework import (
 from pydrake.systems.primitives import LogVectorOutput
 
 from vcbf_drake.barriers import (
-    Barrier,
     BarrierSet,
-    PerceivedSpheres,
-    SphereObstacle,
-    StateInputLimit,
-    ackermann_limit,
 )
-from vcbf_drake.control import BlimpController, CarController
 from vcbf_drake.disturbances import (
     DisturbanceBounds,
     DisturbanceObserver,
     DisturbanceSource,
-    LinearDisturbanceObserver,
-    RiseGains,
-    RiseObserver,
     observer_ports,
 )
-from vcbf_drake.plants import Blimp, BlimpParameters, Car, ControlAffineModel
+from vcbf_drake.plants import ControlAffineModel
 from vcbf_drake.safety import (
-    METHODS,
     AddedSafetyFilter,
     AddSafetyFilter,
     BetweenTicks,
@@ -47,12 +37,21 @@ from vcbf_drake.simulation.collision_monitor import CollisionMonitor
 from vcbf_drake.simulation.faulty_loop import (
     faulty_actuator,
     faulty_measurement,
-    faulty_observer,
     filter_class,
     true_disturbance,
     true_parameters,
 )
 from vcbf_drake.simulation.measurement_noise import MeasurementNoise
+from vcbf_drake.simulation.parts import (
+    barriers,
+    make_controller,
+    make_observer,
+    make_plant,
+    make_source,
+    perceived_spheres,
+    plant_class,
+    seen_barriers,
+)
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.sensor_faults import ObstaclesInSight
 
@@ -142,7 +141,7 @@ def add_simulated_plant(builder: DiagramBuilder, scenario: Scenario) -> Simulate
     """Adds a scenario's plant and disturbance, with its noise and faults."""
     faults = scenario.faults
     plant = builder.AddNamedSystem(
-        "plant", _plant_class(scenario)(true_parameters(scenario.plant, faults))
+        "plant", plant_class(scenario)(true_parameters(scenario.plant, faults))
     )
     source = builder.AddNamedSystem("disturbance", make_source(scenario))
     disturbance = true_disturbance(builder, faults, source.get_output_port())
@@ -182,7 +181,7 @@ def add_controller_and_filter(
         applied_input: What the plant really applied; the held input by default.
         obstacles: What is seen of the obstacles; they are known without.
     """
-    controller = builder.AddNamedSystem("controller", _controller(scenario))
+    controller = builder.AddNamedSystem("controller", make_controller(scenario))
     builder.Connect(state, controller.GetInputPort("state"))
     loop = AddSafetyFilter(
         builder,
@@ -214,37 +213,6 @@ def add_controller_and_filter(
     return controller, loop
 
 
-def barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
-    """Returns a barrier per obstacle, then the steering limits if there are any."""
-    found: list[Barrier | StateInputLimit] = [
-        SphereObstacle(
-            obstacle.center,
-            obstacle.radius,
-            velocity=obstacle.velocity or None,
-            form=scenario.barrier.form,
-            margin=obstacle.margin,
-        ).barrier(
-            scenario.barrier.gains,
-            position=_plant_class(scenario).position_indices,
-            name=f"obstacle {i + 1}",
-        )
-        for i, obstacle in enumerate(scenario.obstacles)
-    ]
-    return found + _turn_limits(scenario)
-
-
-def seen_barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
-    """Returns the same barriers for obstacles that have to be seen first."""
-    found: list[Barrier | StateInputLimit] = [
-        *_perceived(scenario).barriers(
-            scenario.barrier.gains,
-            position=_plant_class(scenario).position_indices,
-            name="seen obstacle",
-        )
-    ]
-    return found + _turn_limits(scenario)
-
-
 def obstacles_in_sight(
     builder: DiagramBuilder, scenario: Scenario, plant: LeafSystem
 ) -> OutputPort | None:
@@ -256,53 +224,14 @@ def obstacles_in_sight(
         "obstacles_in_sight",
         ObstaclesInSight(
             scenario.obstacles,
-            _perceived(scenario),
+            perceived_spheres(scenario),
             state.size(),
-            _plant_class(scenario).position_indices,
+            plant_class(scenario).position_indices,
             scenario.faults.sight,
         ),
     )
     builder.Connect(state, seeing.get_input_port())
     return seeing.get_output_port()
-
-
-def _perceived(scenario: Scenario) -> PerceivedSpheres:
-    """What describes the obstacles; their margins are in the radii."""
-    return PerceivedSpheres(
-        len(scenario.obstacles), len(scenario.target), form=scenario.barrier.form
-    )
-
-
-def _turn_limits(scenario: Scenario) -> list[Barrier | StateInputLimit]:
-    limit = scenario.turn_limit
-    if limit is None:
-        return []
-    return [*ackermann_limit(limit.curvature, limit.smoothing_speed)]
-
-
-def _plant_class(scenario: Scenario) -> Any:
-    return Blimp if isinstance(scenario.plant, BlimpParameters) else Car
-
-
-def make_plant(scenario: Scenario) -> LeafSystem:
-    """Returns a scenario's plant."""
-    return _plant_class(scenario)(scenario.plant)
-
-
-def make_source(scenario: Scenario) -> DisturbanceSource:
-    """Returns a scenario's disturbance."""
-    return DisturbanceSource(
-        scenario.disturbance,
-        horizon=scenario.duration,
-        num_disturbances=make_plant(scenario).GetInputPort("disturbance").size(),
-    )
-
-
-def _controller(scenario: Scenario) -> LeafSystem:
-    controller: Any = (
-        BlimpController if _plant_class(scenario) is Blimp else CarController
-    )
-    return controller(scenario.target, scenario.controller, scenario.plant)
 
 
 def _measured_state(
@@ -319,53 +248,6 @@ def _measured_state(
     )
     builder.Connect(state, noise.GetInputPort("state"))
     return noise.GetOutputPort("measured_state")
-
-
-def measurement_noise(scenario: Scenario, model: ControlAffineModel) -> float:
-    """Returns the largest noise on a disturbed state [m/s]; 0 without noise."""
-    if not any(scenario.noise.std):
-        return 0.0
-    disturbed = np.any(model.disturbance_matrix != 0.0, axis=1)
-    return float(np.max(np.array(scenario.noise.std)[disturbed], initial=0.0))
-
-
-def make_observer(
-    scenario: Scenario,
-    model: ControlAffineModel,
-    bounds: DisturbanceBounds,
-    *,
-    period: float,
-    longest_interval: float | None = None,
-) -> DisturbanceObserver:
-    """Returns a scenario's observer.
-
-    Args:
-        scenario: A validated scenario.
-        model: The plant's.
-        bounds: Of the disturbance.
-        period: Time between measurements [s].
-        longest_interval: See `DisturbanceObserver`.
-    """
-    settings = scenario.observer
-    if METHODS[scenario.method].observer == "linear":
-        return faulty_observer(scenario, LinearDisturbanceObserver)(
-            model,
-            period,
-            bounds,
-            rate=settings.linear_rate,
-            longest_interval=longest_interval,
-        )
-    return faulty_observer(scenario, RiseObserver)(
-        model,
-        period,
-        bounds,
-        gains=RiseGains(settings.alpha, settings.beta, settings.gamma),
-        step=settings.step,
-        boundary_layer=settings.boundary_layer,
-        noise=measurement_noise(scenario, model),
-        floor=scenario.applied_corrections.error_floor,
-        longest_interval=longest_interval,
-    )
 
 
 def add_collision_monitor(

@@ -33,7 +33,8 @@ from vcbf_drake.simulation.certified_heights import (
     is_certifiable,
 )
 from vcbf_drake.simulation.faults import fault_assumptions
-from vcbf_drake.simulation.loop import make_loop, measurement_noise
+from vcbf_drake.simulation.loop import make_loop
+from vcbf_drake.simulation.parts import measurement_noise
 from vcbf_drake.simulation.result import Result
 from vcbf_drake.simulation.run_log import RunLog
 from vcbf_drake.simulation.scenario import Scenario
