@@ -56,7 +56,7 @@ def _join(A: Array, y: Array, active: Array, row: int, excess: float) -> bool:
         blocking = (share > 0.0).nonzero()[0]
         ratios = y[others[blocking]] / share[blocking]
         step = min(full, float(ratios.min(initial=math.inf)))
-        if step == math.inf:
+        if not step < math.inf:  # Nothing gives way, or rounding has left no number.
             return False
         y[row] += step
         y[others] -= step * share

@@ -29,6 +29,8 @@ COST = 1e-9
 _FARTHEST = 1e6
 # A row shorter than this, in normalised inputs, is met by every input or by none.
 _BLANK = 1e-12
+# A row further away than this has no direction to speak of.
+_FARTHEST_ROW = 1e20
 # Multipliers of sum 1 balance rows of unit length when what is left is below this.
 _BALANCE = 1e-11
 _EPSILON = float(np.finfo(float).eps)
@@ -245,6 +247,7 @@ def _is_conflict(rows: _Rows, named: list[int]) -> bool:
     if not named:
         return False
     G, h = rows.G[named], rows.h[named]
+    G = np.where(np.abs(h)[:, None] < _FARTHEST_ROW, G, 0.0)
     balanced = np.vstack([G.T, np.ones(len(named))])
     y = np.linalg.lstsq(balanced, np.append(np.zeros(len(G.T)), 1.0), rcond=None)[0]
     y = np.maximum(y, 0.0)
