@@ -212,6 +212,42 @@ def test_the_guards_row_is_kept_beside_the_volume_row(model):
     assert a @ u_guarded <= c + 1e-9
 
 
+def test_without_a_guard_its_gain_does_not_matter(model):
+    def chosen(guard_gain, **options):
+        barrier = VolumeBarrier(gain=50.0, guard_gain=guard_gain, **options)
+        f = make_filter(model, volume_barrier=barrier)
+        return evaluate(f, fixed(f, CLOSE), "input")
+
+    np.testing.assert_array_equal(chosen(0.05), chosen(50.0))
+    assert np.abs(chosen(0.05, guard="inradius") - chosen(50.0)).max() > 1e-3
+
+
+def test_a_method_without_a_volume_row_has_no_guard_either(model):
+    barrier = VolumeBarrier(guard="inradius", guard_gain=0.05)
+    guarded, plain = (
+        make_filter(model, method="dob-cbf-qp", volume_barrier=v)
+        for v in (barrier, None)
+    )
+    np.testing.assert_array_equal(
+        evaluate(guarded, fixed(guarded, CLOSE), "input"),
+        evaluate(plain, fixed(plain, CLOSE), "input"),
+    )
+
+
+def test_far_from_everything_the_volume_is_on_its_plateau(model):
+    safety_filter = make_filter(model)
+    volume = safety_filter.volume(fixed(safety_filter, FAR))
+    assert volume.is_on_plateau and volume.time == 0.0 and volume.bound == 0.0
+    assert not volume.state.any() and not volume.estimate.any()
+    assert volume.state.shape == (8,) and volume.estimate.shape == (3,)
+
+
+def test_the_weights_of_violations_reach_the_feasible_set(model):
+    safety_filter = make_filter(model, violation_weights=[2.0, 5.0])
+    feasible = safety_filter.feasible_set(fixed(safety_filter, CLOSE))
+    assert feasible.weights.tolist() == [2.0, 5.0]
+
+
 def test_rows_that_exclude_each_other_are_named(model):
     safety_filter = make_filter(model)
     near = np.array([[1.0, 0.0, 0.0]])
