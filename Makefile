@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: demo reproduce test coverage mutation lint format bench clean help
+.PHONY: demo reproduce test coverage mutation audit lint format bench clean help
 
 help:
 	@echo "make demo       the paper's Test 2 with and without the volume barrier, in out/"
@@ -11,6 +11,7 @@ help:
 	@echo "make test       every test"
 	@echo "make coverage   every test, and how much of each package they reach"
 	@echo "make mutation   which small faults in vcbf_drake/safety no test notices"
+	@echo "make audit      known vulnerabilities of what is installed, from PyPI's advisories"
 	@echo "make lint       format, lint and type checks"
 	@echo "make bench      benchmarks (CPU time)"
 	@echo "make clean      removes .venv and out/"
@@ -36,6 +37,10 @@ coverage: $(STAMP)
 
 mutation: $(STAMP)
 	$(BIN)/python -m tests.mutation vcbf_drake/safety
+
+audit: $(STAMP)
+	$(BIN)/python -m pip install --quiet pip-audit
+	$(BIN)/pip-audit --local --skip-editable
 
 lint: $(STAMP)
 	$(BIN)/ruff format --check .
