@@ -46,19 +46,21 @@ def margins_by_hand(x, u, d, estimate, bound):
     }
 
 
-def audited(method, x, u, d, estimate=0.0, bound=0.0, **logged):
+def audited(method, x, u, d, estimate=0.0, bound=0.0, hold=0.0, **logged):
     plant = Car()
     model = ControlAffineModel.from_system(plant)
     obstacle = SphereObstacle(CENTER, RADIUS).barrier(
         [K1, K2], position=Car.position_indices
     )
     inputs = InputSet.box(-LIMIT, LIMIT)
-    safety_filter = SafetyFilter(model, [obstacle], inputs, method=method)
+    safety_filter = SafetyFilter(
+        model, [obstacle], inputs, method=method, certified_hold=hold
+    )
     barriers = BarrierSet(model, [obstacle])
     log = {
         "time": 0.0, "state": x, "disturbance": [d], "input": u,
         "disturbance_estimate": [estimate], "error_bound": bound, "volume": 0.1,
-        "slack": 0.0, "status": FilterStatus.FILTERED, **logged,
+        "slack": 0.0, "least_chi": np.nan, "status": FilterStatus.FILTERED, **logged,
     }  # fmt: skip
     margins = audit_margins(
         {name: np.array([value], float) for name, value in log.items()},
@@ -105,6 +107,16 @@ def test_a_broken_promise_has_a_negative_margin(name, value, promise):
     kept = audited("dob-vcbf-qp", x, u, 0.0)
     broken = audited("dob-vcbf-qp", x, u, 0.0, **{name: value})
     assert kept[promise] >= 0.0 > broken[promise]
+
+
+def test_what_was_asked_until_the_next_tick_is_audited_if_it_was_asked():
+    x, u, promise = np.array([0.0, 0.0, 0.2, 0.3]), np.zeros(2), "row between ticks"
+    assert np.isnan(audited("cbf-qp", x, u, 0.0)[promise])
+    for least, margin in [(0.3, 0.3), (-0.1, -0.1), (-np.inf, -np.inf)]:
+        found = audited("cbf-qp", x, u, 0.0, hold=0.02, least_chi=least)
+        assert found[promise] == margin
+    # The tick had no decision that could have been judged.
+    assert audited("cbf-qp", x, u, 0.0, hold=0.02)[promise] == -np.inf
 
 
 def test_a_run_inside_the_assumptions_is_guaranteed(car):

@@ -491,9 +491,84 @@ def test_the_margin_gives_way_before_the_rows_do():
         asked.append(margin)
         return FilterDecision(np.zeros(2), FilterStatus.INFEASIBLE)
 
-    assert held.lasting_decision(tick, plain, choose) is plain
+    decision = held.lasting_decision(tick, plain, choose)
+    assert decision.input is plain.input and decision.status is plain.status
+    assert decision.least_chi < -0.15
     assert len(asked) == 1
     assert asked[0] >= 0.35
+
+
+def test_a_tick_without_a_decision_has_no_least_chi():
+    model = ControlAffineModel.from_system(Car())
+    wall = Barrier(lambda x, t, p: x[0], [2.0, 1.0], name="wall")
+    barriers = BarrierSet(model, [wall])
+    held = HeldRows(model, barriers, 0.5, 0.0)
+    x = np.array([0.1, 0.0, 0.3, 0.0])
+    tick = Tick(barriers.rows(x, 0.0), x, 0.0, DisturbanceKnowledge.constant(1, 0.0))
+    lost = FilterDecision(np.zeros(2), FilterStatus.INFEASIBLE)
+    assert held.lasting_decision(tick, lost, lambda margin: None) is lost
+    assert np.isnan(lost.least_chi)
+
+
+def drive_away_from_a_wall(slowest, certified_hold=0.5):
+    """The outputs for a car that would brake with 0.5 m/s^2, or as little as it can."""
+    safety_filter = SafetyFilter(
+        ControlAffineModel.from_system(Car(CarParameters(mass=1.0))),
+        [Barrier(lambda x, t, p: x[0], [2.0, 1.0], name="wall")],
+        InputSet.box([-0.6, -1.0], [slowest, 1.0]),
+        method="cbf-qp",
+        certified_hold=certified_hold,
+    )
+    context = safety_filter.CreateDefaultContext()
+    for name, value in {
+        "state": [0.1, 0.0, 0.3, 0.0],
+        "reference": [-0.5, 0.0],
+    }.items():
+        safety_filter.GetInputPort(name).FixValue(context, value)
+
+    def output(name):
+        return safety_filter.GetOutputPort(name).Eval(context)
+
+    return output("input")[0], output("status")[0], output("least_chi")[0]
+
+
+def chi_after(a, t):
+    """phi^1' + lambda_2 phi^1 = h'' + 2 h' + h of x = 0.1 + 0.3 t + a t^2 / 2."""
+    return a + 2.0 * (0.3 + a * t) + 0.1 + 0.3 * t + 0.5 * a * t**2
+
+
+def test_the_filter_says_what_its_rows_are_worth_until_the_next_tick():
+    assert chi_after(-0.5, 0.0) > 0.0 > chi_after(-0.5, 0.5)
+    a, _, least = drive_away_from_a_wall(slowest=0.6)
+    assert a > -0.5 and -1e-9 <= least <= chi_after(a, 0.5)
+    # No input has the margin.
+    a, status, least = drive_away_from_a_wall(slowest=-0.45)
+    assert a == -0.5 and status == FilterStatus.REFERENCE
+    assert chi_after(a, 0.5) - 0.1 < least <= chi_after(a, 0.5)
+    # Nobody asked.
+    assert np.isnan(drive_away_from_a_wall(slowest=0.6, certified_hold=0.0)[2])
+
+
+@pytest.mark.parametrize("period", [0.1, 0.3])
+def test_a_run_says_when_a_margin_gave_way(period):
+    scenario = load_scenario(
+        "blimp-single-obstacle",
+        {"period": period, "duration": 3.0, "between_ticks": "certified"},
+    )
+    result = simulate(scenario, step_time=False)
+    finding, least = (
+        result.summary["audit"]["row between ticks"],
+        result.log["least_chi"],
+    )
+    lacking = least < -1e-9
+    assert lacking.any() == (period == 0.3)
+    assert finding["held"] == (not lacking.any())
+    assert finding["violations"] == lacking.sum()
+    assert finding["worst"] == least.min()
+    reasons = ["audit: row between ticks"] if lacking.any() else []
+    assert result.summary["reasons_against"] == reasons
+    # What was lost between ticks mattered to no h.
+    assert result.summary["certified_min_barrier"] > 0.0
 
 
 def test_wrong_choices_are_named():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import TypeAlias
 
@@ -159,24 +159,34 @@ class HeldRows:
         """Returns a decision under which the rows hold until the next tick (E77).
 
         A row that would not is given, as a margin, what it would lose and some more.
-        Where no input leaves it that, the margin gives way: the decision stays.
+        Where no input leaves it that, the margin gives way: the decision stays, and
+        its `least_chi` is negative.
 
         Args:
             tick: Where it is made.
             decision: The one without a margin.
             choose: Returns the decision under margins, shape (N,).
         """
-        found, margin = decision, np.zeros(self._barriers.size)
+        if decision.status >= FilterStatus.INFEASIBLE:
+            return decision
+        least, margin = self.least(tick, decision.input), np.zeros(self._barriers.size)
+        found = plain = _judged(decision, least)
         for _ in range(_ATTEMPTS):
-            if found.status >= FilterStatus.INFEASIBLE:
-                return decision
-            chi, least = tick.chi(found.input), self.least(tick, found.input)
             lacking = least < -_TOLERANCE
             if not lacking.any():
-                return found
-            margin = np.where(lacking, _HEADROOM * (chi - least), margin)
+                break
+            loss = tick.chi(found.input) - least
+            margin = np.where(lacking, _HEADROOM * loss, margin)
             found = choose(margin)
-        return decision if found.status >= FilterStatus.INFEASIBLE else found
+            if found.status >= FilterStatus.INFEASIBLE:
+                return plain
+            least = self.least(tick, found.input)
+            found = _judged(found, least)
+        return found
+
+
+def _judged(decision: FilterDecision, least: Array) -> FilterDecision:
+    return replace(decision, least_chi=float(np.min(least, initial=np.inf)))
 
 
 def least_height(

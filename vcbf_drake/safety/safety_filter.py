@@ -73,6 +73,7 @@ class SafetyFilter(LeafSystem):
         - slack
         - barriers
         - authority
+        - least_chi
         - status
         - feasible_set
 
@@ -101,6 +102,7 @@ class SafetyFilter(LeafSystem):
     | ``slack`` | 1 | delta of (E24), at most 0; 0 unless the volume row gave way |
     | ``barriers`` | N | h_i; nan for a state-dependent input limit or an empty slot |
     | ``authority`` | N | how far the inputs move each row; 0 when not at all (R33) |
+    | ``least_chi`` | 1 | the rows' least until the next tick (E77); nan unless asked |
     | ``status`` | 1 | a `FilterStatus` |
     | ``feasible_set`` | | A, b, ellipsoid: see `unpack_feasible_set` |
 
@@ -258,6 +260,7 @@ class SafetyFilter(LeafSystem):
         self._output("input", m, decision, lambda decided: decided.input)
         self._output("slack", 1, decision, lambda decided: [decided.slack])
         self._output("status", 1, decision, lambda decided: [decided.status])
+        self._output("least_chi", 1, decision, lambda decided: [decided.least_chi])
         self._output("volume", 1, self._volume_entry, _volume_value)
         self._output("barriers", N, feasible, lambda found: found.rows.value)
         self._output(

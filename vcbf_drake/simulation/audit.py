@@ -18,6 +18,7 @@ PROMISES = {
     "estimate": "|d - dhat| <= error bound (E39)",
     "disturbance term": "Lambda <= w'd in every row (E16)",
     "row": "chi >= 0: the true rows hold under the chosen input",
+    "row between ticks": "chi >= 0 until the next tick, by its bound (E77)",
     "barrier": "h >= 0 at the ticks",
     "chain": "phi_1, ..., phi_(r-1) >= 0 at the ticks (E3)",
     "volume": "V_v >= 0 (Theorem 2)",
@@ -27,7 +28,7 @@ PROMISES = {
     "input": "the input is finite and inside its limits",
 }
 # What the theorems ask of a run rather than promise of it.
-CONDITIONS = ("slack", "feasible", "solver")
+CONDITIONS = ("row between ticks", "slack", "feasible", "solver")
 BETWEEN_TICKS = "barrier between ticks"
 VOLUME_DECREASE = "volume decrease"
 AUTHORITY = "authority"
@@ -61,15 +62,17 @@ def audit_margins(
     status, error = log["status"], log["disturbance"] - estimate
     along, w_norm = _each(rows.w, log["disturbance"]), np.linalg.norm(rows.w, axis=2)
     certified = _each(rows.w, estimate) - w_norm * bound[:, None]
-    volume = slack = np.full(len(status), np.nan)
+    volume = slack = lasting = np.full(len(status), np.nan)
     if safety_filter.method.volume:
-        # Promised, but it could not be found.
-        volume = np.where(np.isnan(log["volume"]), -np.inf, log["volume"])
+        volume = _certain(log["volume"])
         slack = log["slack"]
+    if safety_filter.certified_hold:
+        lasting = _certain(log["least_chi"])
     margins = [
         bound - np.linalg.norm(error, axis=1),
         _least_of_each(along - certified),
         _least_of_each(rows.b + along - _each(rows.A, log["input"])),
+        lasting,
         _least_of_each(rows.value),
         _least_of_each(rows.chain[:, :, 1:]),
         volume,
@@ -201,6 +204,11 @@ def _are_inside(inputs: Array, input_set: InputSet) -> NDArray[np.bool_]:
         reach <= input_set.b_normalised + ROUNDING, axis=1
     )
     return inside
+
+
+def _certain(promised: Array) -> Array:
+    """What was promised but could not be found is as bad as can be."""
+    return np.where(np.isnan(promised), -np.inf, promised)
 
 
 def _yes_or_no(kept: ArrayLike) -> Array:

@@ -25,6 +25,7 @@ class Audit(LeafSystem):
         - input
         - volume
         - slack
+        - least_chi
         - status
         output_ports:
         - margins
@@ -63,6 +64,7 @@ class Audit(LeafSystem):
             "input": model.num_inputs,
             "volume": 1,
             "slack": 1,
+            "least_chi": 1,
             "status": 1,
         }
         if safety_filter.method.disturbance == "estimated":
@@ -80,7 +82,7 @@ class Audit(LeafSystem):
 
     def _calc_margins(self, context: Context, output: BasicVector) -> None:
         tick = {name: port.Eval(context)[None] for name, port in self._ports.items()}
-        for name in ("volume", "slack", "status", "error_bound"):
+        for name in ("volume", "slack", "least_chi", "status", "error_bound"):
             if name in tick:
                 tick[name] = tick[name][:, 0]
         tick["time"] = np.array([context.get_time()])

@@ -17,7 +17,10 @@ from vcbf_drake.simulation.log_files import LogFiles
 from vcbf_drake.simulation.loop import COLLISION_MONITOR, LOG_PREFIX
 
 _PATH = "path"
-_SCALARS = ("error_bound", "error_bound_rate", "slack", "volume", "status")
+_SCALARS = (
+    *("error_bound", "error_bound_rate"),
+    *("slack", "volume", "status", "least_chi"),
+)
 
 
 class _Store(Protocol):
