@@ -98,13 +98,19 @@ class HeldRows:
         Args:
             known: What is known of the disturbance until the next tick.
         """
-        most, ranges = self._disturbance_bound, []
-        for estimate in known.estimate.tolist():
-            ball = Interval(-known.bound, known.bound) + estimate
-            low, high = max(ball.low, -most), min(ball.high, most)
-            # What cannot be true (an estimate too far off) still has a nearest truth.
-            ranges.append(Interval(min(low, most), max(high, -most)))
-        return ranges
+        ball = Interval(-known.bound, known.bound)
+        return [self.bounded(ball + estimate) for estimate in known.estimate.tolist()]
+
+    def bounded(self, channel: Interval) -> Interval:
+        """Returns the part of an interval that is within delta1.
+
+        Args:
+            channel: Where a channel of d is, as far as an estimate tells [m/s^2].
+        """
+        most = self._disturbance_bound
+        low, high = max(channel.low, -most), min(channel.high, most)
+        # What cannot be true (an estimate too far off) still has a nearest truth.
+        return Interval(min(low, most), max(high, -most))
 
     def tube(
         self,

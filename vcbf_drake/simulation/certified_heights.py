@@ -9,7 +9,7 @@ import numpy as np
 
 from vcbf_drake.barriers import Barrier
 from vcbf_drake.errors import Array
-from vcbf_drake.plants.interval import Interval, hull
+from vcbf_drake.plants.interval import Interval
 from vcbf_drake.safety import (
     Assumption,
     DisturbanceKnowledge,
@@ -20,6 +20,8 @@ from vcbf_drake.safety import (
 )
 from vcbf_drake.simulation.scenario import Scenario
 
+# How many ticks are looked at together: a log on disk need not fit the memory.
+_BLOCK = 4096
 # Hypotheses that make the guarantees but no part of what is said of the rows here.
 _IRRELEVANT = (
     "start inside",
@@ -101,16 +103,17 @@ class _Holds:
         self._rows = HeldRows(self._model, self._barriers, period, disturbance_bound)
         self._times, self._states = log["time"], log["state"]
         self._inputs, self._period = log["input"], period
-        self._known = _knowledge(safety_filter, log, disturbance_bound)
+        self._estimates, self._bounds, self._hold_margin = _knowledge(
+            safety_filter, log, disturbance_bound
+        )
 
     def least_of_many(self, first: int, last: int) -> float:
         """Returns a lower bound of every h from one tick to another."""
         span = slice(first, last)
-        d = [self._rows.disturbances(known) for known in self._known[span]]
         tube = self._rows.tube(
             _hulls(self._states[span]),
             _hulls(self._inputs[span]),
-            [hull(*channel) for channel in zip(*d, strict=True)],
+            self._disturbances(first, last),
         )
         if tube is None:
             return -math.inf
@@ -122,7 +125,7 @@ class _Holds:
     def least(self, k: int) -> float:
         """Returns a lower bound of every h while the input of one tick is held."""
         x, t = self._states[k], float(self._times[k])
-        tick = Tick(self._barriers.rows(x, t), x, t, self._known[k])
+        tick = Tick(self._barriers.rows(x, t), x, t, self._known(k))
         chi = self._rows.least(tick, self._inputs[k])
         found = [
             least_height(tick.rows.chain[row], rates, float(chi[row]), self._period)
@@ -131,21 +134,39 @@ class _Holds:
         # Where a barrier is singular nothing is certain.
         return -math.inf if any(map(math.isnan, found)) else min(found)
 
+    def _known(self, k: int) -> DisturbanceKnowledge:
+        """Returns what the filter took as known of the disturbance at one tick."""
+        estimate, bound = self._estimates[k], float(self._bounds[k])
+        return DisturbanceKnowledge(
+            estimate, np.zeros_like(estimate), bound + self._hold_margin, 0.0, 0.0
+        )
+
+    def _disturbances(self, first: int, last: int) -> list[Interval]:
+        """Returns where each channel of d is from one tick to another."""
+        lows, highs = [], []
+        for start in range(first, last, _BLOCK):
+            block = slice(start, min(start + _BLOCK, last))
+            bounds = (self._bounds[block] + self._hold_margin)[:, None]
+            lows.append((self._estimates[block] - bounds).min(axis=0))
+            highs.append((self._estimates[block] + bounds).max(axis=0))
+        least, most = np.min(lows, axis=0).tolist(), np.max(highs, axis=0).tolist()
+        return [
+            self._rows.bounded(Interval(low, high) + 0.0)  # Rounds outwards.
+            for low, high in zip(least, most, strict=True)
+        ]
+
 
 def _knowledge(
     safety_filter: SafetyFilter, log: Mapping[str, Array], disturbance_bound: float
-) -> list[DisturbanceKnowledge]:
-    """Returns what the filter took as known of the disturbance, at every tick."""
+) -> tuple[Array, Array, float]:
+    """Returns the estimates (T, q) the filter knew, their bounds (T,), and a margin."""
     handling = safety_filter.method.disturbance
-    if handling != "estimated":
-        bound = disturbance_bound if handling == "worst_case" else 0.0
-        q = safety_filter.model.num_disturbances
-        return [DisturbanceKnowledge.constant(q, bound)] * len(log["time"])
-    bounds = (log["error_bound"] + safety_filter.hold_margin).tolist()
-    return [
-        DisturbanceKnowledge(estimate, np.zeros_like(estimate), bound, 0.0, 0.0)
-        for estimate, bound in zip(log["disturbance_estimate"], bounds, strict=True)
-    ]
+    if handling == "estimated":
+        margin = safety_filter.hold_margin
+        return log["disturbance_estimate"], log["error_bound"], margin
+    bound = disturbance_bound if handling == "worst_case" else 0.0
+    T, q = len(log["time"]), safety_filter.model.num_disturbances
+    return np.broadcast_to(0.0, (T, q)), np.broadcast_to(bound, T), 0.0
 
 
 def _hulls(points: Array) -> list[Interval]:
