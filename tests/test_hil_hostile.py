@@ -16,6 +16,7 @@ import numpy as np
 from pydrake.lcm import DrakeLcm
 import pytest
 
+from tests.fuzz.genuine_messages import FORMATS, SECOND, genuine
 from vcbf_drake import load_scenario
 from vcbf_drake.hil import (
     Bus,
@@ -27,36 +28,9 @@ from vcbf_drake.hil import (
     command_format,
     obstacles_format,
     state_format,
-    status_format,
 )
 
-SECOND = 1_000_000  # In microseconds.
-SESSION = SimulatedClock().now - 100 * SECOND
-FORMATS = [
-    state_format(8, 3),
-    command_format(3),
-    status_format(3, 7, 3),
-    obstacles_format(7, 3),
-]
 _BYTES = {"int8_t": 1, "boolean": 1, "int32_t": 4, "int64_t": 8, "double": 8}
-
-
-def genuine(form: MessageFormat, now: int, sequence: int) -> Any:
-    """A message that nothing is wrong with."""
-    message = form.type()
-    message.version, message.session = 1, SESSION
-    message.sequence, message.utime = sequence, now
-    for name, size in form.sizes.items():
-        setattr(message, name, size)
-    for name, kind, sizes in zip(
-        message.__slots__, message.__typenames__, message.__dimensions__, strict=True
-    ):
-        if sizes:
-            item = {"double": 0.5, "boolean": True, "string": "row"}[kind]
-            setattr(message, name, [item] * getattr(message, sizes[0]))
-    if hasattr(message, "utime_measured"):
-        message.utime_measured = now
-    return message
 
 
 def places_of_sizes(message: Any) -> list[int]:

@@ -9,24 +9,10 @@ import atheris
 
 with atheris.instrument_imports(include=["vcbf_drake.hil"]):
     from corpus import run
+    from genuine_messages import FORMATS, NOW, genuine
 
-    from vcbf_drake.hil import (
-        Inbox,
-        MessageFormat,
-        SimulatedClock,
-        command_format,
-        obstacles_format,
-        state_format,
-        status_format,
-    )
+    from vcbf_drake.hil import Inbox, MessageFormat
 
-FORMATS = (
-    state_format(8, 3),
-    command_format(3),
-    status_format(3, 7, 3),
-    obstacles_format(7, 3),
-)
-NOW = SimulatedClock().now
 _LENGTH = struct.Struct(">H")
 
 
@@ -76,26 +62,8 @@ def _check(form: MessageFormat, message: object) -> None:
             assert -1e6 < number < 1e6
 
 
-def _genuine(form: MessageFormat, sequence: int) -> bytes:
-    message = form.type()
-    message.version, message.session = 1, NOW - 10**8
-    message.sequence, message.utime = sequence, NOW
-    for name, size in form.sizes.items():
-        setattr(message, name, size)
-    for name, kind, sizes in zip(
-        message.__slots__, message.__typenames__, message.__dimensions__, strict=True
-    ):
-        if sizes:
-            item = {"double": 0.5, "boolean": True, "string": "row"}[kind]
-            setattr(message, name, [item] * getattr(message, sizes[0]))
-    if hasattr(message, "utime_measured"):
-        message.utime_measured = NOW
-    encoded: bytes = message.encode()
-    return encoded
-
-
 def _seed(number: int, form: MessageFormat) -> bytes:
-    messages = [_genuine(form, sequence) for sequence in range(3)]
+    messages = [genuine(form, NOW, sequence).encode() for sequence in range(3)]
     framed = (_LENGTH.pack(len(each)) + each for each in messages)
     return bytes([number]) + b"".join(framed)
 

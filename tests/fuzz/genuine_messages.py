@@ -1,0 +1,48 @@
+"""LCM messages that nothing is wrong with: what fuzzing and attacks begin with."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from vcbf_drake.hil import (
+    MessageFormat,
+    SimulatedClock,
+    command_format,
+    obstacles_format,
+    state_format,
+    status_format,
+)
+
+SECOND = 1_000_000  # In microseconds.
+NOW = SimulatedClock().now
+SESSION = NOW - 100 * SECOND
+FORMATS = (
+    state_format(8, 3),
+    command_format(3),
+    status_format(3, 7, 3),
+    obstacles_format(7, 3),
+)
+
+
+def genuine(form: MessageFormat, now: int, sequence: int) -> Any:
+    """A message that nothing is wrong with.
+
+    Args:
+        form: What it has to be like.
+        now: When it is sent [us].
+        sequence: Its number in the session.
+    """
+    message = form.type()
+    message.version, message.session = 1, SESSION
+    message.sequence, message.utime = sequence, now
+    for name, size in form.sizes.items():
+        setattr(message, name, size)
+    for name, kind, sizes in zip(
+        message.__slots__, message.__typenames__, message.__dimensions__, strict=True
+    ):
+        if sizes:
+            item = {"double": 0.5, "boolean": True, "string": "row"}[kind]
+            setattr(message, name, [item] * getattr(message, sizes[0]))
+    if hasattr(message, "utime_measured"):
+        message.utime_measured = now
+    return message
