@@ -11,6 +11,7 @@ from pydrake.common.yaml import yaml_load_typed
 import pytest
 
 from vcbf_drake.errors import ScenarioError
+from vcbf_drake.simulation.invalid_field import InvalidFieldError
 from vcbf_drake.simulation.scenario import Obstacle, Scenario, TurnLimit
 from vcbf_drake.simulation.scenario_file import (
     dump_scenario,
@@ -18,7 +19,7 @@ from vcbf_drake.simulation.scenario_file import (
     merge_overrides,
     shipped_scenarios,
 )
-from vcbf_drake.simulation.validation import InvalidFieldError, validate
+from vcbf_drake.simulation.validation import validate
 
 SHIPPED = (
     "blimp-multiple-obstacles",

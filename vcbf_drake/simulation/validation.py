@@ -2,61 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import fields, is_dataclass
+from collections.abc import Collection, Sequence
 import math
 import re
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple
 
-import numpy as np
 from pydrake.systems.analysis import GetIntegrationSchemes
 
 from vcbf_drake.control.blimp_controller import BlimpControllerParameters
 from vcbf_drake.control.car_controller import CarControllerParameters
-from vcbf_drake.errors import ScenarioError, VcbfError
 from vcbf_drake.plants.blimp import BlimpParameters
 from vcbf_drake.plants.car import CarParameters
 from vcbf_drake.safety.add_safety_filter import BETWEEN_TICKS, covers_hold
 from vcbf_drake.safety.corrections import FIDELITIES
 from vcbf_drake.safety.filter_qp import INFEASIBLE_POLICIES
 from vcbf_drake.safety.methods import METHODS
-from vcbf_drake.safety.volume_barrier import VolumeBarrier
+from vcbf_drake.simulation.invalid_field import (
+    InvalidFieldError,
+    KeyPath,
+    ask,
+    require,
+)
 from vcbf_drake.simulation.scenario import (
-    BarrierGains,
-    Hardware,
     InputLimits,
-    Integrator,
-    MeasurementNoise,
-    Observer,
     Obstacle,
     Scenario,
-    TurnLimit,
 )
+from vcbf_drake.simulation.scenario_numbers import check_magnitudes, check_numbers
 
 BARRIER_FORMS = ("distance", "squared")
 FALLBACKS = ("zero", "brake")
 OBSERVER_STEPS = ("implicit", "saturated", "explicit")
-
-# Keys and list indices from the top of a scenario down to one value.
-KeyPath: TypeAlias = tuple[str | int, ...]
-
-
-def key_path(path: KeyPath) -> str:
-    """Returns the path as it is written, for example ``obstacles[1].radius``."""
-    parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
-    return "".join(parts).removeprefix(".")
-
-
-class InvalidFieldError(ScenarioError):
-    """A field of a scenario has a value that is not allowed.
-
-    Attributes:
-        path: Where the field is.
-    """
-
-    def __init__(self, path: KeyPath, problem: str) -> None:
-        super().__init__(f"{key_path(path)}: {problem}")
-        self.path = path
 
 
 class PlantKind(NamedTuple):
@@ -84,8 +60,8 @@ def validate(scenario: Scenario) -> None:
             is allowed.
     """
     _check_name(scenario.name)
-    _check_magnitudes(scenario)
-    _check_numbers(scenario)
+    check_magnitudes(scenario)
+    check_numbers(scenario)
     _check_choices(scenario)
     _check_sizes(scenario)
     _check_input_set(scenario.input_set)
@@ -96,93 +72,14 @@ def validate(scenario: Scenario) -> None:
     _check_geometry(scenario)
 
 
-def _require(allowed: bool, path: KeyPath, value: object, rule: str) -> None:
-    if not allowed:
-        shown = f"{value:g}" if isinstance(value, float) else repr(value)
-        shown = shown if len(shown) <= 200 else f"{shown[:197]}..."
-        raise InvalidFieldError(path, f"{shown}; it must be {rule}")
-
-
 def _check_name(name: str) -> None:
     """Results are written into a directory of that name."""
     allowed = not name or (_NAME.fullmatch(name) is not None and len(name) <= 100)
     rule = "at most 100 letters, digits, spaces and _ . + -, a letter or digit first"
-    _require(allowed, ("name",), name, rule)
+    require(allowed, ("name",), name, rule)
 
 
 _NAME = re.compile(r"\w[\w .+-]*")
-
-
-# Numbers ---------------------------------------------------------------------------
-
-# Control periods in a run; its log must fit into a computer.
-_MOST_TICKS = 1e7
-# No quantity is as large, in SI units; a product of a few such numbers is still finite.
-_LARGEST = 1e15
-
-_POSITIVE = {
-    BarrierGains: {"gains"},
-    Hardware: {"brake_rate", "command_timeout", "max_state_age", "longest_interval"},
-    Observer: {"alpha", "beta", "gamma", "boundary_layer", "linear_rate"},
-    Obstacle: {"radius"},
-    Scenario: {"duration", "period", "arrival_tolerance"},
-    TurnLimit: {"curvature", "smoothing_speed"},
-    VolumeBarrier: {"threshold", "gain", "slack_penalty"},
-}
-_NON_NEGATIVE = {
-    Hardware: {"hold_time"},
-    Integrator: {"max_step"},
-    MeasurementNoise: {"std", "seed"},
-    Observer: {"period"},
-    Obstacle: {"margin"},
-}
-
-
-def _check_magnitudes(value: Any, path: KeyPath = ()) -> None:
-    """Checks that every number below a value is of a size to calculate with."""
-    if is_dataclass(value):
-        for name in (each.name for each in fields(value)):
-            _check_magnitudes(getattr(value, name), (*path, name))
-    elif isinstance(value, list | tuple | np.ndarray):
-        for index, item in enumerate(value):
-            _check_magnitudes(item, (*path, index))
-    elif isinstance(value, int) or (isinstance(value, float) and math.isfinite(value)):
-        _require(abs(value) <= _LARGEST, path, value, f"at most {_LARGEST:g} in size")
-
-
-def _check_numbers(value: Any, path: KeyPath = (), sign: str = "") -> None:
-    """Checks every number below a value; parts that check themselves are asked to."""
-    if hasattr(value, "validate"):
-        ask(value.validate, value, path)
-    elif is_dataclass(value):
-        for name in (each.name for each in fields(value)):
-            positive = name in _POSITIVE.get(type(value), ())
-            non_negative = name in _NON_NEGATIVE.get(type(value), ())
-            sign = "above 0" if positive else "not below 0" if non_negative else ""
-            _check_numbers(getattr(value, name), (*path, name), sign)
-    elif isinstance(value, list | tuple | np.ndarray):
-        for index, item in enumerate(value):
-            _check_numbers(item, (*path, index), sign)
-    elif isinstance(value, int | float):
-        _require(math.isfinite(value), path, value, "finite")
-        allowed = value > 0 if sign == "above 0" else value >= 0 or not sign
-        _require(allowed, path, value, sign)
-
-
-def ask(check: Callable[[], Any], owner: object, path: KeyPath) -> Any:
-    """Returns what a check of a field's owner returns; its errors name the field.
-
-    Raises:
-        InvalidFieldError: The check raised a `ValueError` or a `VcbfError`.
-    """
-    try:
-        return check()
-    except (ValueError, VcbfError) as error:
-        # Such messages begin with the field: "Sinusoid.phase is nan; it must be ..."
-        match = re.match(r"(?:\w+\.)?(\w+)(?::| is)? (.*)", str(error), re.DOTALL)
-        if match and match[1] in {each.name for each in fields(owner)}:  # type: ignore[arg-type]
-            raise InvalidFieldError((*path, match[1]), match[2]) from None
-        raise InvalidFieldError(path, str(error)) from None
 
 
 # Choices ---------------------------------------------------------------------------
@@ -204,7 +101,7 @@ def _check_choices(scenario: Scenario) -> None:
         ),
     ]
     for path, value, allowed in choices:
-        _require(value in allowed, path, value, f"one of {', '.join(allowed)}")
+        require(value in allowed, path, value, f"one of {', '.join(allowed)}")
     _check_pairing(scenario, PLANT_KINDS[type(scenario.plant)])
 
 
@@ -260,7 +157,7 @@ def _check_fault_sizes(scenario: Scenario, kind: PlantKind) -> None:
         _check_size(
             (path, "measurement_bias"), faults.measurement_bias, kind.states, "state"
         )
-    _require(
+    require(
         faults.measurement_delay <= scenario.duration,
         (path, "measurement_delay"),
         faults.measurement_delay,
@@ -274,14 +171,14 @@ def _check_fault_sizes(scenario: Scenario, kind: PlantKind) -> None:
             "disturbed state",
         )
     if kind.name == "car":
-        _require(
+        require(
             faults.drag == 1.0, (path, "drag"), faults.drag, "1, for a car has no drag"
         )
 
 
 def _check_size(path: KeyPath, value: Sequence[float], size: int, of: str) -> None:
     count = f"{size} number{'s' * (size != 1)}"
-    _require(len(value) == size, path, list(value), f"{count}, one per {of}")
+    require(len(value) == size, path, list(value), f"{count}, one per {of}")
 
 
 # Parts that must agree -------------------------------------------------------------
@@ -291,7 +188,7 @@ def _check_input_set(limits: InputLimits) -> None:
     for index, lower in enumerate(limits.lower):
         upper = limits.upper[index]
         path: KeyPath = ("input_set", "lower", index)
-        _require(lower < upper, path, lower, f"below upper, {upper:g}")
+        require(lower < upper, path, lower, f"below upper, {upper:g}")
     ask(limits.input_set, limits, ("input_set",))
 
 
@@ -310,7 +207,7 @@ def _check_disturbance(scenario: Scenario) -> None:
 
 def _check_gains(gains: Sequence[float]) -> None:
     k1, k2 = gains
-    _require(
+    require(
         k1 * k1 >= 4.0 * k2,
         ("barrier", "gains"),
         list(gains),
@@ -320,24 +217,28 @@ def _check_gains(gains: Sequence[float]) -> None:
 
 def _check_threshold(threshold: float) -> None:
     path = ("volume", "threshold")
-    _require(threshold < 1.0, path, threshold, "below 1, det B of the free box")
+    require(threshold < 1.0, path, threshold, "below 1, det B of the free box")
+
+
+# Control periods in a run; its log must fit into a computer.
+_MOST_TICKS = 1e7
 
 
 def _check_period(scenario: Scenario) -> None:
-    _require(
+    require(
         scenario.period <= scenario.duration,
         ("period",),
         scenario.period,
         f"at most the duration, {scenario.duration:g} s",
     )
     least = scenario.duration / _MOST_TICKS
-    _require(
+    require(
         scenario.period >= least,
         ("period",),
         scenario.period,
         f"at least {least:g} s, for {_MOST_TICKS:g} ticks",
     )
-    _require(
+    require(
         scenario.observer.period <= scenario.period,
         ("observer", "period"),
         scenario.observer.period,
@@ -357,7 +258,7 @@ def _check_outside(
     path: KeyPath, position: Sequence[float], index: int, obstacle: Obstacle
 ) -> None:
     distance = math.dist(position, obstacle.center) - obstacle.radius - obstacle.margin
-    _require(
+    require(
         distance > 0.0,
         path,
         list(position),
