@@ -100,7 +100,7 @@ def test_what_the_printed_equations_leave_out_is_named(car):
     assert "floor of the error bound" not in at(car, "vcbf-qp", fidelity="paper")
 
 
-@pytest.mark.parametrize(("speed", "holds"), [(1.0, True), (25.0, False)])
+@pytest.mark.parametrize(("speed", "holds"), [(1.0, True), (15.0, True), (25.0, False)])
 def test_the_start_lies_inside_every_phi(car, speed, holds):
     """The gains (4, 3) are rates of 3 and 1: phi_1 = h' + 3 h = 15 - v at x = 0."""
     found = at(car, "dob-cbf-qp", speed)
@@ -125,6 +125,16 @@ def test_input_authority_is_that_of_the_weakest_row(car):
     powerless = at(car, "dob-cbf-qp", barriers=(AHEAD, blocked))["input authority"]
     assert powerless.holds is False
     assert powerless.numbers["least authority"] == pytest.approx(0.0, abs=1e-15)
+
+
+def test_a_barrier_that_no_input_moves_is_no_empty_slot(car):
+    """A wall to the left: at rest neither force nor turning moves the car sideways."""
+    side = HalfSpace([0.0, -1.0], -5.0).barrier([4.0, 3.0])
+    found = at(car, "dob-cbf-qp", speed=0.0, barriers=(side,))
+    assert found["input authority"].holds is False
+    assert found["input authority"].numbers == {"least authority": 0.0}
+    (start,) = (a for name, a in found.items() if name.startswith("start inside"))
+    assert start.numbers == pytest.approx({"phi_0": 5.0, "phi_1": 15.0})
 
 
 def test_the_volume_at_the_start_is_compared_with_the_threshold(car):

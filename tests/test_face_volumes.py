@@ -40,6 +40,16 @@ def test_interval():
     np.testing.assert_allclose(points[:2, 0], [1.0, -0.5])
 
 
+@pytest.mark.parametrize("width", [1e-6, 0.5, 1.0, 3.0])
+def test_intervals_of_any_width(width):
+    volume, multipliers, points = face_volumes(
+        np.array([[1.0], [-1.0]]), np.array([2.0 + width, -2.0])
+    )
+    assert volume == pytest.approx(width, rel=1e-9)
+    np.testing.assert_allclose(multipliers, [1.0, 1.0])
+    np.testing.assert_allclose(points[:, 0], [2.0 + width, 2.0])
+
+
 @pytest.mark.parametrize("m", [1, 2, 3])
 def test_derivative_agrees_with_central_differences(m):
     rng, step = np.random.default_rng(10 + m), 1e-6

@@ -4,6 +4,7 @@ The oracle has its own closed forms of plants and rows, and its own integrator.
 """
 
 from dataclasses import replace
+from fractions import Fraction
 import math
 from pathlib import Path
 
@@ -624,6 +625,63 @@ def test_sums_of_products_are_bounded_from_below_and_closely(size):
         bound = held_rows._least_products(entries, weights)
         assert (bound <= least).all()
         assert (bound >= least - 2.0 * radius @ z_radius - 1e-9).all()
+
+
+def known(numbers):
+    """Intervals without width."""
+    return numbers, np.zeros_like(numbers)
+
+
+def exactly(*factors):
+    """The sum of products of floats, without rounding."""
+    return sum(
+        math.prod(map(Fraction, term))
+        for term in zip(*(each.tolist() for each in factors), strict=True)
+    )
+
+
+def test_rounding_is_on_the_safe_side():
+    """Of sums of large numbers that cancel."""
+    rng, n = np.random.default_rng(33), 4
+    upwards = 0
+    for _ in range(200):
+        z, row, F = (1e5 * rng.normal(size=n) for _ in range(3))
+        z, row = np.append(z, -z), np.append(row, row + 1e-7 * rng.normal(size=n))
+        value = exactly(z, row)
+        upwards += Fraction(float(row @ z)) > value
+        (bound,) = held_rows._least_products(known(row[None]), known(z))
+        assert Fraction(float(bound)) <= value
+        G = row[None, :, None] * rng.normal(size=n)
+        (bound,) = held_rows._least_rates(known(z), known(G), known(F))
+        value = exactly(np.repeat(z, n), G.ravel(), np.tile(F, 2 * n))
+        assert Fraction(float(bound)) <= value
+    assert upwards > 50
+
+
+def test_a_hold_covers_a_period_of_rounded_ticks():
+    model = ControlAffineModel.from_system(Car())
+    held = HeldRows(model, BarrierSet(model, []), 0.1, 0.0)
+    ticks = 0.1 * np.arange(1000)
+    assert 0.1 < np.diff(ticks).max() <= held.period == pytest.approx(0.1, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("x", "v", "retreat", "a", "least"),
+    [
+        (0.4, -0.5, 0.0, 0.6, 0.0),  # It gains; by (E75) alone it would seem to lose.
+        (0.2, -0.3, 0.2, 0.0, -0.01),  # It loses the rate of -0.1 for 0.1 s.
+    ],
+)
+def test_a_row_at_its_bound_is_worth_what_its_rate_leaves(x, v, retreat, a, least):
+    """Of chi = a + 2 (v + c) + x + c t = 0, with the rate 2 a + v + c."""
+    model = ControlAffineModel.from_system(Car(CarParameters(mass=1.0)))
+    wall = Barrier(lambda x, t, p: x[0] + retreat * t, [2.0, 1.0], name="wall")
+    barriers = BarrierSet(model, [wall])
+    x = np.array([x, 0.0, v, 0.0])
+    tick = Tick(barriers.rows(x, 0.0), x, 0.0, DisturbanceKnowledge.constant(1, 0.0))
+    assert tick.chi(np.array([a, 0.0])) == pytest.approx(0.0, abs=1e-12)
+    found = HeldRows(model, barriers, 0.1, 0.0).least(tick, np.array([a, 0.0]))
+    assert found == pytest.approx(least, abs=1e-9)
 
 
 @pytest.mark.parametrize("size", [0.0, 0.1, 2.0])

@@ -104,8 +104,10 @@ def test_normalised_rows_describe_the_same_set(m):
 
 def test_faulty_sets_are_refused():
     A, b = TRIANGLE
-    with pytest.raises(EmptySetError):
+    with pytest.raises(EmptySetError) as empty:
         InputSet(np.vstack([A, [0.0, -1.0]]), np.append(b, -2.0))
+    np.testing.assert_array_equal(empty.value.A, [*A, [0.0, -1.0]])
+    np.testing.assert_array_equal(empty.value.b, [*b, -2.0])
     with pytest.raises(EmptySetError):  # Flat: a single point on the first input.
         InputSet([[1.0], [-1.0]], [1.0, -1.0])
     with pytest.raises(UnboundedSetError) as raised:

@@ -27,3 +27,10 @@ def test_a_packed_set_comes_back_with_a_symmetric_shape():
         assert_allclose(one, one.T, atol=1e-14)
         assert_allclose(one @ one, frame @ frame.T, rtol=1e-10, atol=1e-12)
         assert tick == 2 or np.linalg.eigvalsh(one).min() > 0.0
+
+
+def test_a_frame_that_is_not_whole_is_not_known():
+    frame = np.eye(2)
+    frame[0, 1] = np.nan
+    packed = pack_feasible_set(np.eye(2), np.ones(2), frame, np.zeros(2))
+    assert np.isnan(unpack_feasible_set(packed, 2, 2).shape).all()
