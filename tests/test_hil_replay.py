@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 
 import numpy as np
 from pydrake.lcm import DrakeLcm
@@ -237,6 +238,51 @@ def test_a_log_that_does_not_fit_is_refused_in_one_line(tmp_path) -> None:
     write(path, [Event(1, "VCBF_SCENARIO", b"{a: {perod: 1}}\n")])
     with pytest.raises(ScenarioError, match="channel VCBF_SCENARIO:1: perod: unknown"):
         replay_log(path)
+
+
+def spoiled(rng, events):
+    """The events with up to three of them lost, moved, renamed, stamped or altered."""
+    events = list(events)
+    for _ in range(rng.integers(1, 4)):
+        place, kind = rng.integers(len(events)), rng.integers(6)
+        event = events.pop(place)
+        if kind == 0 and events:
+            continue
+        if kind == 1:
+            place = rng.integers(len(events) + 1)
+        elif kind == 2:
+            channel = rng.choice(["VCBF_STATE", "VCBF_COMMAND", "VCBF_STATUS", "OTHER"])
+            event = event._replace(channel=str(channel))
+        elif kind == 3:
+            extreme = rng.choice([-(2**63), -1, 0, 10**15, 2**63 - 1])
+            event = event._replace(utime=int(extreme))
+        elif event.data:
+            data = bytearray(event.data)
+            start = 8 * rng.integers(len(data) // 8)
+            if kind == 4:
+                data[start] ^= 1 << rng.integers(8)
+            else:
+                number = rng.choice([np.nan, 0.0, -9e5, 1e-300, 1e300])
+                data[start : start + 8] = struct.pack(">d", number)
+            event = event._replace(data=bytes(data[: len(event.data)]))
+        events.insert(place, event)
+    return events
+
+
+def test_a_spoiled_log_ends_in_a_result_or_in_one_line(tmp_path) -> None:
+    loaded, rng = scenario("car-avoidance"), np.random.default_rng(8)
+    events, told = recorded(loaded, 0.2), 0
+    for _ in range(20):
+        path = write(tmp_path / "a.log", spoiled(rng, events), loaded)
+        try:
+            log = replay_log(path).result.log
+        except EventLogError as error:
+            assert str(error).isprintable()
+            continue
+        inputs = loaded.input_set.input_set()
+        assert all(inputs.contains(u, 1e-9) for u in log["input"])
+        told += 1
+    assert told > 10
 
 
 # The commands ----------------------------------------------------------------------
