@@ -57,7 +57,7 @@ def audit_margins(
         barriers: What is truly there, whatever the filter perceives.
         bounds: What is declared of the disturbance.
     """
-    estimate, bound = _known(log, safety_filter, bounds)
+    estimate, bound = known_along(log, safety_filter, bounds.delta1)
     rows = barriers.rows_along(log["state"], log["time"])
     status, error = log["status"], log["disturbance"] - estimate
     along, w_norm = _each(rows.w, log["disturbance"]), np.linalg.norm(rows.w, axis=2)
@@ -84,15 +84,22 @@ def audit_margins(
     return np.column_stack(margins)
 
 
-def _known(
-    log: Mapping[str, Array], safety_filter: SafetyFilter, bounds: DisturbanceBounds
+def known_along(
+    log: Mapping[str, Array], safety_filter: SafetyFilter, disturbance_bound: float
 ) -> tuple[Array, Array]:
-    """What the method takes as known: the estimates (T, q) and their bounds (T,)."""
-    kind, d = safety_filter.method.disturbance, log["disturbance"]
-    if kind == "estimated":
+    """Returns what a method takes as known: estimates (T, q) and their bounds (T,).
+
+    Args:
+        log: The arrays of the log, one row a control tick.
+        safety_filter: The filter that ran.
+        disturbance_bound: delta1 [m/s^2].
+    """
+    handling = safety_filter.method.disturbance
+    if handling == "estimated":
         return log["disturbance_estimate"], log["error_bound"]
-    bound = bounds.delta1 if kind == "worst_case" else 0.0
-    return np.zeros_like(d), np.full(len(d), bound)
+    bound = disturbance_bound if handling == "worst_case" else 0.0
+    T, q = len(log["time"]), safety_filter.model.num_disturbances
+    return np.broadcast_to(0.0, (T, q)), np.broadcast_to(bound, T)
 
 
 def audit_findings(

@@ -18,6 +18,7 @@ from vcbf_drake.safety import (
     Tick,
     least_height,
 )
+from vcbf_drake.simulation.audit import known_along
 from vcbf_drake.simulation.scenario import Scenario
 
 # How many ticks are looked at together: a log on disk need not fit the memory.
@@ -103,9 +104,11 @@ class _Holds:
         self._rows = HeldRows(self._model, self._barriers, period, disturbance_bound)
         self._times, self._states = log["time"], log["state"]
         self._inputs, self._period = log["input"], period
-        self._estimates, self._bounds, self._hold_margin = _knowledge(
-            safety_filter, log, disturbance_bound
+        self._estimates, self._bounds = known_along(
+            log, safety_filter, disturbance_bound
         )
+        is_estimated = safety_filter.method.disturbance == "estimated"
+        self._hold_margin = safety_filter.hold_margin if is_estimated else 0.0
 
     def least_of_many(self, first: int, last: int) -> float:
         """Returns a lower bound of every h from one tick to another."""
@@ -154,19 +157,6 @@ class _Holds:
             self._rows.bounded(Interval(low, high) + 0.0)  # Rounds outwards.
             for low, high in zip(least, most, strict=True)
         ]
-
-
-def _knowledge(
-    safety_filter: SafetyFilter, log: Mapping[str, Array], disturbance_bound: float
-) -> tuple[Array, Array, float]:
-    """Returns the estimates (T, q) the filter knew, their bounds (T,), and a margin."""
-    handling = safety_filter.method.disturbance
-    if handling == "estimated":
-        margin = safety_filter.hold_margin
-        return log["disturbance_estimate"], log["error_bound"], margin
-    bound = disturbance_bound if handling == "worst_case" else 0.0
-    T, q = len(log["time"]), safety_filter.model.num_disturbances
-    return np.broadcast_to(0.0, (T, q)), np.broadcast_to(bound, T), 0.0
 
 
 def _hulls(points: Array) -> list[Interval]:
