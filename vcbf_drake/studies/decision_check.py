@@ -196,7 +196,7 @@ class _Rows:
         largest = np.abs(G).max(axis=1, initial=0.0)
         unit = np.where(largest > 0.0, largest, 1.0)
         G, h, size = G / unit[:, None], h / unit, size / unit
-        length = np.maximum(np.linalg.norm(G, axis=1), 0.5)  # At least 1, or it is 0.
+        length = np.maximum(np.linalg.norm(G, axis=1), 1.0)  # At least 1, or it is 0.
         G, h, size = G / length[:, None], h / length, size / length
         return _Rows(G, h, unit * length, 8.0 * _EPSILON * size)
 
