@@ -265,7 +265,9 @@ def logged_ports(
     controller: LeafSystem, safety_filter: SafetyFilter, observer: DisturbanceObserver
 ) -> dict[str, OutputPort]:
     """Returns the ports that a log of a run has, beside those of the plant, by name."""
-    names = ("input", "slack", "volume", "barriers", "status", "least_chi")
+    names = ["input", "slack", "volume", "barriers", "status"]
+    if safety_filter.certified_hold:
+        names.append("least_chi")
     observed = [
         name for name, _ in observer_ports(safety_filter.model.num_disturbances)
     ]

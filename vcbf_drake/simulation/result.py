@@ -26,11 +26,12 @@ class Result:
         summary: The numbers people compare; see `summarise`.
         log: Named arrays, one row a control tick: time (T,), state (T, n), reference
             and input (T, m), disturbance, disturbance_estimate and estimate_rate
-            (T, q), error_bound, slack, volume, least_chi and status (T,), barriers and
+            (T, q), error_bound, slack, volume and status (T,), barriers and
             authority (T, N),
             polytope_A (T, rows, m), polytope_b (T, rows), ellipsoid_shape (T, m, m),
-            ellipsoid_center (T, m), audit (T, P), the margins of `PROMISES`. Mapped
-            from files where the run's log went to disk.
+            ellipsoid_center (T, m), audit (T, P), the margins of `PROMISES`;
+            least_chi (T,) with `between_ticks: certified`. Mapped from files where
+            the run's log went to disk.
     """
 
     scenario: Scenario
