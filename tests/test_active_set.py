@@ -5,7 +5,7 @@ from numpy.testing import assert_allclose
 import pytest
 import quadprog
 
-from vcbf_drake.safety.active_set import nonnegative_multipliers
+from vcbf_drake.safety.active_set import nearest_by_active_set
 
 
 def random_problem(rng, m, n):
@@ -22,7 +22,7 @@ def test_the_multipliers_are_optimal_and_project(m, n):
     longest = 0
     for _ in range(150):
         A, b, reference = random_problem(rng, m, n)
-        y = nonnegative_multipliers(A, b, reference)
+        y = nearest_by_active_set(A, b, reference).multipliers
         slack = A @ (y @ A) - (A @ reference - b)
         size = 1.0 + np.abs(A @ reference - b).max()
         assert y.min() >= 0.0
@@ -36,12 +36,17 @@ def test_the_multipliers_are_optimal_and_project(m, n):
 
 def test_a_reference_that_meets_every_row_needs_no_multiplier():
     A, b = np.array([[2.0, 1.0], [-1.0, 3.0]]), np.array([1.0, 1.0])
-    assert not nonnegative_multipliers(A, b, np.zeros(2)).any()
-    assert nonnegative_multipliers(np.zeros((0, 2)), np.zeros(0), np.ones(2)).size == 0
+    assert not nearest_by_active_set(A, b, np.zeros(2)).multipliers.any()
+    assert (
+        nearest_by_active_set(
+            np.zeros((0, 2)), np.zeros(0), np.ones(2)
+        ).multipliers.size
+        == 0
+    )
 
 
 def test_rows_without_a_common_point_end_all_the_same():
     """The dual is unbounded then; the answer grows in Farkas' direction, y'b < 0."""
     A, b = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]]), np.array([-1.0, 0.0, 5.0])
-    y = nonnegative_multipliers(A, b, np.array([0.3, 0.2]))
+    y = nearest_by_active_set(A, b, np.array([0.3, 0.2])).multipliers
     assert np.isfinite(y).all() and y.min() >= 0.0

@@ -218,6 +218,7 @@ def failing(*arguments):
 
 def test_an_emptiness_that_cannot_be_proven_is_a_failure(monkeypatch):
     """Not called infeasible without a certificate; the least violation acts."""
+    monkeypatch.setattr(nearest_point_module, "_proven_empty", lambda *_: None)
     monkeypatch.setattr(nearest_point_module, "emptiness_certificate", failing)
     feasible = set_of([[1.0, 0.0], [-1.0, 0.0]], [-0.5, 0.2])
     decision = choose(feasible, [0.0, 0.5])

@@ -19,7 +19,9 @@ from vcbf_drake.safety.nearest_point import (
     FEASIBILITY_TOLERANCE,
     nearest_point,
     nearest_point_by_active_set,
+    opened,
 )
+from vcbf_drake.safety.unit_length import of_unit_length
 
 InfeasiblePolicy = Literal["stop", "least_violation", "hold"]
 
@@ -29,11 +31,7 @@ INFEASIBLE_POLICIES: tuple[InfeasiblePolicy, ...] = ("stop", "least_violation", 
 _FARTHEST_REFERENCE = 1e6
 # A minimal relaxation leaves a set without interior; rows opened by this distance, in
 # normalised inputs, give the QP one. At narrow angles it takes more.
-_OPENING = 1e-9
-# Rows shorter than this do not set the scale.
-_BLANK = 1e-12
-# How often the least violation is sought again in smaller units.
-_MOST_UNITS = 4
+_OPENING = 1e-10
 _WIDER = (0.0, 1e-8, 1e-7, 1e-6)
 
 
@@ -137,18 +135,18 @@ def choose_input(
         v_reference = v_reference.clip(-_FARTHEST_REFERENCE, _FARTHEST_REFERENCE)
     if (A @ v_reference <= b).all():
         return FilterDecision(reference, FilterStatus.REFERENCE)
-    slack, status = 0.0, FilterStatus.FILTERED
+    slack, status, firm = 0.0, FilterStatus.FILTERED, feasible.num_input_rows
     v = np.minimum(np.maximum(v_reference, -1.0), 1.0)
     # The nearest point of the bounding box is the nearest of all if the rows allow it.
     if not (A @ v <= b).all():
         try:
             if not rows:
-                v = _hard(A, b, v_reference)
+                v = _hard(A, b, v_reference, firm)
             elif exact_slack:
-                v, slack, status = _hard_first(A, b, len(rows), v_reference)
+                v, slack, status = _hard_first(A, b, len(rows), v_reference, firm)
             else:
                 penalties = [row.slack_penalty for row in rows]
-                v, slack, status = _with_penalty(A, b, penalties, v_reference)
+                v, slack, status = _with_penalty(A, b, penalties, v_reference, firm)
         except EmptySetError as error:
             # Of the feasible set's rows alone; a volume row that may give way has none.
             among = [i for i in error.conflict if i < len(feasible.cutting)]
@@ -162,32 +160,33 @@ def choose_input(
     return FilterDecision(u, status, slack)
 
 
-def _hard(A: Array, b: Array, reference: Array) -> Array:
-    return nearest_point(A, b, reference).point
+def _hard(A: Array, b: Array, reference: Array, firm: int) -> Array:
+    return nearest_point(A, b, reference, firm).point
 
 
 _Solution = tuple[Array, float, FilterStatus]
 
 
-def _hard_first(A: Array, b: Array, count: int, reference: Array) -> _Solution:
+def _hard_first(
+    A: Array, b: Array, count: int, reference: Array, firm: int
+) -> _Solution:
     """The last rows as constraints; relaxed only where they leave nothing (E25).
 
     With several, each in its turn gives way by the least that those before it allow.
     """
     k = len(b) - count
-    found = nearest_point_by_active_set(A, b, reference)
+    found = nearest_point_by_active_set(A, b, reference, firm)
     if found is not None:
         return found.point, 0.0, FilterStatus.FILTERED
-    v, relaxed = _hard(A[:k], b[:k], reference), b.copy()  # Empty without them too?
-    length = np.zeros(len(b))
+    v = _hard(A[:k], b[:k], reference, firm)  # Or is it empty without them too?
+    rows, bounds, _ = of_unit_length(A, b)
+    may_open = np.concatenate([np.zeros(k), np.ones(count)])
     for i in range(k, len(b)):
-        if A[i].any():
-            v = minimise_linear(A[i], A[:i], relaxed[:i])
-        length[i] = np.linalg.norm(A[i])
-        relaxed[i] = max(b[i], float(A[i] @ v) + _OPENING * length[i])
-    v = _opened(A, relaxed, length, reference, v)
-    excess = A[:k] @ v - b[:k]
-    if (excess > FEASIBILITY_TOLERANCE * np.linalg.norm(A[:k], axis=1)).any():
+        if rows[i].any():
+            v = minimise_linear(rows[i], rows[:i], opened(rows, bounds, firm)[:i])
+        bounds[i] = max(bounds[i], float(rows[i] @ v) + _OPENING)
+    v = _opened(rows, bounds, may_open, reference, v, firm)
+    if (rows[:k] @ v > bounds[:k] + FEASIBILITY_TOLERANCE).any():
         raise SolverError("no least slack that leaves the other rows alone", A, b)
     return _with_slack(A[k:], b[k:], v)
 
@@ -197,19 +196,22 @@ def _with_slack(A: Array, b: Array, v: Array) -> _Solution:
     return v, slack, FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
 
 
-def _opened(A: Array, b: Array, length: Array, reference: Array, v: Array) -> Array:
+def _opened(
+    A: Array, b: Array, may_open: Array, reference: Array, v: Array, firm: int
+) -> Array:
     """The nearest point of a set with next to no interior, near its point v.
 
     Args:
         A: The rows.
         b: Their right-hand sides, opened.
-        length: The rows' lengths; 0 for those that must not be opened further.
+        may_open: 1 for rows that may be opened further, else 0.
         reference: The point to stay close to.
         v: What is returned where the QP fails and v leaves no row.
+        firm: How many rows, the first, are never opened.
     """
     for opening in _WIDER:
         try:
-            return _hard(A, b + opening * length, reference)
+            return _hard(A, b + opening * may_open, reference, firm)
         except (EmptySetError, SolverError, LinAlgError):
             if (A @ v <= b).all():
                 break
@@ -217,7 +219,7 @@ def _opened(A: Array, b: Array, length: Array, reference: Array, v: Array) -> Ar
 
 
 def _with_penalty(
-    A: Array, b: Array, penalties: Sequence[float], reference: Array
+    A: Array, b: Array, penalties: Sequence[float], reference: Array, firm: int
 ) -> _Solution:
     """Each of the last rows with its free slack delta at the cost M delta^2 (E24).
 
@@ -227,10 +229,10 @@ def _with_penalty(
     slopes = np.concatenate([np.zeros((len(b) - k, k)), np.diag(1.0 / root)])
     hard, all_A = len(b) - k, np.column_stack([A, slopes])
     try:
-        solution = _hard(all_A, b, np.append(reference, np.zeros(k)))
+        solution = _hard(all_A, b, np.append(reference, np.zeros(k)), firm)
     except EmptySetError as error:
         # With free slacks it is empty only where the other rows are.
-        _hard(A[:hard], b[:hard], reference)
+        _hard(A[:hard], b[:hard], reference, firm)
         raise SolverError("no solution with slacks", all_A, b) from error
     return _with_slack(A[hard:], b[hard:], solution[:-k])
 
@@ -274,36 +276,22 @@ def _least_violation(
     nearest to the reference.
     """
     A, b = feasible.A_v[feasible.cutting], feasible.b_v[feasible.cutting]
-    k, length = feasible.num_input_rows, np.linalg.norm(A, axis=1)
+    k = feasible.num_input_rows
     weight = feasible.weights[feasible.cutting[k:] - k]
-    give = np.append(np.zeros(k), 1.0 / weight)
-    # No input violates a row by less than this; t is counted from there.
-    sure = weight * (-b[k:] - np.abs(A[k:]).sum(axis=1))
-    relaxed = b + give * np.max(sure, initial=0.0)
-    unit = float(np.max(weight * length[k:], initial=_BLANK))
-    v, least = held_input, np.inf
-    for _ in range(_MOST_UNITS):
-        try:
-            candidate = _least_relaxation(A, relaxed, unit * give)
-        except (SolverError, LinAlgError):
-            break
-        excess = A @ candidate - relaxed
-        worst = float(np.max(weight * excess[k:], initial=0.0))
-        if worst >= least or excess[:k].max() > FEASIBILITY_TOLERANCE:
-            break
-        v, least = candidate, worst
-        if worst > 1e-3 * unit or worst == 0.0:
-            break
-        unit = worst  # In the units before, it may be rounding.
-    if least == np.inf:
-        return input_set.project(held_input)
-    relaxed += least * give + _OPENING * length
-    v = _opened(A, relaxed, length, reference, v)
-    return input_set.project(input_set.center + input_set.scale * v)
-
-
-def _least_relaxation(A: Array, b: Array, give: Array) -> Array:
-    """Returns a v with ``A v <= b + t give`` for the least t >= 0."""
+    length = np.linalg.norm(A[k:], axis=1)
+    # t is counted in units of the heaviest row's distance, and from where no input is
+    # below it.
+    weight /= float(np.max(weight * length, initial=0.0)) or 1.0
+    A = np.concatenate([A[:k], A[k:] * weight[:, None]])
+    b = np.concatenate([b[:k], b[k:] * weight])
+    b[k:] += max(0.0, float(np.max(-b[k:] - np.abs(A[k:]).sum(axis=1), initial=0.0)))
     last = np.append(np.zeros(A.shape[1]), 1.0)
+    give = np.concatenate([np.zeros(k), np.ones(len(weight))])
     rows = np.vstack([np.column_stack([A, -give]), -last])
-    return minimise_linear(last, rows, np.append(b, 0.0))[:-1]
+    try:
+        v = minimise_linear(last, rows, np.append(b, 0.0))[:-1]
+    except (SolverError, LinAlgError):
+        return input_set.project(held_input)
+    b[k:] += np.max(A[k:] @ v - b[k:], initial=0.0) + _OPENING
+    v = _opened(A, b, give, reference, v, k)
+    return input_set.project(input_set.center + input_set.scale * v)

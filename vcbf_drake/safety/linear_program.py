@@ -9,11 +9,18 @@ import numpy as np
 from pydrake.solvers import ClpSolver, MathematicalProgram
 
 from vcbf_drake.errors import Array, SolverError
+from vcbf_drake.safety.active_set import nearest_by_active_set
+from vcbf_drake.safety.unit_length import of_unit_length
 
 # A point that leaves every row, measured as a distance, by no more than this is one.
 _FEASIBILITY_TOLERANCE = 1e-7
 # What counts as no violation at all.
 _EXACT = 1e-10
+# Proximal points: how far their references are, how little a point may move that
+# stays, and how often it is tried.
+_STEP = 1e4
+_STILL = 1e-9
+_MOST_STEPS = 6
 # The scale of the program's cost: the solver's tolerance on multipliers is absolute.
 _SHARPNESS = 1e4
 # How often, and how much closer each time, a solution is sought again from itself.
@@ -32,8 +39,12 @@ def minimise_linear(cost: Array, A: Array, b: Array) -> Array:
     Raises:
         SolverError: No minimiser was found: the set is empty or the cost unbounded.
     """
-    rows, bounds = _of_unit_length(A, b)
-    cost = cost * (_SHARPNESS / (float(np.linalg.norm(cost)) or 1.0))
+    rows, bounds, _ = of_unit_length(A, b)
+    cost = cost / (float(np.linalg.norm(cost)) or 1.0)
+    found = _by_nearest_points(cost, rows, bounds)
+    if found is not None:
+        return found
+    cost = cost * _SHARPNESS
     point, zoom, program = np.zeros(len(cost)), 1.0, _program(*A.shape)
     for _ in range(_MOST_REFINEMENTS):
         solution = program.solve(cost, rows, zoom * (bounds - rows @ point))
@@ -50,11 +61,21 @@ def minimise_linear(cost: Array, A: Array, b: Array) -> Array:
     return point
 
 
-def _of_unit_length(A: Array, b: Array) -> tuple[Array, Array]:
-    """The rows of unit length; those of no length stay as they are."""
-    length = np.linalg.norm(A, axis=1)
-    length[length == 0.0] = 1.0
-    return A / length[:, None], b / length
+def _by_nearest_points(cost: Array, A: Array, b: Array) -> Array | None:
+    """The minimiser by proximal points: v becomes the point nearest to v - t cost.
+
+    Where v stays, it is a minimiser, and a large t gets there in a few steps. One that
+    moves by d is off by d times the set's diameter, over t.
+    """
+    point: Array = np.zeros(len(cost))
+    for _ in range(_MOST_STEPS):
+        found = nearest_by_active_set(A, b, point - _STEP * cost)
+        moved = max(map(abs, (found.point - point).tolist()))
+        point = found.point
+        size = 1.0 + max(map(abs, point.tolist()))
+        if moved <= _STILL * size:
+            return point if np.max(A @ point - b) <= _EXACT * size else None
+    return None
 
 
 def _touching(A: Array, b: Array, point: Array, multipliers: Array) -> Array:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+import math
 from threading import Lock
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.solvers import (
     ClarabelSolver,
     MathematicalProgram,
@@ -18,23 +18,24 @@ from pydrake.solvers import (
 )
 
 from vcbf_drake.errors import Array, EmptySetError, SolverError
-from vcbf_drake.safety.active_set import nonnegative_multipliers
-from vcbf_drake.safety.polytope import emptiness_certificate
+from vcbf_drake.safety.active_set import ActiveSetSolution, nearest_by_active_set
+from vcbf_drake.safety.polytope import Emptiness, emptiness_certificate
+from vcbf_drake.safety.unit_length import of_unit_length
 
-# A verified solution leaves no row, measured as a distance, by more than this.
+# No row is left by more than this, measured as a distance, once the point is projected
+# onto the input set.
 FEASIBILITY_TOLERANCE = 1e-9
-# Its duality gap, relative to the size of the cost's terms, is at most this.
-GAP_TOLERANCE = 1e-9
-# Rows of sets that may have no interior are opened by this. Half the tolerance is left
-# for what a projection onto the input set moves afterwards.
-_OPENING = 0.4 * FEASIBILITY_TOLERANCE
-# A row shorter than this, which moves by no more over all normalised inputs, is blank.
-_BLANK = 1e-12
-# A reference further away than this is approached step by step.
-_NEAR = 10.0
-_MOST_STEPS = 20
-# Relative, of a sum of rows times multipliers.
+# Of that, rows of sets that may have no interior are opened by ...
+_OPENING = 0.6 * FEASIBILITY_TOLERANCE
+# ... and a verified solution leaves the opened rows by no more than ...
+_EXCESS = 0.1 * FEASIBILITY_TOLERANCE
+# No point of the set as given is better by more, relative to the distance from the
+# reference.
+_GAP = 1e-9
+# How well A v is known, relative to its terms.
 _ROUNDING = 1e-15
+# Multipliers of rows of unit length, of sum 1, balance when |A'z| is below this.
+_BALANCE = 1e-12
 # Rows this close to a solver's answer may be active; the wider reach forgives a
 # solver's tolerance, the narrower one keeps apart rows that nearly meet.
 _TOUCHING = (1e-7, 1e-4)
@@ -53,160 +54,135 @@ class NearestPoint:
     multipliers: Array
 
 
-def nearest_point(A: Array, b: Array, reference: Array) -> NearestPoint:
+def nearest_point(
+    A: Array, b: Array, reference: Array, num_firm: int = 0
+) -> NearestPoint:
     """Returns the point of ``{v : A v <= b}`` nearest to the reference.
 
     A reference inside the set is returned untouched. Any other answer is verified by
     the optimality conditions v = reference - A'y, y >= 0, A v <= b, y'(b - A v) = 0.
+    A set that is empty by less than 6e-10 counts as one with a point: its rows are
+    opened by as much.
 
     Args:
         A: The rows, shape (n, m).
         b: The right-hand sides, shape (n,).
         reference: The point to stay close to, shape (m,).
+        num_firm: How many rows, the first, are never opened: together they must have
+            an interior.
 
     Raises:
         EmptySetError: No point satisfies the rows; certified, not guessed.
         SolverError: No solver's answer could be verified.
     """
-    found = nearest_point_by_active_set(A, b, reference)
+    rows, bounds, length = of_unit_length(A, b)
+    found, conflict = _by_active_set(rows, bounds, reference, num_firm)
     if found is None:
-        certificate = emptiness_certificate(A, b)
-        if certificate is not None:
-            raise EmptySetError(A, b, certificate.inradius, certificate.rows.tolist())
-        found = _opened(A, b, reference) or _by_solvers(A, b, reference)
+        proof = _proven_empty(A, rows, bounds, conflict) or emptiness_certificate(A, b)
+        if proof is not None:
+            raise EmptySetError(A, b, proof.inradius, proof.rows.tolist())
+        found = _by_solvers(rows, bounds, reference, num_firm)
     if found is None:
         raise SolverError("no solver's answer to the QP could be verified", A, b)
-    return found
+    return NearestPoint(found.point, found.multipliers / length)
 
 
 def nearest_point_by_active_set(
-    A: Array, b: Array, reference: Array
+    A: Array, b: Array, reference: Array, num_firm: int = 0
 ) -> NearestPoint | None:
-    """Returns the verified nearest point; None where the set is empty, or all but.
+    """Returns the same, verified; None where the set is empty, as far as one can tell.
 
     Args:
         A: The rows, shape (n, m).
         b: The right-hand sides, shape (n,).
         reference: The point to stay close to, shape (m,).
+        num_firm: How many rows, the first, are never opened.
     """
-    if (A @ reference <= b).all():
-        return NearestPoint(reference, np.zeros(len(b)))
-    length = _lengths(A)
-    rows, bounds = A / length[:, None], b / length
-    return _scaled(_active_set(rows, bounds, reference), length)
-
-
-def _opened(A: Array, b: Array, reference: Array) -> NearestPoint | None:
-    """The nearest point of a set that is empty by less than can be told.
-
-    It counts as one with a point, which is where its rows meet when they are opened.
-    """
-    length = _lengths(A)
-    rows, bounds = A / length[:, None], b / length
-    found = _active_set(rows, bounds + _OPENING, reference)
-    if found is None or np.max(rows @ found.point - bounds) > FEASIBILITY_TOLERANCE:
-        return None
-    return _scaled(found, length)
-
-
-def _active_set(A: Array, b: Array, reference: Array) -> NearestPoint | None:
-    """Solves the optimality conditions on all rows; None where that fails."""
-    solution = None
-    if np.abs(reference).max() > _NEAR:
-        solution = _from_afar(A, b, reference)
-    return solution or _on_rows(slice(None), A, b, reference)
-
-
-def _from_afar(A: Array, b: Array, reference: Array) -> NearestPoint | None:
-    """The same from references that are not too far away.
-
-    A point p is nearest to r exactly when it is nearest to p + s (r - p), s > 0: seen
-    from far away, what tells the rows apart would drown in rounding. And when it is
-    nearest to r - A'z, of multipliers z that it has at least: where the rows that push
-    stay the same, most of their push is taken off.
-    """
-    point = reference / np.abs(reference).max()
-    taken_off, pushed = np.zeros(len(b)), np.zeros(len(b), dtype=bool)
-    for _ in range(_MOST_STEPS):
-        away = reference - taken_off @ A - point
-        near = _NEAR * max(1.0, float(np.abs(point).max()))
-        times = max(1.0, float(np.abs(away).max()) / near)
-        solution = _on_rows(slice(None), A, b, point + away / times)
-        if solution is None:
-            return None
-        multipliers = taken_off + times * solution.multipliers
-        moved = float(np.abs(solution.point - point).max())
-        point, pushes = solution.point, solution.multipliers > 0.0
-        if times == 1.0 or moved <= 1e-12 * near:
-            is_optimal = _is_optimal(A, b, point, multipliers)
-            return NearestPoint(point, multipliers) if is_optimal else None
-        if (pushes == pushed).all():
-            taken_off += 0.9 * (times - 1.0) * solution.multipliers
-        pushed = pushes
-    return None
-
-
-def _by_solvers(A: Array, b: Array, reference: Array) -> NearestPoint | None:
-    """Lets one solver after another propose which rows the nearest point touches."""
-    length = _lengths(A)
-    rows, bounds = A / length[:, None], b / length
-    for solver, options in _solvers():
-        guess = _program(*A.shape).solve(solver, options, rows, bounds, reference)
-        for touching in _TOUCHING:
-            near = (bounds - rows @ guess < touching).nonzero()[0]
-            solution = _on_rows(near, rows, bounds, reference)
-            if solution is not None:
-                return _scaled(solution, length)
-    return None
-
-
-def _lengths(A: Array) -> Array:
-    """The rows' lengths, (n,); 1, to leave it alone, for one that is all but zero."""
-    length: Array = np.sqrt(np.einsum("ij,ij->i", A, A))
-    length[length <= _BLANK] = 1.0
-    return length
-
-
-def _scaled(found: NearestPoint | None, length: Array) -> NearestPoint | None:
+    rows, bounds, length = of_unit_length(A, b)
+    found, _ = _by_active_set(rows, bounds, reference, num_firm)
     return found and NearestPoint(found.point, found.multipliers / length)
 
 
-def _on_rows(
-    rows: NDArray[np.intp] | slice, A: Array, b: Array, reference: Array
-) -> NearestPoint | None:
-    """Solves the optimality conditions on some rows, and verifies them on all.
+def opened(A: Array, b: Array, num_firm: int) -> Array:
+    """Returns right-hand sides of a set that has an interior unless it is empty.
 
-    Returns None when the result is not an optimum: another row matters too.
+    Args:
+        A: Rows of unit length, or blank, shape (n, m).
+        b: Their right-hand sides, shape (n,).
+        num_firm: How many rows, the first, stay where they are; blank rows do too.
     """
-    multipliers = np.zeros(len(b))
-    multipliers[rows] = nonnegative_multipliers(A[rows], b[rows], reference)
-    point = reference - multipliers @ A
-    if _is_optimal(A, b, point, multipliers):
-        return NearestPoint(point, multipliers)
-    point = _touching(A, b, reference, multipliers)
-    if not _is_optimal(A, b, point, multipliers):
+    opening: Array = np.where(A.any(axis=1), _OPENING, 0.0)
+    opening[:num_firm] = 0.0
+    return b + opening
+
+
+def _by_active_set(
+    A: Array, b: Array, reference: Array, num_firm: int
+) -> tuple[NearestPoint | None, Array | None]:
+    """The nearest point; where rounding leaves it open which, that of the opened set.
+
+    Also the conflict between rows where there is none.
+    """
+    solution = nearest_by_active_set(A, b, reference)
+    if not _is_optimal(solution, A, b, b, reference):
+        bounds = opened(A, b, num_firm)
+        solution = nearest_by_active_set(A, bounds, reference)
+        if not _is_optimal(solution, A, b, bounds, reference):
+            return None, solution.conflict
+    return NearestPoint(solution.point, solution.multipliers), None
+
+
+def _is_optimal(
+    found: ActiveSetSolution, A: Array, b: Array, opened: Array, reference: Array
+) -> bool:
+    """Whether a point meets the opened rows, and no point of the set is much nearer.
+
+    With v = reference - A'y - e, every z with ``A z <= b`` has, by convexity,
+    |z - reference|^2 / 2 >= |v - reference|^2 / 2 - y'(b - A v) - |e|^2 / 2.
+    """
+    v, y = found.point, found.multipliers
+    product, pull = A @ v, reference - v
+    error = pull - y @ A
+    rounding = _ROUNDING * float(y @ np.abs(b) + y.sum())
+    gap = float(y @ (b - product) + 0.5 * (error @ error)) + rounding
+    size = 1.0 + max(map(abs, pull.tolist()))
+    return gap <= _GAP * size and bool((product <= opened + _EXCESS).all())
+
+
+def _proven_empty(
+    given: Array, A: Array, b: Array, conflict: Array | None
+) -> Emptiness | None:
+    """Farkas' proof, z'A = 0 and z'b < 0, on rows of unit length or of zeros."""
+    if conflict is None:
         return None
-    return NearestPoint(point, multipliers)
+    z = np.where(conflict > _BALANCE * conflict.max(), conflict, 0.0)
+    z /= z.sum()
+    rows = z.nonzero()[0]
+    imbalance, value = max(map(abs, (z @ A).tolist())), float(z @ b)
+    if imbalance > _BALANCE or value >= -10.0 * _BALANCE:
+        return None
+    if A[rows].any():
+        return Emptiness(z, rows, value)
+    # A blank row that is not quite zero is met far outside: no proof by itself.
+    return None if given[rows].any() else Emptiness(z, rows, -math.inf)
 
 
-def _touching(A: Array, b: Array, reference: Array, multipliers: Array) -> Array:
-    """Moves r - A'y onto the rows with y > 0, as far as rounding explains it."""
-    point: Array = reference - multipliers @ A
-    pushing = multipliers > 0.0
-    slack = (b - A @ point)[pushing]
-    move = np.linalg.lstsq(A[pushing], slack, rcond=1e-12)[0]
-    rounding = _ROUNDING * (np.abs(reference).max() + multipliers.sum())
-    return point + move if np.abs(move).max() <= rounding else point
-
-
-def _is_optimal(A: Array, b: Array, point: Array, multipliers: Array) -> bool:
-    """Whether a point reference - A'y, y >= 0, is the projection, to the tolerances."""
-    slack = b - A @ point
-    scale = 1.0 + multipliers @ np.abs(b)
-    return bool(
-        slack.min() >= -FEASIBILITY_TOLERANCE
-        and abs(multipliers @ slack) <= GAP_TOLERANCE * scale
-    )
+def _by_solvers(
+    A: Array, b: Array, reference: Array, num_firm: int
+) -> NearestPoint | None:
+    """Lets one solver after another propose which rows the nearest point touches."""
+    bounds = opened(A, b, num_firm)
+    for solver, options in _solvers():
+        guess = _program(*A.shape).solve(solver, options, A, bounds, reference)
+        for touching in _TOUCHING:
+            near = (bounds - A @ guess < touching).nonzero()[0]
+            on_rows = nearest_by_active_set(A[near], bounds[near], reference)
+            y = np.zeros(len(b))
+            y[near] = on_rows.multipliers
+            solution = ActiveSetSolution(on_rows.point, y, None)
+            if _is_optimal(solution, A, b, bounds, reference):
+                return NearestPoint(solution.point, y)
+    return None
 
 
 class _Program:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.solvers import ClpSolver, MathematicalProgram
 
 from vcbf_drake.errors import Array, SolverError, UnboundedSetError
-from vcbf_drake.safety.active_set import nonnegative_multipliers
+from vcbf_drake.safety.active_set import nearest_by_active_set
 
 # A point that leaves every row, measured as a distance, by no more than this counts as
 # a point of the set [units of u].
@@ -358,7 +358,8 @@ def _balanced_by_others(A: Array, y: Array) -> Array:
     """Restores A'y = 0 on all rows, for rows that are nearly opposite."""
     imbalance = y @ A
     size = float(np.linalg.norm(imbalance)) or 1.0
-    return y + size * nonnegative_multipliers(A, np.zeros(len(A)), -imbalance / size)
+    solution = nearest_by_active_set(A, np.zeros(len(A)), -imbalance / size)
+    return y + size * solution.multipliers
 
 
 def _touching(rows: UnitRows, center: Array, y: Array) -> Array:
