@@ -20,7 +20,8 @@ class EmptySetError(VcbfError):
     Attributes:
         A: The rows, shape (n, m).
         b: The right-hand sides, shape (n,).
-        inradius: The signed Chebyshev radius, negative (in units of u).
+        inradius: The signed Chebyshev radius, negative (in units of u), or that of
+            the rows in conflict alone, which is no less.
         conflict: Indices of rows that exclude each other, where they are known.
     """
 

@@ -20,7 +20,7 @@ from pydrake.systems.framework import (
 
 from vcbf_drake.barriers import Barrier, BarrierSet, StateInputLimit
 from vcbf_drake.disturbances import observer_ports
-from vcbf_drake.errors import Array, SolverError, VcbfError
+from vcbf_drake.errors import Array, EmptySetError, SolverError, VcbfError
 from vcbf_drake.plants import ControlAffineModel
 from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
 from vcbf_drake.safety.ellipsoid import Ellipsoid
@@ -42,8 +42,8 @@ from vcbf_drake.safety.filter_qp import (
 from vcbf_drake.safety.held_rows import HeldRows, Tick
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.methods import method_named
+from vcbf_drake.safety.nearest_point import nearest_point
 from vcbf_drake.safety.packed_feasible_set import pack_feasible_set
-from vcbf_drake.safety.polytope import emptiness_certificate
 from vcbf_drake.safety.volume_barrier import (
     Volume,
     VolumeBarrier,
@@ -334,9 +334,12 @@ class SafetyFilter(LeafSystem):
             b: Their right-hand sides, shape (rows,).
         """
         center, scale = self.input_set.center, self.input_set.scale
-        certificate = emptiness_certificate(A * scale, b - A @ center)
-        rows = () if certificate is None else certificate.rows
-        return tuple(self.row_name(int(row)) for row in rows)
+        num_limits, anywhere = len(self.input_set.b), np.zeros(len(center))
+        try:
+            nearest_point(A * scale, b - A @ center, anywhere, num_limits)
+        except EmptySetError as error:
+            return tuple(self.row_name(row) for row in error.conflict)
+        return ()
 
     def _calc_feasible_set(self, context: Context) -> FeasibleSet:
         seen = None if self._obstacles is None else self._obstacles.Eval(context)

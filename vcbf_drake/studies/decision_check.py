@@ -51,6 +51,7 @@ class Tick:
         exact_slack: Whether volume rows give way by as little as possible.
         policy: What is done where no input satisfies the barriers' rows.
         state: What the rows are of; empty where that is nothing in particular.
+        rates: What the volume rows need beside it; empty where they are given.
     """
 
     input_set: InputSet
@@ -63,6 +64,7 @@ class Tick:
     exact_slack: bool
     policy: InfeasiblePolicy
     state: Array = field(default_factory=lambda: np.zeros(0))
+    rates: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def is_finite(self) -> bool:
@@ -112,7 +114,8 @@ def _broken(tick: Tick, decision: FilterDecision) -> Iterator[str]:
         return
     rows = _Rows.of(tick.input_set, tick.A, tick.b)
     if status == FilterStatus.FAILED:
-        yield UNSOLVED
+        if np.isfinite(tick.rates).all():
+            yield UNSOLVED
     elif status == FilterStatus.INFEASIBLE:
         yield from _broken_when_infeasible(tick, decision, limits, rows, v)
     else:

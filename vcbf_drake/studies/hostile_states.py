@@ -66,6 +66,10 @@ def random_decision(rng: Generator, plant: str) -> tuple[Tick, FilterDecision]:
         exact_slack=True,
         policy=policy,
         state=signals["state"],
+        rates=np.concatenate(
+            [value for name, value in signals.items() if name.endswith("_rate")]
+            or [np.zeros(0)]
+        ),
     )
     return tick, decision
 
