@@ -455,7 +455,7 @@ def test_plateau_needs_no_solve(monkeypatch):
     box = InscribedEllipsoidSolver(InputSet.box([-5.0, 0.0], [5.0, 1.0]))
     triangle_rows = np.array([[1.0, 1.0], [-1.0, 1.0], [0.0, -1.0]]), np.ones(3)
     triangle = InscribedEllipsoidSolver(InputSet(*triangle_rows))
-    monkeypatch.setattr(ellipsoid_solver, "_fast", None)
+    monkeypatch.setattr(InscribedEllipsoidSolver, "_of_rows", None)
     # The first row touches the unit ball, the second cuts a corner of the box only.
     e = box.solve(np.array([[3.0, 4.0], [1.0, 1.0]]), np.array([5.0, 1.5]))
     np.testing.assert_array_equal(e.shape, np.eye(2))

@@ -17,6 +17,8 @@ from vcbf_drake.errors import Array
 ACCEPTED_GAP = 1e-7
 # Newton's method stops below this gap.
 _TARGET_GAP = 1e-9
+# Without any bound after so many steps it hardly ever finds one.
+_PATIENCE = 3
 
 
 @dataclass(frozen=True)
@@ -55,14 +57,14 @@ def polish(
 
     which determines v, and w_i becomes v_i - w_i n_i' d.
 
-    The gap says little of the multipliers: its error is the square of theirs. So what a
-    cone program proposes takes one step at least; what is exact takes none.
+    The gap says little of the multipliers: its error is the square of theirs. So what
+    is only proposed takes one step at least; what is exact takes none.
     """
     best, least = None, math.inf
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         for step in range(8):
             n = A @ frame
-            length = np.sqrt(np.einsum("ij,ij->i", n, n))
+            length = np.sqrt(np.vecdot(n, n))
             n /= length[:, None]
             e = (b - A @ center) / length - 1.0
             w = multipliers * length
@@ -71,7 +73,7 @@ def polish(
                 gap = _gap(n, e, w)
                 if gap < least:
                     best, least = (center, frame, w / length, e), gap
-                if gap <= _TARGET_GAP:
+                if gap <= _TARGET_GAP or (step == _PATIENCE and best is None):
                     break
             on = ((w > 0.0) | (e < 0.0)).nonzero()[0]
             n, e, w = n[on], e[on], w[on]
@@ -129,14 +131,15 @@ def _inside(
     The gap gets the rounding of |B a_i| and b_i - a_i c added, which grows with the
     ratio of the longest to the shortest axis, and that of log det B.
     """
-    axes, lengths, _ = np.linalg.svd(frame)
-    lengths *= 1.0 + e.min()
+    axes, half_lengths, _ = np.linalg.svd(frame)
+    half_lengths *= 1.0 + e.min()
+    root = axes * np.sqrt(half_lengths)
+    lengths = half_lengths.tolist()
     longest, shortest = lengths[0] + math.sqrt(center @ center), lengths[-1]
-    log_det = float(np.log(lengths).sum())
-    rounding = 4e-16 * (len(lengths) * float(longest / shortest) + abs(log_det))
-    half = axes * (0.5 * lengths) @ axes.T
+    log_det = sum(map(math.log, lengths))
+    rounding = 4e-16 * (len(lengths) * longest / shortest + abs(log_det))
     return CertifiedEllipsoid(
-        center, half + half.T, log_det, multipliers, gap + rounding
+        center, root @ root.T, log_det, multipliers, gap + rounding
     )
 
 

@@ -52,23 +52,33 @@ def box_cut_by_row(a: Array, b: float) -> tuple[Array, Array, Array] | None:
         The center (m,), a frame F (m, m) with F F' = B^2, and the multipliers of
         v <= 1, -v <= 1 and the row, (2 m + 1,); None where the form does not apply.
     """
-    size = np.abs(a)
-    entries = size.tolist()
-    s = _reach(entries, b)
-    if min(entries) < _LEAST_ENTRY or s <= 0.0:
+    # Plain floats: NumPy's calls cost more than its arithmetic on a few numbers.
+    entries = a.tolist()
+    sizes = [abs(entry) for entry in entries]
+    s = _reach(sizes, b)
+    if min(sizes) < _LEAST_ENTRY or s <= 0.0:
         return None
-    p = np.minimum(size, s)
-    ratios = [min(entry / s, 1.0) ** 2 for entry in entries]
+    p = [min(size, s) for size in sizes]
+    ratios = [(p_j / s) ** 2 for p_j in p]
     pi = _weight(ratios)
-    y = np.array([_small_root(q * pi * (1.0 - pi)) for q in ratios])
-    kappa, root = pi * (1.0 - pi) / (s * s), np.sqrt(y)
-    frame = ((math.sqrt(1.0 - pi) - 1.0) / pi) * root[:, None] * root
-    frame.flat[:: len(a) + 1] += 1.0
-    frame *= (root / (math.sqrt(kappa) * a))[:, None]
-    towards, mean = a * (0.5 * pi / s), 0.5 * size * (1.0 - y) / p
-    multipliers = np.concatenate([mean - towards, mean + towards, (pi / s,)])
-    center = np.sign(a) * (p / size - 1.0)
-    return center, frame, np.maximum(multipliers, 0.0)
+    y = [_small_root(q * pi * (1.0 - pi)) for q in ratios]
+    t, per_root_kappa = (1.0 - math.sqrt(1.0 - pi)) / pi, s / math.sqrt(pi * (1.0 - pi))
+    root = [math.sqrt(y_j) for y_j in y]
+    frame = [
+        [
+            per_root_kappa * r_i / a_i * ((i == j) - t * r_i * r_j)
+            for j, r_j in enumerate(root)
+        ]
+        for i, (r_i, a_i) in enumerate(zip(root, entries, strict=True))
+    ]
+    each = list(zip(entries, sizes, p, y, strict=True))
+    center = [math.copysign(1.0 - p_j / size, -a_j) for a_j, size, p_j, _ in each]
+    bounds = [
+        0.5 * max(size * (1.0 - y_j) / p_j + side * a_j * pi / s, 0.0)
+        for side in (-1.0, 1.0)
+        for a_j, size, p_j, y_j in each
+    ]
+    return np.array(center), np.array(frame), np.array([*bounds, pi / s])
 
 
 def _reach(entries: list[float], b: float) -> float:
@@ -93,15 +103,16 @@ def _weight(ratios: list[float]) -> float:
     pi = len(ratios) / (len(ratios) + 1.0)
     for _ in range(60):
         rest = pi * (1.0 - pi)
-        y = [_small_root(q * rest) for q in ratios]
-        excess = sum(y) - pi
-        slope = -1.0
-        for q, root in zip(ratios, y, strict=True):
-            slope += q * (1.0 - 2.0 * pi) / max(1.0 - 2.0 * root, 1e-12)
+        excess, slope = -pi, -1.0
+        for q in ratios:
+            root = math.sqrt(max(1.0 - 4.0 * q * rest, 0.0))
+            excess += 2.0 * q * rest / (1.0 + root)
+            slope += q * (1.0 - 2.0 * pi) / max(root, 1e-12)
         low, high = (pi, high) if excess > 0.0 else (low, pi)
         step = -excess / slope if slope < 0.0 else math.inf
-        if abs(step) <= 1e-15 * pi:
-            break
+        # What is left after the step is about its square.
+        if abs(step) <= 1e-9 * pi:
+            return pi + step
         pi = pi + step if low < pi + step < high else 0.5 * (low + high)
     return pi
 

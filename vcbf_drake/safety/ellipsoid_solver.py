@@ -13,6 +13,7 @@ from vcbf_drake.safety.certified_ellipsoid import (
 )
 from vcbf_drake.safety.cone_program import cone_program
 from vcbf_drake.safety.cut_box import box_cut_by_row
+from vcbf_drake.safety.cut_ellipsoid import cut_ellipsoid
 from vcbf_drake.safety.ellipsoid import Ellipsoid, inscribed_ellipsoid
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.polytope import chebyshev_ball
@@ -20,6 +21,8 @@ from vcbf_drake.safety.polytope import chebyshev_ball
 # Of a box cut by rows the cone program reaches this tolerance; one Newton step is then
 # enough.
 _FAST_TOLERANCE = 1e-10
+# Rounding alone does not make a row cut what it touches.
+_MARGIN = 1.0 + 1e-9
 # Cut input sets thinner than this, in normalised inputs, may count as empty: there the
 # rounding of their rows alone can exceed the accepted gap.
 _THINNEST = 1e-7
@@ -31,8 +34,11 @@ class InscribedEllipsoidSolver:
     In normalised inputs v (see `InputSet`). Exact shortcuts come first. When the input
     set's own largest ellipsoid meets every row, it is the answer: the plateau. A row
     with b_i > |a_i|_1 cuts nothing off the bounding box |v_j| <= 1. An input of a box
-    that no other row mentions is an axis of the ellipsoid, of half-length 1. And a box
-    that a single row cuts needs no solver, but the same certificate.
+    that no other row mentions is an axis of the ellipsoid, of half-length 1. A box that
+    a single row cuts has its ellipsoid in closed form, and when that meets the other
+    rows too it is theirs. Else the other rows cut it down, and Newton's method starts
+    from what they leave; a cone program is asked only when it does not get there. All
+    of it needs the same certificate.
 
     Args:
         input_set: The inputs before any row cuts them.
@@ -121,11 +127,7 @@ class InscribedEllipsoidSolver:
             [self._A[own[:, None], cut], normals / length[:, None]]
         )
         block_b = np.concatenate([self._b[own], distance / length])
-        is_cut_once = self._is_box and len(cutting) == 1
-        found: CertifiedEllipsoid | Ellipsoid | None
-        found = (_cut_once if is_cut_once else _fast)(block_A, block_b)
-        if found is None or found.certified_gap > ACCEPTED_GAP:
-            found = inscribed_ellipsoid(block_A, block_b)
+        found = self._of_rows(block_A, block_b)
         center, shape = self._free.center.copy(), self._free.shape.copy()
         center[cut], shape[cut[:, None], cut] = found.center, found.shape
         multipliers = np.zeros(len(rows))
@@ -136,17 +138,45 @@ class InscribedEllipsoidSolver:
             center, shape, found.log_det, multipliers, found.certified_gap, rows
         )
 
+    def _of_rows(self, A: Array, b: Array) -> CertifiedEllipsoid | Ellipsoid:
+        """The largest ellipsoid of unit rows, from the first way that is certified."""
+        ways = [self._of_cut_set, _by_cone_program] if A.shape[1] > 1 else [interval]
+        for way in ways:
+            found = way(A, b)
+            if found is not None and found.certified_gap <= ACCEPTED_GAP:
+                return found
+        return inscribed_ellipsoid(A, b)
 
-def _cut_once(A: Array, b: Array) -> CertifiedEllipsoid | None:
-    """Finds the largest ellipsoid of a box cut by one row, the last."""
-    exact = box_cut_by_row(A[-1], float(b[-1])) if A.shape[1] > 1 else None
-    found = exact and polish(A, b, *exact, is_exact=True)
-    return found or _fast(A, b)
+    def _of_cut_set(self, A: Array, b: Array) -> CertifiedEllipsoid | None:
+        if self._is_box:
+            return _of_cut_box(A, b)
+        return _cut_down(A, b, self._free.center, self._free.shape)
 
 
-def _fast(A: Array, b: Array) -> CertifiedEllipsoid | None:
+def _of_cut_box(A: Array, b: Array) -> CertifiedEllipsoid | None:
+    """Finds the largest ellipsoid of a box, the first 2 m rows, cut by the others."""
+    k, m = 2 * A.shape[1], A.shape[1]
+    deepest = k + int(b[k:].argmin())
+    exact = box_cut_by_row(A[deepest], float(b[deepest]))
+    if exact is None:
+        return _cut_down(A, b, np.zeros(m), np.eye(m))
+    center, frame, touching = exact
+    normals = A[k:] @ frame
+    if (np.sqrt(np.vecdot(normals, normals)) > (b - A @ center)[k:] * _MARGIN).any():
+        return _cut_down(A, b, center, frame)
+    multipliers = np.zeros(len(b))
+    multipliers[:k], multipliers[deepest] = touching[:-1], touching[-1]
+    return polish(A, b, center, frame, multipliers, is_exact=True)
+
+
+def _cut_down(
+    A: Array, b: Array, center: Array, frame: Array
+) -> CertifiedEllipsoid | None:
+    """Finds the largest ellipsoid from that of a set which the rows cut further."""
+    return polish(A, b, *cut_ellipsoid(A, b, center, frame))
+
+
+def _by_cone_program(A: Array, b: Array) -> CertifiedEllipsoid | None:
     """Finds the largest ellipsoid of a set of about unit size around the origin."""
-    if A.shape[1] == 1:
-        return interval(A, b)
     guess = cone_program(*A.shape, _FAST_TOLERANCE).solve(A, b)
     return guess and polish(A, b, *guess)
