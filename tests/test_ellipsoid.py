@@ -7,7 +7,7 @@ from pydrake.geometry.optimization import HPolyhedron
 import pytest
 
 from vcbf_drake.errors import EmptySetError, SolverError, UnboundedSetError, VcbfError
-from vcbf_drake.safety import certified_ellipsoid, cone_program, ellipsoid_solver
+from vcbf_drake.safety import certified_ellipsoid, cone_program
 from vcbf_drake.safety.ellipsoid import inscribed_ellipsoid
 from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver
 from vcbf_drake.safety.input_set import InputSet

@@ -12,13 +12,18 @@ import math
 import numpy as np
 
 from vcbf_drake.errors import Array
+from vcbf_drake.safety.cut_ellipsoid import estimated_weights
 
 # Largest certified error of log det B, hence of the volume's relative error.
 ACCEPTED_GAP = 1e-7
 # Newton's method stops below this gap.
 _TARGET_GAP = 1e-9
 # Without any bound after so many steps it hardly ever finds one.
-_PATIENCE = 3
+_PATIENCE = 4
+# In how many steps multipliers are estimated.
+_ESTIMATES = 3
+# A longer step, in radii of the ellipsoid, is cut to this.
+_LONGEST_STEP = 0.7
 
 
 @dataclass(frozen=True)
@@ -37,7 +42,7 @@ def polish(
     b: Array,
     center: Array,
     frame: Array,
-    multipliers: Array,
+    multipliers: Array | None = None,
     is_exact: bool = False,
 ) -> CertifiedEllipsoid | None:
     """Semismooth Newton's method on the optimality conditions (E42).
@@ -58,9 +63,12 @@ def polish(
     which determines v, and w_i becomes v_i - w_i n_i' d.
 
     The gap says little of the multipliers: its error is the square of theirs. So what
-    is only proposed takes one step at least; what is exact takes none.
+    is only proposed takes one step at least; what is exact takes none. Where nobody
+    proposes multipliers the first steps estimate them, until there is a bound.
     """
-    best, least = None, math.inf
+    m, best, least = len(center), None, math.inf
+    estimates = _ESTIMATES if multipliers is None else 0
+    multipliers = np.zeros(len(b)) if multipliers is None else multipliers
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         for step in range(8):
             n = A @ frame
@@ -76,6 +84,9 @@ def polish(
                 if gap <= _TARGET_GAP or (step == _PATIENCE and best is None):
                     break
             on = ((w > 0.0) | (e < 0.0)).nonzero()[0]
+            if step < estimates and best is None:
+                w = estimated_weights(n, e)
+                on = w.nonzero()[0]
             n, e, w = n[on], e[on], w[on]
             cosine = n @ n.T
             square = cosine * cosine
@@ -90,8 +101,11 @@ def polish(
             d = v @ n
             multipliers = np.zeros(len(b))
             multipliers[on] = np.maximum(v - w * (n @ d), 0.0) / length[on]
-            center = center + frame @ d
-            frame = 1.5 * frame - 0.5 * frame @ ((n.T * (v - we)) @ n)
+            D = (n.T * (0.5 * (we - v))) @ n
+            D.flat[:: m + 1] += 0.5
+            size = math.sqrt(max(np.vdot(D, D), np.vdot(d, d)))
+            scaled = frame * (_LONGEST_STEP / size) if size > _LONGEST_STEP else frame
+            center, frame = center + scaled @ d, frame + scaled @ D
     return best and _inside(*best, least)
 
 

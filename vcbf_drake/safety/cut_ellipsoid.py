@@ -9,16 +9,17 @@ these, tau sigma^(m - 1) is largest for
     sigma^2 = tau z,    tau = (1 - beta^2) z / (z^2 + 1 - 2 beta z),
     z = (sqrt((m - 1)^2 beta^2 + 4 m) - (m - 1) beta) / 2.
 
-What is cut so, row by row, lies within a few per cent of the largest ellipsoid. How it
-should grow from there, by I to I + D and by d, tells which rows will touch: to first
-order they are those with a positive weight in
+What is cut so, row by row, has 0.8 to 0.95 of the largest ellipsoid's volume where two
+rows cut a box and 0.4 to 0.85 where eight do. How it should grow from there, by I to
+I + D and by d, tells which rows will touch: to first order they are those with a
+positive weight in
 
     max  tr D - |D|^2 / 2 - |d|^2 / 2   subject to   n_i'D n_i + n_i'd <= e_i,
 
-whose weights satisfy sum_j ((n_i'n_j)^2 + n_i'n_j) w_j = 1 - e_i where they are positive.
+whose weights satisfy sum_j ((n_i'n_j)^2 + n_i'n_j) w_j = 1 - e_i where they are
+positive.
 
-Source: ours; the ball's cut mirrors that of the ellipsoid method (Grötschel, Lovász,
-Schrijver, Geometric Algorithms and Combinatorial Optimization, 1988, chapter 3).
+Source: ours.
 """
 
 from __future__ import annotations
@@ -33,11 +34,13 @@ from vcbf_drake.errors import Array
 _DEEPEST = -0.9
 # A row that cuts off less than this of the unit ball's radius is left to Newton.
 _SHALLOWEST = 1e-3
+# A row further outside the unit ball than this does not count among its neighbours.
+_FARTHEST = 0.5
 
 
 def cut_ellipsoid(
     A: Array, b: Array, center: Array, frame: Array
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array]:
     """Cuts {center + frame z : |z| <= 1} until it meets every row; see the module.
 
     Args:
@@ -47,23 +50,22 @@ def cut_ellipsoid(
         frame: Shape (m, m).
 
     Returns:
-        The center (m,) and frame (m, m) of an ellipsoid that almost meets the rows,
-        and an estimate of their multipliers (n,) in (E42).
+        The center (m,) and frame (m, m) of an ellipsoid that meets the rows, nearly.
     """
     for _ in range(2 * len(b)):
         normals = A @ frame
         length = np.sqrt(np.vecdot(normals, normals))
         reach = (b - A @ center) / length
-        i = int(reach.argmin())
-        beta = float(reach[i])
-        if beta >= 1.0 - _SHALLOWEST:
+        deepest = int(reach.argmin())
+        beta = float(reach[deepest])
+        if not beta < 1.0 - _SHALLOWEST:
             break
-        along = frame @ (normals[i] / length[i])
-        shift, along_row, across = _cut_ball(max(beta, _DEEPEST), len(center))
-        center = center + shift * along
-        frame = across * frame
-        frame += ((along_row - across) * along)[:, None] * (normals[i] / length[i])
-    return center, frame, _weights(normals / length[:, None], reach - 1.0) / length
+        n = normals[deepest] / length[deepest]
+        shift, tau, sigma = _cut_ball(max(beta, _DEEPEST), len(n))
+        axis = frame @ n
+        center = center + shift * axis
+        frame = sigma * frame + (tau - sigma) * axis[:, None] * n
+    return center, frame
 
 
 def _cut_ball(beta: float, m: int) -> tuple[float, float, float]:
@@ -74,12 +76,19 @@ def _cut_ball(beta: float, m: int) -> tuple[float, float, float]:
     return beta - tau, tau, math.sqrt(tau * z)
 
 
-def _weights(n: Array, e: Array) -> Array:
-    """The rows' weights in the step of the module's text, or close to them."""
+def estimated_weights(n: Array, e: Array) -> Array:
+    """Returns the rows' weights in the module's program, or close to them, (k,).
+
+    Rows with negative weights are left out, the worst first, until there are none.
+
+    Args:
+        n: The rows' unit normals where the ellipsoid is the unit ball, shape (k, m).
+        e: How far outside the ball they lie, shape (k,).
+    """
     cosine = n @ n.T
     matrix = cosine * cosine + cosine
     matrix.flat[:: len(e) + 1] += 1e-9  # Rows may be given twice.
-    on = (e < 1.0).nonzero()[0]
+    on = (e < _FARTHEST).nonzero()[0]
     weights = np.zeros(len(e))
     while len(on) > 0:
         w = np.linalg.solve(matrix[on[:, None], on], 1.0 - e[on])
@@ -87,5 +96,5 @@ def _weights(n: Array, e: Array) -> Array:
         if least >= 0.0:
             weights[on] = w
             break
-        on = on[w > 0.5 * least]
+        on = on[w > 0.7 * least]
     return weights

@@ -21,8 +21,6 @@ from vcbf_drake.safety.polytope import chebyshev_ball
 # Of a box cut by rows the cone program reaches this tolerance; one Newton step is then
 # enough.
 _FAST_TOLERANCE = 1e-10
-# Rounding alone does not make a row cut what it touches.
-_MARGIN = 1.0 + 1e-9
 # Cut input sets thinner than this, in normalised inputs, may count as empty: there the
 # rounding of their rows alone can exceed the accepted gap.
 _THINNEST = 1e-7
@@ -105,7 +103,7 @@ class InscribedEllipsoidSolver:
     def _is_free(self, A: Array, b: Array) -> bool:
         """Whether the input set's own ellipsoid meets every row."""
         if self._is_box:
-            return bool((np.sqrt(np.einsum("ij,ij->i", A, A)) <= b).all())
+            return bool((np.sqrt(np.vecdot(A, A)) <= b).all())
         length = np.linalg.norm(A @ self._free.shape, axis=1)
         return bool((length + A @ self._free.center <= b).all())
 
@@ -120,7 +118,7 @@ class InscribedEllipsoidSolver:
             cut = normals.any(axis=0).nonzero()[0]
             own = np.concatenate([cut, m + cut])
         normals = normals[:, cut]
-        length = np.sqrt(np.einsum("ij,ij->i", normals, normals))
+        length = np.sqrt(np.vecdot(normals, normals))
         if not (length.all() and np.isfinite(length + distance).all()):
             return inscribed_ellipsoid(rows, bounds)
         block_A = np.concatenate(
@@ -161,12 +159,18 @@ def _of_cut_box(A: Array, b: Array) -> CertifiedEllipsoid | None:
     if exact is None:
         return _cut_down(A, b, np.zeros(m), np.eye(m))
     center, frame, touching = exact
-    normals = A[k:] @ frame
-    if (np.sqrt(np.vecdot(normals, normals)) > (b - A @ center)[k:] * _MARGIN).any():
+    if len(b) > k + 1 and not _meets(A[k:], b[k:], center, frame):
         return _cut_down(A, b, center, frame)
     multipliers = np.zeros(len(b))
     multipliers[:k], multipliers[deepest] = touching[:-1], touching[-1]
     return polish(A, b, center, frame, multipliers, is_exact=True)
+
+
+def _meets(A: Array, b: Array, center: Array, frame: Array) -> bool:
+    """Whether an ellipsoid meets every row, but for the rounding where it touches."""
+    normals = A @ frame
+    length = np.sqrt(np.vecdot(normals, normals))
+    return bool((length + A @ center <= b + 1e-12 * (length + np.abs(b))).all())
 
 
 def _cut_down(
