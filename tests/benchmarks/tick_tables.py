@@ -14,6 +14,11 @@ VARIATIONS = {
     ],
     "inputs": [{"num_inputs": m, "num_cutting": 2} for m in (1, 2, 3, 4, 5, 6)],
     "states": [{"num_states": n} for n in (6, 9, 12, 18)],
+    "ticks whose volume row gives way, and ticks without an input": [
+        {"method": "dob-vcbf-qp", "room": 0.003},
+        {"method": "dob-vcbf-qp", "room": -0.05},
+        {"method": "dob-cbf-qp", "room": -0.05},
+    ],
     "method": [
         {"method": method, "num_cutting": cutting}
         for method in ("cbf-qp", "dob-cbf-qp", "dob-vcbf-qp")

@@ -12,9 +12,10 @@ from pydrake.symbolic import Expression, MakeVectorVariable
 from vcbf_drake.barriers import Barrier
 from vcbf_drake.barriers.formula import as_expressions
 from vcbf_drake.disturbances import observer_ports
-from vcbf_drake.errors import Array
+from vcbf_drake.errors import Array, EmptySetError
 from vcbf_drake.plants import ControlAffineModel
 from vcbf_drake.safety import InputSet, SafetyFilter
+from vcbf_drake.safety.ellipsoid import Ellipsoid
 from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver
 
 STAGES = ("rows", "feasible set", "ellipsoid", "volume", "QP", "tick")
@@ -22,12 +23,15 @@ STAGES = ("rows", "feasible set", "ellipsoid", "volume", "QP", "tick")
 _GAINS = (4.0, 3.0)
 # The filter's own ticks are told apart by positions this far from each other [m].
 _JITTER = 1e-3
+# What the observer's ports say, estimate, bound and rates.
+_ERROR_BOUND = 0.01
 
 
 def tick_times(
     num_inputs: int = 3,
     num_obstacles: int = 3,
     num_cutting: int = 2,
+    room: float | None = None,
     num_states: int | None = None,
     method: str = "dob-vcbf-qp",
     ticks: int = 200,
@@ -46,13 +50,17 @@ def tick_times(
         num_inputs: m.
         num_obstacles: N, one barrier row each.
         num_cutting: How many of them cut the box of inputs; 0 is the plateau.
+        room: When given, the first two cutting obstacles face each other and leave a
+            slab of inputs of this half-width, at most 1: near 0 the volume row gives
+            way, and below it there is no input left.
         num_states: n, at least 2 m; the states beyond 2 m act on the accelerations.
         method: One of `vcbf_drake.safety.METHODS`.
         ticks: How many ticks are measured, after as many that are not.
         seed: Of the obstacles' places and of the ticks' positions.
 
     Raises:
-        ValueError: Fewer states than 2 m, or more cutting obstacles than obstacles.
+        ValueError: Fewer states than 2 m, more cutting obstacles than obstacles, or
+            room without two cutting obstacles.
     """
     num_states = num_states or 2 * num_inputs
     if num_states < 2 * num_inputs or not 0 <= num_cutting <= num_obstacles:
@@ -61,9 +69,14 @@ def tick_times(
             f" {num_obstacles} obstacles cutting: needs 2 states an input or more, and"
             " no more cutting obstacles than obstacles"
         )
+    if room is not None and (num_cutting < 2 or not room <= 1.0):
+        raise ValueError(
+            f"room {room:g} with {num_cutting} cutting obstacles: it is at most 1, and"
+            " between two"
+        )
     generator = np.random.default_rng(seed)
     model = point_mass(num_inputs, num_states)
-    barriers = _balls(num_inputs, num_obstacles, num_cutting, generator)
+    barriers = _balls(num_inputs, num_obstacles, num_cutting, generator, room)
     box = InputSet.box(-np.ones(num_inputs), np.ones(num_inputs))
     safety_filter = SafetyFilter(model, barriers, box, method=method, estimate_gain=4.0)
     solver = InscribedEllipsoidSolver(box)
@@ -100,7 +113,11 @@ def point_mass(num_inputs: int, num_states: int) -> ControlAffineModel:
 
 
 def _balls(
-    m: int, count: int, cutting: int, generator: np.random.Generator
+    m: int,
+    count: int,
+    cutting: int,
+    generator: np.random.Generator,
+    room: float | None = None,
 ) -> list[Barrier]:
     """Balls around the origin, some so near that their rows cut the box |u_j| <= 1.
 
@@ -114,11 +131,17 @@ def _balls(
 
     balls = []
     for i in range(count):
-        distance, beta = (4.0, generator.uniform(0.3, 0.8)) if i < cutting else (40, 9)
+        distance, beta = 40.0, 6.75
+        if i < cutting:
+            distance, beta = 4.0, generator.uniform(0.225, 0.6)
         direction = generator.normal(size=m)
         # All to one side, as obstacles ahead are: what they leave is never narrow.
         direction = np.abs(direction) / np.linalg.norm(direction)
-        square = distance**2 - 2.0 * beta * distance / _GAINS[0]
+        if room is not None and i < 2:
+            # The rows keep the error bound as a reserve.
+            beta = room + _ERROR_BOUND
+            direction = (1 - 2 * i) * np.full(m, m**-0.5)
+        square = distance**2 - 2.0 * beta * distance / _GAINS[1]
         parameters = [*(distance * direction), square]
         balls.append(Barrier(function, _GAINS, parameters, name=f"ball {i + 1}"))
     return balls
@@ -137,11 +160,18 @@ def _stages(
     if safety_filter.method.volume:
         k = feasible.num_input_rows
         A, b = feasible.A_v[k:], feasible.b_v[k:]
-        ellipsoid, _ = _timed(lambda: solver.solve(A, b))
+        ellipsoid, _ = _timed(lambda: _solved(solver, A, b))
         volume, _ = _timed(lambda: safety_filter.volume(apart))
     qp, _ = _timed(lambda: safety_filter.decision(apart))
     times = rows, feasible_set, ellipsoid, volume, qp, tick
     return dict(zip(STAGES, times, strict=True))
+
+
+def _solved(solver: InscribedEllipsoidSolver, A: Array, b: Array) -> Ellipsoid | None:
+    try:
+        return solver.solve(A, b)
+    except EmptySetError:
+        return None
 
 
 def _context(safety_filter: SafetyFilter, state: Array) -> Any:
@@ -154,7 +184,7 @@ def _context(safety_filter: SafetyFilter, state: Array) -> Any:
     }
     for name, size in observer_ports(model.num_disturbances):
         if safety_filter.HasInputPort(name):
-            values[name] = np.full(size, 0.01)
+            values[name] = np.full(size, _ERROR_BOUND)
     for name, value in values.items():
         safety_filter.GetInputPort(name).FixValue(context, value)
     return context
