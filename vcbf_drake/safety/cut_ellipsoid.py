@@ -30,8 +30,8 @@ import numpy as np
 
 from vcbf_drake.errors import Array
 
-# A row further into the unit ball than this is cut again rather than at once.
-_DEEPEST = -0.9
+# Past this the cut ball says little of what the rows leave: they face each other.
+_DEEPEST = -0.7
 # A row that cuts off less than this of the unit ball's radius is left to Newton.
 _SHALLOWEST = 1e-3
 # A row further outside the unit ball than this does not count among its neighbours.
@@ -40,7 +40,7 @@ _FARTHEST = 0.5
 
 def cut_ellipsoid(
     A: Array, b: Array, center: Array, frame: Array
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array] | None:
     """Cuts {center + frame z : |z| <= 1} until it meets every row; see the module.
 
     Args:
@@ -50,7 +50,8 @@ def cut_ellipsoid(
         frame: Shape (m, m).
 
     Returns:
-        The center (m,) and frame (m, m) of an ellipsoid that meets the rows, nearly.
+        The center (m,) and frame (m, m) of an ellipsoid that meets the rows, nearly;
+        None where a row leaves less than a sixth of an ellipsoid's width.
     """
     for _ in range(2 * len(b)):
         normals = A @ frame
@@ -58,10 +59,12 @@ def cut_ellipsoid(
         reach = (b - A @ center) / length
         deepest = int(reach.argmin())
         beta = float(reach[deepest])
-        if not beta < 1.0 - _SHALLOWEST:
+        if beta >= 1.0 - _SHALLOWEST:
             break
+        if not beta >= _DEEPEST:
+            return None
         n = normals[deepest] / length[deepest]
-        shift, tau, sigma = _cut_ball(max(beta, _DEEPEST), len(n))
+        shift, tau, sigma = _cut_ball(beta, len(n))
         axis = frame @ n
         center = center + shift * axis
         frame = sigma * frame + (tau - sigma) * axis[:, None] * n

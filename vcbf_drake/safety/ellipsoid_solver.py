@@ -177,7 +177,8 @@ def _cut_down(
     A: Array, b: Array, center: Array, frame: Array
 ) -> CertifiedEllipsoid | None:
     """Finds the largest ellipsoid from that of a set which the rows cut further."""
-    return polish(A, b, *cut_ellipsoid(A, b, center, frame))
+    start = cut_ellipsoid(A, b, center, frame)
+    return start and polish(A, b, *start)
 
 
 def _by_cone_program(A: Array, b: Array) -> CertifiedEllipsoid | None:
