@@ -19,11 +19,7 @@ ACCEPTED_GAP = 1e-7
 # Newton's method stops below this gap.
 _TARGET_GAP = 1e-9
 # Without any bound after so many steps it hardly ever finds one.
-_PATIENCE = 4
-# In how many steps multipliers are estimated.
-_ESTIMATES = 3
-# A longer step, in radii of the ellipsoid, is cut to this.
-_LONGEST_STEP = 0.7
+_PATIENCE = 3
 
 
 @dataclass(frozen=True)
@@ -64,11 +60,11 @@ def polish(
 
     The gap says little of the multipliers: its error is the square of theirs. So what
     is only proposed takes one step at least; what is exact takes none. Where nobody
-    proposes multipliers the first steps estimate them, until there is a bound.
+    proposes multipliers, every step estimates them until there is a bound.
     """
-    m, best, least = len(center), None, math.inf
-    estimates = _ESTIMATES if multipliers is None else 0
-    multipliers = np.zeros(len(b)) if multipliers is None else multipliers
+    best, least = None, math.inf
+    is_proposed = multipliers is not None
+    multipliers = multipliers if is_proposed else np.zeros(len(b))
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         for step in range(8):
             n = A @ frame
@@ -83,8 +79,9 @@ def polish(
                     best, least = (center, frame, w / length, e), gap
                 if gap <= _TARGET_GAP or (step == _PATIENCE and best is None):
                     break
-            on = ((w > 0.0) | (e < 0.0)).nonzero()[0]
-            if step < estimates and best is None:
+            if is_proposed or best is not None:
+                on = ((w > 0.0) | (e < 0.0)).nonzero()[0]
+            else:
                 w = estimated_weights(n, e)
                 on = w.nonzero()[0]
             n, e, w = n[on], e[on], w[on]
@@ -101,11 +98,8 @@ def polish(
             d = v @ n
             multipliers = np.zeros(len(b))
             multipliers[on] = np.maximum(v - w * (n @ d), 0.0) / length[on]
-            D = (n.T * (0.5 * (we - v))) @ n
-            D.flat[:: m + 1] += 0.5
-            size = math.sqrt(max(np.vdot(D, D), np.vdot(d, d)))
-            scaled = frame * (_LONGEST_STEP / size) if size > _LONGEST_STEP else frame
-            center, frame = center + scaled @ d, frame + scaled @ D
+            center = center + frame @ d
+            frame = 1.5 * frame - 0.5 * frame @ ((n.T * (v - we)) @ n)
     return best and _inside(*best, least)
 
 
