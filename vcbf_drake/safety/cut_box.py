@@ -37,7 +37,7 @@ import numpy as np
 
 from vcbf_drake.errors import Array
 
-# A row that mentions an input by less than this is left to the cone program.
+# A row that mentions an input by less than this has no closed form here.
 _LEAST_ENTRY = 1e-4
 
 

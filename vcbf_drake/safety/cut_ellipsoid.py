@@ -51,7 +51,7 @@ def cut_ellipsoid(
 
     Returns:
         The center (m,) and frame (m, m) of an ellipsoid that meets the rows, nearly;
-        None where a row leaves less than a sixth of an ellipsoid's width.
+        None where a row leaves less than 15 % of an ellipsoid's width.
     """
     for _ in range(2 * len(b)):
         normals = A @ frame

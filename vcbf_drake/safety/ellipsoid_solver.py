@@ -18,7 +18,7 @@ from vcbf_drake.safety.ellipsoid import Ellipsoid, inscribed_ellipsoid
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.polytope import chebyshev_ball
 
-# Of a box cut by rows the cone program reaches this tolerance; one Newton step is then
+# Of a set of unit size the cone program reaches this tolerance; one Newton step is then
 # enough.
 _FAST_TOLERANCE = 1e-10
 # Cut input sets thinner than this, in normalised inputs, may count as empty: there the
