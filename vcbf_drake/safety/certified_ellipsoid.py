@@ -17,7 +17,7 @@ from vcbf_drake.safety.cut_ellipsoid import estimated_weights
 # Largest certified error of log det B, hence of the volume's relative error.
 ACCEPTED_GAP = 1e-7
 # Newton's method stops below this gap.
-_TARGET_GAP = 1e-9
+TARGET_GAP = 1e-9
 # Without any bound after so many steps it hardly ever finds one.
 _PATIENCE = 3
 
@@ -77,7 +77,7 @@ def polish(
                 gap = _gap(n, e, w)
                 if gap < least:
                     best, least = (center, frame, w / length, e), gap
-                if gap <= _TARGET_GAP or (step == _PATIENCE and best is None):
+                if gap <= TARGET_GAP or (step == _PATIENCE and best is None):
                     break
             if is_proposed or best is not None:
                 on = ((w > 0.0) | (e < 0.0)).nonzero()[0]

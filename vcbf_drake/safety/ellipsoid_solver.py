@@ -7,6 +7,7 @@ import numpy as np
 from vcbf_drake.errors import Array, EmptySetError, SolverError
 from vcbf_drake.safety.certified_ellipsoid import (
     ACCEPTED_GAP,
+    TARGET_GAP,
     CertifiedEllipsoid,
     interval,
     polish,
@@ -137,12 +138,17 @@ class InscribedEllipsoidSolver:
         )
 
     def _of_rows(self, A: Array, b: Array) -> CertifiedEllipsoid | Ellipsoid:
-        """The largest ellipsoid of unit rows, from the first way that is certified."""
+        """The largest ellipsoid of unit rows, by the first way that makes it exact."""
         ways = [self._of_cut_set, _by_cone_program] if A.shape[1] > 1 else [interval]
+        best: CertifiedEllipsoid | None = None
         for way in ways:
             found = way(A, b)
-            if found is not None and found.certified_gap <= ACCEPTED_GAP:
-                return found
+            if best is None or (found and found.certified_gap < best.certified_gap):
+                best = found
+            if best and best.certified_gap <= TARGET_GAP:
+                return best
+        if best and best.certified_gap <= ACCEPTED_GAP:
+            return best
         return inscribed_ellipsoid(A, b)
 
     def _of_cut_set(self, A: Array, b: Array) -> CertifiedEllipsoid | None:
