@@ -137,8 +137,7 @@ def _is_optimal(
 ) -> bool:
     """Whether a point meets the opened rows, and no point of the set is much nearer.
 
-    With v = reference - A'y - e, every z with ``A z <= b`` has, by convexity,
-    |z - reference|^2 / 2 >= |v - reference|^2 / 2 - y'(b - A v) - |e|^2 / 2.
+    No point z with ``A z <= b`` is nearer than (E78) allows.
     """
     v, y = found.point, found.multipliers
     product, pull = A @ v, reference - v
