@@ -165,3 +165,13 @@ def test_the_checker_finds_what_is_not_true(kind):
             assert broken & set(expected), (number, expected, broken)
             found += 1
     assert found > 10
+
+
+def test_a_failure_is_counted_only_where_all_data_are_numbers():
+    example = make_example(2, ALL_KINDS.index("generic"))
+    failed = forged(
+        example.decision, status=FilterStatus.FAILED, slack=0.0, conflict=()
+    )
+    assert broken_promises(example.tick, failed) == (UNSOLVED,)
+    without_rates = dataclasses.replace(example.tick, rates=np.array([0.1, np.nan]))
+    assert broken_promises(without_rates, failed) == ()
