@@ -65,7 +65,7 @@ def bench_figure(results: Mapping[str, Any]) -> Any:
         row += _HEADING
         for route in task["routes"]:
             labels[row] = route["name"]
-            color = _OURS if route is task["routes"][0] else _OTHERS
+            color = _OURS if route["rows"] == "derived" else _OTHERS
             _draw_time(times, row, route, color)
             _draw_error(errors, row, route, color)
             row += 1.0
@@ -83,12 +83,18 @@ def bench_figure(results: Mapping[str, Any]) -> Any:
     return figure
 
 
+def _times(ratio: float) -> str:
+    if ratio == 1.0:
+        return ""
+    return f"×{ratio:.0f}" if ratio > 99.0 else f"×{ratio:.2g}"
+
+
 def _draw_time(axes: Any, row: float, route: Mapping[str, Any], color: str) -> None:
     median, last = route["median_ms"], route["p99_ms"] or route["median_ms"]
     axes.hlines(row, median, last, color=color, lw=1.0)
     axes.plot([median], [row], "o", ms=4.5, color=color)
     axes.annotate(
-        "" if route["ratio"] == 1.0 else f"×{route['ratio']:.2g}",
+        _times(route["ratio"]),
         (max(last, median), row),
         xytext=(5, 0),
         textcoords="offset points",

@@ -74,10 +74,11 @@ def _task(task: Task, chosen: Sequence[Instance], step: Callable[[], None]) -> N
 
     def measure(function: Any) -> Numbers:
         found, spent = [], []
+        prepare = getattr(function, "prepare", _as_they_are)
         for each in chosen[:_WARM_UP]:
-            function(*task.arguments(each))
+            function(*prepare(*task.arguments(each)))
         for each in chosen:
-            arguments = task.arguments(each)
+            arguments = prepare(*task.arguments(each))
             started = time.process_time()
             found.append(function(*arguments))
             spent.append(1e3 * (time.process_time() - started))
@@ -103,6 +104,10 @@ def _task(task: Task, chosen: Sequence[Instance], step: Callable[[], None]) -> N
         "error_unit": task.error_unit,
         **_compared(task.routes, measure, step),
     }
+
+
+def _as_they_are(*arguments: Any) -> tuple[Any, ...]:
+    return arguments
 
 
 def _run(duration: float, step: Callable[[], None]) -> Numbers:

@@ -25,7 +25,8 @@ class Route:
         rows: Where the barriers' rows come from: ``derived`` from the system, by
             ``autodiff``, or written ``by hand``.
         make: Returns the function, a Filter or a VolumeGradient; raises ImportError
-            when a package is missing.
+            when a package is missing. A method `prepare` of it makes, unmeasured, what
+            it is called with from the task's arguments.
         package: The package to be named with its version; empty for Drake itself.
     """
 

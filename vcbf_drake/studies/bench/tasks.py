@@ -120,7 +120,10 @@ TASKS = (
     Task(
         name="vcbf_qp_tick",
         title="VCBF-QP: rows, ellipsoid, gradient, QP",
-        routes=VOLUME_FILTERS,
+        routes=(
+            *VOLUME_FILTERS,
+            Route("ours: ellipsoid, QP alone", "derived", ours.SolversAlone),
+        ),
         arguments=_state_and_reference,
         answer=lambda each: reference.volume_filtered_input(each.state, each.reference),
         error=_input_error,
