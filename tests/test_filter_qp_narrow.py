@@ -14,27 +14,10 @@ from vcbf_drake.safety.feasible_set import feasible_set
 from vcbf_drake.safety.filter_qp import VolumeRow, choose_input
 from vcbf_drake.safety.linear_program import minimise_linear
 from vcbf_drake.safety.nearest_point import nearest_point
+from vcbf_drake.studies.first_order_optimality import solve_exactly
 from vcbf_drake.studies.property_campaign import make_example
 
 SQUARE = np.vstack([np.eye(2), -np.eye(2)])
-
-
-def solved(matrix, right):
-    """Gauss and Jordan in rationals; None for a singular matrix."""
-    rows = [[*row, value] for row, value in zip(matrix, right, strict=True)]
-    for i in range(len(rows)):
-        pivot = next((k for k in range(i, len(rows)) if rows[k][i]), None)
-        if pivot is None:
-            return None
-        rows[i], rows[pivot] = rows[pivot], rows[i]
-        rows[i] = [value / rows[i][i] for value in rows[i]]
-        for k in range(len(rows)):
-            if k != i:
-                factor = rows[k][i]
-                rows[k] = [
-                    x - factor * y for x, y in zip(rows[k], rows[i], strict=True)
-                ]
-    return [row[-1] for row in rows]
 
 
 def exact_projection(A, b, reference):
@@ -48,7 +31,7 @@ def exact_projection(A, b, reference):
     for size in range(len(r) + 1):
         for active in combinations(range(len(b)), size):
             gram = [[dot(A[i], A[j]) for j in active] for i in active]
-            y = solved(gram, [dot(A[i], r) - b[i] for i in active])
+            y = solve_exactly(gram, [dot(A[i], r) - b[i] for i in active])
             if y is None or min(y, default=0) < 0:
                 continue
             columns = zip(*(A[i] for i in active), strict=True) if active else ()

@@ -95,7 +95,7 @@ def _in_rationals(
             continue
         rows = [_rational(G[i]) for i in choice]
         gram = [[_dot(a, b) for b in rows] for a in rows]
-        y = _solve(gram, [-_dot(row, g) for row in rows])
+        y = solve_exactly(gram, [-_dot(row, g) for row in rows])
         if y is None or min(y) < 0:
             continue
         columns = zip(*rows, strict=True)
@@ -122,8 +122,15 @@ def _dot(a: _Rational, b: _Rational) -> Fraction:
     return sum((x * y for x, y in zip(a, b, strict=True)), Fraction(0))
 
 
-def _solve(matrix: Sequence[_Rational], right: _Rational) -> _Rational | None:
-    """Gauss and Jordan; None for a singular matrix."""
+def solve_exactly(matrix: Sequence[_Rational], right: _Rational) -> _Rational | None:
+    """Solves a linear system in rationals; None for a singular matrix.
+
+    By Gauss and Jordan.
+
+    Args:
+        matrix: Its rows.
+        right: The right-hand side.
+    """
     rows = [[*row, value] for row, value in zip(matrix, right, strict=True)]
     for i in range(len(rows)):
         pivot = next((k for k in range(i, len(rows)) if rows[k][i]), None)
