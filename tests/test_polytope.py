@@ -3,12 +3,10 @@ import pytest
 from scipy.optimize import linprog
 
 from vcbf_drake.errors import SolverError, UnboundedSetError
-from vcbf_drake.safety import polytope
-from vcbf_drake.safety.polytope import (
-    chebyshev_ball,
-    emptiness_certificate,
-    recession_direction,
-)
+from vcbf_drake.safety import chebyshev
+from vcbf_drake.safety.chebyshev import chebyshev_ball
+from vcbf_drake.safety.emptiness import emptiness_certificate
+from vcbf_drake.safety.recession import recession_direction
 
 BOX = np.vstack([np.eye(2), -np.eye(2)])
 
@@ -273,7 +271,7 @@ def test_what_cannot_be_verified_is_not_returned(monkeypatch):
     def astray(rows, ball, frame, resolution):
         return np.array([5.0, 5.0]), np.zeros(len(rows.b)), False
 
-    monkeypatch.setattr(polytope, "_chebyshev_program", astray)
+    monkeypatch.setattr(chebyshev, "_chebyshev_program", astray)
     with pytest.raises(SolverError, match="no verified Chebyshev ball") as raised:
         chebyshev_ball(*EMPTY)
     np.testing.assert_array_equal(raised.value.A, EMPTY[0])
@@ -295,6 +293,6 @@ def test_a_solver_that_gives_up_is_not_believed(monkeypatch):
         def GetSolution(self, variables):
             return np.zeros(len(variables))
 
-    monkeypatch.setattr(polytope, "ClpSolver", GivesUp)
+    monkeypatch.setattr(chebyshev, "ClpSolver", GivesUp)
     with pytest.raises(SolverError, match=r"no Chebyshev ball \(out of time\)"):
         chebyshev_ball(BOX, np.ones(4))

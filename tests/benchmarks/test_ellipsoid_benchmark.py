@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from vcbf_drake.safety.chebyshev import chebyshev_ball
 from vcbf_drake.safety.ellipsoid import inscribed_ellipsoid
 from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver
+from vcbf_drake.safety.emptiness import emptiness_certificate
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.polytope import chebyshev_ball, emptiness_certificate
 
 # The last input, like the blimp's yaw moment, is in no row.
 A = np.array([[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0], [0.3, -0.9, 0.0]])

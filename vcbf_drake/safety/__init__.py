@@ -7,8 +7,10 @@ from vcbf_drake.safety.add_safety_filter import (
     BetweenTicks,
 )
 from vcbf_drake.safety.assumptions import Assumption, assumptions
+from vcbf_drake.safety.chebyshev import chebyshev_ball
 from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
 from vcbf_drake.safety.ellipsoid import Ellipsoid, inscribed_ellipsoid
+from vcbf_drake.safety.emptiness import Emptiness, emptiness_certificate
 from vcbf_drake.safety.feasibility_measure import MEASURES, FeasibilityMeasure
 from vcbf_drake.safety.feasible_set import (
     DisturbanceKnowledge,
@@ -27,11 +29,6 @@ from vcbf_drake.safety.methods import METHODS, Method
 from vcbf_drake.safety.packed_feasible_set import (
     PackedFeasibleSet,
     unpack_feasible_set,
-)
-from vcbf_drake.safety.polytope import (
-    Emptiness,
-    chebyshev_ball,
-    emptiness_certificate,
 )
 from vcbf_drake.safety.safety_filter import SafetyFilter
 from vcbf_drake.safety.volume_barrier import Volume, VolumeBarrier

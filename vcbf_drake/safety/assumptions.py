@@ -11,7 +11,7 @@ from pydrake.systems.framework import Context
 
 from vcbf_drake.barriers import Barrier, BarrierRows
 from vcbf_drake.disturbances import DisturbanceObserver, RiseObserver
-from vcbf_drake.safety.polytope import recession_direction
+from vcbf_drake.safety.recession import recession_direction
 from vcbf_drake.safety.safety_filter import SafetyFilter
 
 

@@ -21,13 +21,10 @@ from vcbf_drake.safety.certified_ellipsoid import (
     interval,
     polish,
 )
+from vcbf_drake.safety.chebyshev import dikin_frame, largest_ball
 from vcbf_drake.safety.cone_program import cone_program
-from vcbf_drake.safety.polytope import (
-    UnitRows,
-    dikin_frame,
-    largest_ball,
-    recession_direction,
-)
+from vcbf_drake.safety.recession import recession_direction
+from vcbf_drake.safety.unit_rows import UnitRows
 
 # Of any polytope the cone program reaches this tolerance; two or three Newton steps
 # are then enough.

@@ -12,12 +12,12 @@ from vcbf_drake.safety.certified_ellipsoid import (
     interval,
     polish,
 )
+from vcbf_drake.safety.chebyshev import chebyshev_ball
 from vcbf_drake.safety.cone_program import cone_program
 from vcbf_drake.safety.cut_box import box_cut_by_row
 from vcbf_drake.safety.cut_ellipsoid import cut_ellipsoid
 from vcbf_drake.safety.ellipsoid import Ellipsoid, inscribed_ellipsoid
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.polytope import chebyshev_ball
 
 # Of a set of unit size the cone program reaches this tolerance; one Newton step is then
 # enough.

@@ -6,9 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vcbf_drake.errors import Array, EmptySetError, UnboundedSetError, VcbfError
+from vcbf_drake.safety.chebyshev import chebyshev_ball
 from vcbf_drake.safety.linear_program import minimise_linear
 from vcbf_drake.safety.nearest_point import nearest_point
-from vcbf_drake.safety.polytope import UnitRows, chebyshev_ball, recession_direction
+from vcbf_drake.safety.recession import recession_direction
+from vcbf_drake.safety.unit_rows import UnitRows
 
 # A point this many input ranges away is as good as one infinitely far.
 _FARTHEST = 1e6

@@ -11,7 +11,8 @@ import numpy as np
 from pydrake.solvers import ClpSolver, MathematicalProgram
 
 from vcbf_drake.errors import Array
-from vcbf_drake.safety.polytope import Ball, UnitRows, largest_ball
+from vcbf_drake.safety.chebyshev import Ball, largest_ball
+from vcbf_drake.safety.unit_rows import UnitRows
 
 # Verified to this, a ball of a set of about unit size is exact enough for a tick.
 _ACCEPTED_GAP = 1e-9

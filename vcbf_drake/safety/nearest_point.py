@@ -19,7 +19,7 @@ from pydrake.solvers import (
 
 from vcbf_drake.errors import Array, EmptySetError, SolverError
 from vcbf_drake.safety.active_set import ActiveSetSolution, nearest_by_active_set
-from vcbf_drake.safety.polytope import Emptiness, emptiness_certificate
+from vcbf_drake.safety.emptiness import Emptiness, emptiness_certificate
 from vcbf_drake.safety.unit_length import of_unit_length
 
 # No row is left by more than this, measured as a distance, once the point is projected
