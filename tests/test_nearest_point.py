@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 import quadprog
 
-from vcbf_drake.errors import EmptySetError
+from vcbf_drake.errors import EmptySetError, SolverError
 from vcbf_drake.safety import nearest_point as nearest_point_module
-from vcbf_drake.safety.nearest_point import nearest_point
+from vcbf_drake.safety.active_set import ActiveSetSolution
+from vcbf_drake.safety.nearest_point import nearest_point, nearest_point_by_active_set
 
 
 def random_problem(rng, kind):
@@ -119,8 +120,9 @@ def test_a_row_without_coefficients_is_empty_only_when_its_bound_is_negative():
     A = np.array([[1.0], [-1.0], [0.0]])
     far = np.array([5.0])
     assert nearest_point(A, np.array([1.0, 1.0, 0.0]), far).point == pytest.approx(1.0)
-    with pytest.raises(EmptySetError):
+    with pytest.raises(EmptySetError) as caught:
         nearest_point(A, np.array([1.0, 1.0, -1e-3]), far)
+    assert caught.value.inradius == -np.inf
     # One such row is enough, whatever the others of its kind say.
     A = np.vstack([A, [0.0]])
     for bounds in ([1.0, 1.0, -1e-3, 5.0], [1.0, 1.0, 5.0, -1e-3]):
@@ -128,12 +130,16 @@ def test_a_row_without_coefficients_is_empty_only_when_its_bound_is_negative():
             nearest_point(A, np.array(bounds), far)
 
 
+SOLVERS = nearest_point_module._solvers()
+
+
+@pytest.mark.parametrize("solver", range(len(SOLVERS)))
 @pytest.mark.parametrize("kind", ["plain", "badly scaled rows"])
-def test_the_solvers_find_what_the_active_set_would(kind, monkeypatch):
-    """When it gives up, on sets that are not empty."""
-    monkeypatch.setattr(
-        nearest_point_module, "nearest_point_by_active_set", lambda *_: None
-    )
+def test_each_solver_finds_what_the_active_set_would(kind, solver, monkeypatch):
+    """When it gives up on all rows, on sets that are not empty."""
+    nothing = None, None
+    monkeypatch.setattr(nearest_point_module, "_by_active_set", lambda *_: nothing)
+    monkeypatch.setattr(nearest_point_module, "_solvers", lambda: [SOLVERS[solver]])
     rng = np.random.default_rng([9, len(kind)])
     solved = 0
     for _ in range(60):
@@ -143,8 +149,57 @@ def test_the_solvers_find_what_the_active_set_would(kind, monkeypatch):
             continue
         solved += 1
         found = nearest_point(A, b, reference)
-        np.testing.assert_allclose(found.point, expected, atol=1e-8)
+        # Rows are opened by 6e-10; where two meet at a narrow angle that is more.
+        np.testing.assert_allclose(found.point, expected, atol=1e-7)
         np.testing.assert_allclose(
             reference - found.multipliers @ A, found.point, atol=1e-9
         )
+        assert found.multipliers.min() >= 0.0
     assert solved > 20
+
+
+def test_what_a_solver_proposes_is_believed_only_when_it_is_optimal(monkeypatch):
+    class Elsewhere:
+        def Solve(self, program, guess, options):
+            return self
+
+        def get_x_val(self):
+            return np.array([0.0, 0.3])  # On the second row, which is not in the way.
+
+    nothing = None, None
+    monkeypatch.setattr(nearest_point_module, "_by_active_set", lambda *_: nothing)
+    monkeypatch.setattr(nearest_point_module, "_solvers", lambda: [(Elsewhere(), None)])
+    A, b = np.eye(2), np.array([0.5, 0.3])
+    with pytest.raises(SolverError, match="verified"):
+        nearest_point(A, b, np.array([1.0, 0.0]))
+
+
+@pytest.mark.parametrize(
+    ("point", "is_accepted"),
+    [
+        ((0.0, 0.0), True),
+        ((0.5e-10, 0.0), True),
+        ((1.5e-10, 0.0), False),  # Outside.
+        ((-1e-7, 0.0), False),  # Further away than it need be.
+        ((0.0, 1e-2), False),  # Off to the side.
+    ],
+)
+def test_a_point_is_judged_by_how_much_nearer_another_may_be(point, is_accepted):
+    A, b, reference = np.array([[1.0, 0.0]]), np.zeros(1), np.array([1.0, 0.0])
+    proposed = ActiveSetSolution(np.array(point), np.ones(1), None)
+    judged = nearest_point_module._is_optimal(proposed, A, b, b, reference)
+    assert judged == is_accepted
+
+
+def test_the_active_set_alone_has_the_same_answer():
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        A, b, reference = random_problem(rng, "plain")
+        try:
+            expected = nearest_point(A, b, reference)
+        except EmptySetError:
+            assert nearest_point_by_active_set(A, b, reference) is None
+            continue
+        found = nearest_point_by_active_set(A, b, reference)
+        np.testing.assert_array_equal(found.point, expected.point)
+        np.testing.assert_array_equal(found.multipliers, expected.multipliers)
