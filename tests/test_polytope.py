@@ -107,6 +107,7 @@ def test_rows_of_zeros():
     assert emptiness_certificate(A, [1.0, 1.0, 1.0, 1.0, 0.0]) is None
     proof = emptiness_certificate(A, [1.0, 1.0, 1.0, 1.0, -1e-30])
     assert proof.rows.tolist() == [4] and proof.inradius == -np.inf
+    np.testing.assert_array_equal(proof.multipliers, [0.0, 0.0, 0.0, 0.0, 1.0])
     # So short that b_i / |a_i| overflows: no direction, but the sign of b_i speaks.
     A[4] = [1e-200, 0.0]
     assert chebyshev_ball(A, [1.0, 1.0, 1.0, 1.0, 1e200])[1] == pytest.approx(1.0)
