@@ -100,6 +100,16 @@ def test_ball_far_along_a_sharp_wedge():
     np.testing.assert_allclose(center, [0.0, 10.0 - exact], atol=1e-9)
 
 
+@pytest.mark.parametrize("angle", np.linspace(0.0, 6.0, 13))
+def test_a_strip_that_begins_somewhere_has_a_largest_ball(angle):
+    """It never ends, but its balls are no larger for that."""
+    along = np.array([np.cos(angle), np.sin(angle)])
+    across = np.array([-along[1], along[0]])
+    center, radius = chebyshev_ball([across, -across, -along], [1.0, 3.0, 0.0])
+    assert radius == pytest.approx(2.0)
+    assert across @ center == pytest.approx(-1.0) and along @ center > 2.0 - 1e-9
+
+
 def test_rows_of_zeros():
     A = np.vstack([BOX, np.zeros(2)])
     assert chebyshev_ball(A, [1.0, 1.0, 1.0, 1.0, 0.0])[1] == pytest.approx(1.0)
