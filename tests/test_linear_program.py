@@ -5,11 +5,20 @@ import pytest
 from scipy.optimize import linprog
 
 from vcbf_drake.errors import SolverError
+from vcbf_drake.safety import linear_program
 from vcbf_drake.safety.linear_program import minimise_linear
 
 BOX = np.vstack([np.eye(2), -np.eye(2)])
 
 
+@pytest.fixture(params=["nearest points", "program"])
+def way(request, monkeypatch):
+    """Each of the two ways, the second without the first."""
+    if request.param == "program":
+        monkeypatch.setattr(linear_program, "_by_nearest_points", lambda *_: None)
+
+
+@pytest.mark.usefixtures("way")
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e6])
 def test_the_minimum_agrees_with_scipy(scale):
     rng = np.random.default_rng(1)
@@ -24,6 +33,18 @@ def test_the_minimum_agrees_with_scipy(scale):
         assert cost @ point == pytest.approx(least, abs=1e-6 * scale)
 
 
+@pytest.mark.usefixtures("way")
+@pytest.mark.parametrize("angle", [1e-3, 1e-5])
+def test_a_narrow_corner_is_found_to_its_tip(angle):
+    """Two rows that meet at a narrow angle, far from where anything else is."""
+    rows = np.array([[angle, 1.0], [angle, -1.0], [-1.0, 0.0]])
+    point = minimise_linear(
+        np.array([-1.0, 0.0]), rows, np.array([2e3 * angle] * 2 + [1.0])
+    )
+    np.testing.assert_allclose(point, [2e3, 0.0], rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.usefixtures("way")
 def test_answers_do_not_depend_on_the_program_before():
     first = minimise_linear(np.array([1.0, -1.0]), BOX, np.ones(4))
     np.testing.assert_allclose(first, [-1.0, 1.0])
@@ -33,6 +54,7 @@ def test_answers_do_not_depend_on_the_program_before():
     np.testing.assert_array_equal(again, first)
 
 
+@pytest.mark.usefixtures("way")
 @pytest.mark.parametrize(
     ("rows", "bounds"),
     [
