@@ -249,3 +249,26 @@ def test_without_any_solver_the_held_input_acts(monkeypatch):
     decision = choose(set_of([1.0, 1.0], -1.0), [2.0, 1.0], held_input=[-9.0, 0.5])
     assert decision.status == FilterStatus.FAILED
     np.testing.assert_allclose(decision.input, [-1.0, 0.5])
+    assert decision.slack == 0.0
+
+
+@pytest.mark.parametrize(
+    ("a", "c", "is_finite"),
+    [
+        ([1.0, 2.0], 0.5, True),
+        ([1.0, np.nan], 0.5, False),
+        ([np.inf, 2.0], 0.5, False),
+        ([1.0, 2.0], -np.inf, False),
+    ],
+)
+def test_a_volume_row_is_finite_as_a_whole(a, c, is_finite):
+    assert VolumeRow(np.array(a), c, 1e3).is_finite == is_finite
+
+
+def test_a_reference_far_away_in_one_input_alone():
+    """The other input is not moved by what is lost in rounding."""
+    decision = choose(set_of([1.0, 1.0], 1.0), [1e12, 0.25])
+    assert decision.status == FilterStatus.FILTERED
+    np.testing.assert_allclose(decision.input, [3.0, -2.0], atol=1e-9)
+    decision = choose(set_of([1.0, 0.0], 1.0), [1e12, 0.25])
+    np.testing.assert_allclose(decision.input, [1.0, 0.25], atol=1e-9)
