@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import json
+import logging
 import math
 from pathlib import Path
 import subprocess
@@ -405,3 +406,18 @@ def test_diagram_writes_the_loop_and_the_filter(tmp_path: Path) -> None:
     assert done.exit_code == 0
     names = {path.name for path in (tmp_path / "drawn").iterdir()}
     assert {"car-avoidance.dot", "safety-filter.dot"} <= names
+
+
+def test_what_drake_says_of_its_solvers_is_kept_back(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    log = logging.getLogger("drake")
+    assert CliRunner().invoke(app, ["list"]).exit_code == 0
+    try:
+        with caplog.at_level(logging.INFO, "drake"):
+            log.info("Clarabel returns InsufficientProgress")
+            log.warning("something is wrong")
+    finally:
+        for each in log.filters.copy():
+            log.removeFilter(each)
+    assert caplog.messages == ["something is wrong"]

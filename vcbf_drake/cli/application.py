@@ -9,6 +9,8 @@ from typing import Annotated, Any, cast
 import typer
 from typer.core import TyperGroup
 
+from vcbf_drake.drake_log import show_warnings_only
+
 _FAILED, _BAD_USAGE = 1, 2
 
 
@@ -94,3 +96,4 @@ def _options(
     ] = False,
 ) -> None:
     """Safety filters for Drake whose QP stays feasible under disturbances."""
+    show_warnings_only()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -155,7 +154,6 @@ def write_pictures(
 
         write_figures(results, directory)
     if replay:
-        logging.getLogger("drake").setLevel(logging.WARNING)  # Meshcat says its port.
         from vcbf_drake.viz.replay import write_replay
 
         write_replay(results, directory / "replay.html")

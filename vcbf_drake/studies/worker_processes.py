@@ -10,6 +10,7 @@ import multiprocessing
 import os
 from threading import Thread
 
+from vcbf_drake.drake_log import show_warnings_only
 from vcbf_drake.studies.trial import Record, Trial, error_record, run_trial
 
 # After so many a process makes room for a new one: pydrake does not free every diagram
@@ -64,9 +65,12 @@ def new_pool(workers: int) -> ProcessPoolExecutor:
         workers: How many.
     """
     # A forked process would share the threads' locks of solvers and of Meshcat.
-    return ProcessPoolExecutor(
-        workers, multiprocessing.get_context("spawn"), _end_with_parent
-    )
+    return ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _prepare)
+
+
+def _prepare() -> None:
+    show_warnings_only()
+    _end_with_parent()
 
 
 def _end_with_parent() -> None:
