@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues
@@ -17,6 +17,12 @@ from vcbf_drake.disturbances import (
 )
 from vcbf_drake.safety import FilterDecision, FilterStatus
 from vcbf_drake.simulation.unreliable_filter import UnreliableSafetyFilter
+
+if TYPE_CHECKING:
+    _AnyObserver = DisturbanceObserver
+else:
+    # Of a class's bases, one alone may be pydrake's.
+    _AnyObserver = object
 
 # Ticks are compared with this part of a period to spare.
 _TO_SPARE = 1e-6
@@ -79,7 +85,7 @@ class KilledSafetyFilter(UnreliableSafetyFilter):
         return FilterDecision(self.input_set.project(nothing), FilterStatus.FAILED)
 
 
-class _Killed(DisturbanceObserver):
+class _Killed(_AnyObserver):
     """Forgets everything while its process is down."""
 
     outages: Outages
