@@ -7,7 +7,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydrake.common.value import Value
+from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import (
     BasicVector,
     Context,
@@ -99,7 +99,8 @@ class StateReceiver(LeafSystem):
         self.inbox = Inbox(
             bus, state_format(num_states, num_inputs), max_age, self._take_times
         )
-        index = self.DeclareAbstractState(Value[object](None))
+        # A tuple of the message or of none: newer pydrake's values are never None.
+        index = self.DeclareAbstractState(AbstractValue.Make(()))
         self._measured_index = index
         self.DeclarePerStepUnrestrictedUpdateEvent(self._take_over)
         self.DeclareForcedUnrestrictedUpdateEvent(self._take_over)
@@ -132,10 +133,10 @@ class StateReceiver(LeafSystem):
         return 0.0 if measured is None else float(measured.message.time)
 
     def _measured(self, context: Context) -> _Measured | None:
-        value: _Measured | None = context.get_abstract_state(
+        held: tuple[_Measured, ...] = context.get_abstract_state(
             self._measured_index
         ).get_value()
-        return value
+        return held[0] if held else None
 
     def _take_over(self, context: Context, state: State) -> EventStatus:
         self._bus.poll()
@@ -147,7 +148,7 @@ class StateReceiver(LeafSystem):
             change = np.subtract(newest.input_integral, last.message.input_integral)
             applied = change / (newest.time - last.message.time)
         state.get_mutable_abstract_state(self._measured_index).set_value(
-            _Measured(newest, applied, self._measured_delays())
+            (_Measured(newest, applied, self._measured_delays()),)
         )
         return EventStatus.Succeeded()
 

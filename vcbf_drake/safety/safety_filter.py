@@ -249,7 +249,8 @@ class SafetyFilter(LeafSystem):
     ) -> CacheEntry:
         producer = ValueProducer(
             allocate=lambda: Value[object](),
-            calc=lambda context, value: value.set_value(calc(context)),
+            # In a tuple, for newer pydrake takes no None.
+            calc=lambda context, value: value.set_value((calc(context),)),
         )
         return self.DeclareCacheEntry(name, producer, needs)
 
@@ -277,7 +278,7 @@ class SafetyFilter(LeafSystem):
         self, name: str, size: int, entry: CacheEntry, read: Callable[[Any], object]
     ) -> OutputPort:
         def calc(context: Context, output: BasicVector) -> None:
-            output.SetFromVector(read(entry.Eval(context)))
+            output.SetFromVector(read(_found(entry, context)))
 
         return self.DeclareVectorOutputPort(name, size, calc, {entry.ticket()})
 
@@ -304,17 +305,17 @@ class SafetyFilter(LeafSystem):
 
     def feasible_set(self, context: Context) -> FeasibleSet:
         """Returns the feasible set at the context's state and time."""
-        value: FeasibleSet = self._feasible_entry.Eval(context)
+        value: FeasibleSet = _found(self._feasible_entry, context)
         return value
 
     def volume(self, context: Context) -> Volume | None:
         """Returns V_v with its derivatives; None when it could not be computed."""
-        value: Volume | None = self._volume_entry.Eval(context)
+        value: Volume | None = _found(self._volume_entry, context)
         return value
 
     def decision(self, context: Context) -> FilterDecision:
         """Returns the chosen input and how it was found."""
-        value: FilterDecision = self._decision_entry.Eval(context)
+        value: FilterDecision = _found(self._decision_entry, context)
         return value
 
     def row_name(self, row: int) -> str:
@@ -381,7 +382,7 @@ class SafetyFilter(LeafSystem):
     def _ellipsoid(self, context: Context) -> Ellipsoid | None:
         """Of the set as it is, whatever is measured; found for whoever looks."""
         for entry in (self._volume_entry, self._guard_entry):
-            v: Volume | None = entry.Eval(context)
+            v: Volume | None = _found(entry, context)
             if v is not None and v.ellipsoid is not None:
                 return v.ellipsoid
         feasible = self.feasible_set(context)
@@ -428,7 +429,7 @@ class SafetyFilter(LeafSystem):
         """The rows that act, the guard's first, and whether one could not be found."""
         barrier, measured = self.volume_barrier, []
         if self.method.volume and self._guard is not None:
-            measured.append((self._guard_entry.Eval(context), barrier.guard_gain))
+            measured.append((_found(self._guard_entry, context), barrier.guard_gain))
         if self.method.volume:
             measured.append((self.volume(context), barrier.gain))
         rows = [
@@ -465,6 +466,12 @@ class SafetyFilter(LeafSystem):
             frame = scale[:, None] * ellipsoid.shape
             center = self.input_set.center + scale * ellipsoid.center
         output.SetFromVector(pack_feasible_set(feasible.A, feasible.b, frame, center))
+
+
+def _found(entry: CacheEntry, context: Context) -> Any:
+    """What an entry's calculation returned."""
+    (found,) = entry.Eval(context)
+    return found
 
 
 def _volume_value(v: Volume | None) -> list[float]:
