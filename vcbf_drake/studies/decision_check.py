@@ -286,7 +286,7 @@ def _is_least_violation(weights: Array, limits: _Rows, rows: _Rows, v: Array) ->
     enough = OPTIMALITY * (1.0 + worst) + rounding
     reach, point = np.append(np.full(len(v), 2.0), worst), np.append(v, worst)
     gap = suboptimality(gradient, G / length[:, None], h / length, point, reach, enough)
-    return gap <= enough
+    return bool(gap <= enough)
 
 
 def _is_least_penalty(

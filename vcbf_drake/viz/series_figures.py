@@ -93,7 +93,7 @@ def disturbance_figure(runs: Sequence[Run]) -> Any:
     figure = new_figure(PAGE_WIDTH, 0.6 + 1.15 * (len(names) + 1))
     panels = figure.subplots(len(names) + 1, 1, sharex=True)
     draw_estimate_error(panels[-1], run)
-    room = 0.9 * np.ptp(log["disturbance"], axis=0).max()
+    room = 0.9 * float(np.ptp(log["disturbance"], axis=0).max())
     room = room or 4.0 * float(np.median(log["error_bound"])) or 1.0
     for channel, (axes, name) in enumerate(zip(panels[:-1], names, strict=True)):
         true = log["disturbance"][:, channel]
