@@ -101,3 +101,27 @@ def test_a_discrete_plant_is_refused_with_what_to_do():
     plant.Finalize()
     with pytest.raises(ModelError, match="the one with time_step=0"):
         ControlAffineModel.from_system(plant, input_port="actuation")
+
+
+def test_a_body_that_is_but_a_frame_needs_no_mass(model):
+    """A tool's tip, as URDF files have them, at the end of the forearm."""
+    tip = (
+        '<link name="tip"/><joint name="end" type="fixed"><parent link="forearm"/>'
+        '<child link="tip"/><origin xyz="0.5 0 0"/></joint></robot>'
+    )
+    plant = MultibodyPlant(time_step=0.0)
+    text = URDF.read_text(encoding="utf-8").replace("</robot>", tip)
+    Parser(plant).AddModelsFromString(text, "urdf")
+    plant.Finalize()
+    with_tip = ControlAffineModel.from_system(plant, input_port="actuation")
+    position = point_position(plant, "tip", axes=[0, 2])
+    rng = np.random.default_rng(2)
+    for x in rng.uniform(-1.0, 1.0, (5, 4)):
+        for own, other in zip(
+            with_tip.drift_and_input_matrix(x),
+            model.drift_and_input_matrix(x),
+            strict=True,
+        ):
+            np.testing.assert_allclose(own, other, rtol=1e-9, atol=1e-9)
+        found = [e.Evaluate() for e in position(x)]
+        np.testing.assert_allclose(found, hand(x), atol=1e-12)

@@ -9,6 +9,7 @@ import numpy as np
 
 from vcbf_drake.errors import Array, ModelError
 from vcbf_drake.plants.compiled import Expressions
+from vcbf_drake.plants.massless_bodies import give_mass
 
 
 def point_position(
@@ -37,6 +38,7 @@ def point_position(
     except RuntimeError as error:
         raise ModelError(f"{plant.get_name()}: {error}") from error
     context, world = symbolic.CreateDefaultContext(), symbolic.world_frame()
+    give_mass(symbolic, context)  # Positions do not depend on it.
     chosen, offset = list(axes), np.array(point, dtype=float)
 
     def position(x: Expressions) -> Expressions:

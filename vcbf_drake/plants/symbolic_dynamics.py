@@ -11,6 +11,7 @@ from pydrake.systems.framework import InputPort, PortDataType
 
 from vcbf_drake.errors import Array, ModelError
 from vcbf_drake.plants.compiled import Expressions
+from vcbf_drake.plants.massless_bodies import give_mass
 
 # pydrake's classes carry no types that a checker can use.
 System: TypeAlias = Any
@@ -237,14 +238,23 @@ def _variables(prefix: str, size: int) -> Expressions:
 # Expressions leave floating-point flags that NumPy takes for its own.
 @np.errstate(invalid="ignore")
 def _residual(
-    system: System, context: Context, rate: Expressions, name: str
+    system: System,
+    context: Context,
+    rate: Expressions,
+    name: str,
+    all_have_mass: bool = False,
 ) -> Expressions:
-    """The residual M dx/dt - F; ports without a value are held at 0 if they must."""
+    """The residual M dx/dt - F; ports without a value are held at 0 if they must.
+
+    And bodies without a mass are given one if they must have it.
+    """
     derivatives = system.AllocateTimeDerivatives()
     derivatives.SetFromVector(rate)
     try:
         residual = system.CalcImplicitTimeDerivativesResidual(context, derivatives)
     except Exception as error:  # A System's own code may raise anything.
+        if not all_have_mass and give_mass(system, context):
+            return _residual(system, context, rate, name, all_have_mass=True)
         unset = [p for p in _vector_ports(system) if not p.HasValue(context)]
         if not unset:
             raise ModelError(
@@ -254,7 +264,7 @@ def _residual(
         return np.asarray(residual, dtype=object)
     for port in unset:
         port.FixValue(context, np.zeros(port.size()))
-    return _residual(system, context, rate, name)
+    return _residual(system, context, rate, name, all_have_mass)
 
 
 def _require_time_invariant(
