@@ -45,8 +45,12 @@ def test_a_reference_that_meets_every_row_needs_no_multiplier():
     )
 
 
-def test_rows_without_a_common_point_end_all_the_same():
-    """The dual is unbounded then; the answer grows in Farkas' direction, y'b < 0."""
+def test_rows_without_a_common_point_end_in_farkas_proof():
     A, b = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]]), np.array([-1.0, 0.0, 5.0])
-    y = nearest_by_active_set(A, b, np.array([0.3, 0.2])).multipliers
-    assert np.isfinite(y).all() and y.min() >= 0.0
+    found = nearest_by_active_set(A, b, np.array([0.3, 0.2]))
+    assert np.isfinite(found.multipliers).all() and found.multipliers.min() >= 0.0
+    assert found.conflict.min() >= 0.0
+    assert_allclose(found.conflict @ A, 0.0, atol=1e-15)
+    assert found.conflict @ b < -0.5 * found.conflict.max()
+    b[1] = 2.0
+    assert nearest_by_active_set(A, b, np.array([0.3, 0.2])).conflict is None

@@ -149,8 +149,7 @@ def test_each_solver_finds_what_the_active_set_would(kind, solver, monkeypatch):
             continue
         solved += 1
         found = nearest_point(A, b, reference)
-        # Rows are opened by 6e-10; where two meet at a narrow angle that is more.
-        np.testing.assert_allclose(found.point, expected, atol=1e-7)
+        np.testing.assert_allclose(found.point, expected, atol=1e-8)
         np.testing.assert_allclose(
             reference - found.multipliers @ A, found.point, atol=1e-9
         )
