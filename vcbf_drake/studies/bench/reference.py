@@ -39,7 +39,9 @@ def nearest_input(A: Array, b: Array, reference: Array) -> Array | None:
     for size in range(NUM_INPUTS + 1):
         for chosen in combinations(range(len(b)), size):
             rows, bounds = A[list(chosen)], b[list(chosen)]
-            if np.linalg.matrix_rank(rows) < size:
+            if (
+                size and np.linalg.matrix_rank(rows) < size
+            ):  # NumPy 2.0: not of no rows.
                 continue
             u = reference - np.linalg.pinv(rows) @ (rows @ reference - bounds)
             if (A @ u <= b + 1e-9 * scale).all():
