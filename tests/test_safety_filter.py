@@ -260,6 +260,18 @@ def test_rows_that_exclude_each_other_are_named(model):
     assert safety_filter.conflicting_rows(A, b) == ("lower limit of input 0", "near")
 
 
+def test_naming_a_conflict_stops_nobody(model, monkeypatch):
+    """Summaries and a vehicle's controller ask for names; neither may end for them."""
+
+    def unsure(A, b, *_):
+        raise SolverError("neither a point nor a proof", A, b)
+
+    monkeypatch.setattr(safety_filter_module, "nearest_point", unsure)
+    safety_filter = make_filter(model)
+    A = np.zeros((safety_filter.num_rows, 3))
+    assert safety_filter.conflicting_rows(A, np.ones(len(A))) == ()
+
+
 def test_rows_are_named_after_what_they_limit(model):
     box = make_filter(model)
     assert [box.row_name(row) for row in range(8)] == [

