@@ -27,7 +27,7 @@ from pydrake.trajectories import PiecewisePolynomial
 from vcbf_drake import AddSafetyFilter, InputSet
 from vcbf_drake.barriers import HalfSpace, StateLimit
 from vcbf_drake.disturbances import DisturbanceBounds
-from vcbf_drake.plants import point_position
+from vcbf_drake.model import point_position
 from vcbf_drake.safety import FilterStatus
 
 ARM = Path(__file__).parent / "models" / "planar_arm.urdf"

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from vcbf_drake.barriers import Barrier, SphereObstacle
-    from vcbf_drake.control import BlimpController, CarController
     from vcbf_drake.disturbances import (
         DisturbanceSource,
         LinearDisturbanceObserver,
@@ -25,7 +24,8 @@ if TYPE_CHECKING:
         UnboundedSetError,
         VcbfError,
     )
-    from vcbf_drake.plants import Blimp, Car, ControlAffineModel
+    from vcbf_drake.model import ControlAffineModel
+    from vcbf_drake.plants import Blimp, BlimpController, Car, CarController
     from vcbf_drake.safety import (
         AddSafetyFilter,
         InputSet,
@@ -39,10 +39,10 @@ _HOME = {
     "AddSafetyFilter": "safety",
     "Barrier": "barriers",
     "Blimp": "plants",
-    "BlimpController": "control",
+    "BlimpController": "plants",
     "Car": "plants",
-    "CarController": "control",
-    "ControlAffineModel": "plants",
+    "CarController": "plants",
+    "ControlAffineModel": "model",
     "DisturbanceSource": "disturbances",
     "EmptySetError": "errors",
     "InputSet": "safety",

@@ -86,7 +86,7 @@ def tick_time(num_ports: int, plant_in_python: bool) -> float:
 
 
 def main() -> None:
-    """Prints the table of docs/performance.md."""
+    """Prints the table of docs/results/performance.md."""
     print("| logged ports | plant | us a tick |\n| --- | --- | --- |")
     for num_ports, in_python in ((1, False), (1, True), (8, True), (16, True)):
         plant = "Python" if in_python else "C++"

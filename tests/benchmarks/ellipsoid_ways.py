@@ -4,7 +4,8 @@ import time
 
 import numpy as np
 
-from vcbf_drake.errors import Array, EmptySetError
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import EmptySetError
 from vcbf_drake.safety import InputSet, ellipsoid_solver
 from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver
 

@@ -1,4 +1,4 @@
-"""The tables of docs/performance.md: python tests/benchmarks/tick_tables.py."""
+"""The tables of docs/results/performance.md: python tests/benchmarks/tick_tables.py."""
 
 from vcbf_drake.studies.tick_times import STAGES, tick_times
 

@@ -11,9 +11,8 @@ import numpy as np
 from pydrake.symbolic import Expression
 
 from vcbf_drake.barriers.finite_vector import finite_vector
-from vcbf_drake.errors import Array
-from vcbf_drake.plants.compiled import Expressions
-from vcbf_drake.plants.parameters import check_parameter
+from vcbf_drake.checks import Array, check_parameter
+from vcbf_drake.model.compiled import Expressions
 
 BarrierFunction: TypeAlias = Callable[
     [Expressions, Expression, Expressions], Expression

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 
 
 @dataclass(frozen=True)

@@ -12,16 +12,17 @@ from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.barrier_rows import BarrierRows, RowsAlong
 from vcbf_drake.barriers.input_limits import StateInputLimit
 from vcbf_drake.barriers.perceived_spheres import PerceivedBarrier
-from vcbf_drake.barriers.row_enclosures import RowEnclosures
 from vcbf_drake.barriers.row_functions import (
     RowFunctions,
     barrier_functions,
     limit_functions,
     no_row,
 )
-from vcbf_drake.errors import Array, ModelError
-from vcbf_drake.plants.compiled import CompiledFunction
-from vcbf_drake.plants.control_affine import ControlAffineModel
+from vcbf_drake.between_ticks.row_enclosures import RowEnclosures
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import ModelError
+from vcbf_drake.model.compiled import CompiledFunction
+from vcbf_drake.model.control_affine import ControlAffineModel
 
 
 class BarrierSet:

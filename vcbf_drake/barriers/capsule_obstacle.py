@@ -18,9 +18,8 @@ from vcbf_drake.barriers.position import (
     position_function,
 )
 from vcbf_drake.barriers.smooth_excess import smooth_excess
-from vcbf_drake.errors import Array
-from vcbf_drake.plants.compiled import Expressions
-from vcbf_drake.plants.parameters import check_parameter
+from vcbf_drake.checks import Array, check_parameter
+from vcbf_drake.model.compiled import Expressions
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import numpy as np
 from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 
 from vcbf_drake.errors import ModelError
-from vcbf_drake.plants.compiled import Expressions
-from vcbf_drake.plants.control_affine import ControlAffineModel
+from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.model.control_affine import ControlAffineModel
 
 
 @dataclass(frozen=True)

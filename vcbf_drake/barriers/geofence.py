@@ -10,8 +10,7 @@ import numpy as np
 from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.half_space import HalfSpace
 from vcbf_drake.barriers.position import Position
-from vcbf_drake.errors import Array
-from vcbf_drake.plants.parameters import check_parameter
+from vcbf_drake.checks import Array, check_parameter
 
 _AXES = "xyz"
 

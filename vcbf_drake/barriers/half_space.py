@@ -15,9 +15,8 @@ from vcbf_drake.barriers.position import (
     PositionFunction,
     position_function,
 )
-from vcbf_drake.errors import Array
-from vcbf_drake.plants.compiled import Expressions
-from vcbf_drake.plants.parameters import check_parameter
+from vcbf_drake.checks import Array, check_parameter
+from vcbf_drake.model.compiled import Expressions
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import numpy as np
 from pydrake.symbolic import Expression
 
 from vcbf_drake.barriers.finite_vector import finite_vector
-from vcbf_drake.errors import Array
-from vcbf_drake.plants.compiled import Expressions
+from vcbf_drake.checks import Array
+from vcbf_drake.model.compiled import Expressions
 
 LimitFunction: TypeAlias = Callable[
     [Expressions, Expression, Expressions], tuple[Expressions, Expression]

@@ -8,7 +8,7 @@ import numpy as np
 from pydrake.symbolic import Expression, Jacobian
 
 from vcbf_drake.barriers.formula import Symbols
-from vcbf_drake.plants.compiled import Expressions
+from vcbf_drake.model.compiled import Expressions
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pydrake.symbolic import Expression
 
 from vcbf_drake.barriers.moving_point import MovingPoint
-from vcbf_drake.errors import Array
-from vcbf_drake.plants.compiled import Expressions
+from vcbf_drake.checks import Array
+from vcbf_drake.model.compiled import Expressions
 
 
 @dataclass(frozen=True)

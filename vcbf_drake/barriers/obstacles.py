@@ -16,8 +16,8 @@ from vcbf_drake.barriers.position import (
     PositionFunction,
     position_function,
 )
-from vcbf_drake.errors import Array
-from vcbf_drake.plants.compiled import Expressions
+from vcbf_drake.checks import Array
+from vcbf_drake.model.compiled import Expressions
 
 _FORMS = ("distance", "squared")
 

@@ -9,9 +9,8 @@ from pydrake.symbolic import Expression
 
 from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
 from vcbf_drake.barriers.position import PositionFunction, position_function
-from vcbf_drake.errors import Array
-from vcbf_drake.plants.compiled import Expressions
-from vcbf_drake.plants.parameters import check_parameter
+from vcbf_drake.checks import Array, check_parameter
+from vcbf_drake.model.compiled import Expressions
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.obstacles import SphereObstacle
 from vcbf_drake.barriers.position import Position
-from vcbf_drake.errors import Array
-from vcbf_drake.plants.parameters import check_parameter
+from vcbf_drake.checks import Array, check_parameter
 
 
 @dataclass(frozen=True)

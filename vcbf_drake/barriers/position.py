@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
-from vcbf_drake.plants.compiled import Expressions
+from vcbf_drake.model.compiled import Expressions
 
 PositionFunction: TypeAlias = Callable[[Expressions], Expressions]
 Position: TypeAlias = Sequence[int] | PositionFunction

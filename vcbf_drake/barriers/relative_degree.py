@@ -10,9 +10,10 @@ from pydrake.symbolic import Evaluate, Expression, Variable
 
 from vcbf_drake.barriers.formula import Symbols
 from vcbf_drake.barriers.lie_derivatives import LieDerivatives, gradient
-from vcbf_drake.errors import Array, ModelError
-from vcbf_drake.plants.compiled import Expressions
-from vcbf_drake.plants.control_affine import ControlAffineModel
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import ModelError
+from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.model.control_affine import ControlAffineModel
 
 _NUM_SAMPLES = 8
 _SEARCHED_BEYOND = 2  # How many more derivatives an error message looks at.

@@ -9,7 +9,7 @@ from pydrake.symbolic import Expression
 
 from vcbf_drake.barriers.formula import Symbols
 from vcbf_drake.barriers.lie_derivatives import drift_rate, gradient
-from vcbf_drake.plants.compiled import Expressions
+from vcbf_drake.model.compiled import Expressions
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,13 +15,14 @@ from vcbf_drake.barriers.input_limits import StateInputLimit
 from vcbf_drake.barriers.lie_derivatives import LieDerivatives, drift_rate
 from vcbf_drake.barriers.relative_degree import check_relative_degree
 from vcbf_drake.barriers.robust_chain import RobustChain
-from vcbf_drake.errors import Array, ModelError
-from vcbf_drake.plants.compiled import (
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import ModelError
+from vcbf_drake.model.compiled import (
     CompiledFunction,
     Expressions,
     compile_expressions,
 )
-from vcbf_drake.plants.control_affine import ControlAffineModel
+from vcbf_drake.model.control_affine import ControlAffineModel
 
 
 @dataclass(frozen=True)

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vcbf_drake.checks import Array
 from vcbf_drake.disturbances.bounds import (
     DisturbanceBounds,
     ErrorBound,
     check_positive,
 )
 from vcbf_drake.disturbances.observer import DisturbanceObserver
-from vcbf_drake.errors import Array
 
 if TYPE_CHECKING:
-    from vcbf_drake.plants import ControlAffineModel
+    from vcbf_drake.model import ControlAffineModel
 
 
 class LinearDisturbanceObserver(DisturbanceObserver):

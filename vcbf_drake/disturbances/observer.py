@@ -16,11 +16,12 @@ from pydrake.systems.framework import (
     ValueProducer,
 )
 
+from vcbf_drake.checks import Array
 from vcbf_drake.disturbances.bounds import Condition, DisturbanceBounds, ErrorBound
-from vcbf_drake.errors import Array, ModelError
+from vcbf_drake.errors import ModelError
 
 if TYPE_CHECKING:
-    from vcbf_drake.plants import ControlAffineModel
+    from vcbf_drake.model import ControlAffineModel
 
 
 def observer_ports(num_disturbances: int) -> tuple[tuple[str, int], ...]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vcbf_drake.checks import Array
 from vcbf_drake.disturbances.bounds import (
     Condition,
     DisturbanceBounds,
@@ -20,10 +21,9 @@ from vcbf_drake.disturbances.rise_certificate import (
     error_bound,
     gain_conditions,
 )
-from vcbf_drake.errors import Array
 
 if TYPE_CHECKING:
-    from vcbf_drake.plants import ControlAffineModel
+    from vcbf_drake.model import ControlAffineModel
 
 
 class RiseObserver(DisturbanceObserver):

@@ -15,7 +15,7 @@ from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import Adder, MatrixGain, Sine, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 
 
 class Curve(Protocol):

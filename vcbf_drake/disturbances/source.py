@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
+from vcbf_drake.checks import Array
 from vcbf_drake.disturbances.bounds import DisturbanceBounds
 from vcbf_drake.disturbances.signals import (
     Curve,
@@ -23,7 +24,7 @@ from vcbf_drake.disturbances.signals import (
     Transition,
     supremum,
 )
-from vcbf_drake.errors import Array, ModelError
+from vcbf_drake.errors import ModelError
 
 # Between two samples [s]; a spline's third derivative goes with its inverse cube.
 _SHORTEST_INTERVAL = 1e-9

@@ -13,7 +13,7 @@ from pydrake.systems.framework import (
     State,
 )
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.decoding import command_format
 from vcbf_drake.hil.fallback import fallback_input
@@ -21,7 +21,7 @@ from vcbf_drake.hil.inbox import Inbox
 from vcbf_drake.hil.modes import CommandMode, VehicleMode
 from vcbf_drake.hil.round_trip import RoundTrip
 from vcbf_drake.hil.timeline import Timeline
-from vcbf_drake.plants import ControlAffineModel
+from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import InputSet
 from vcbf_drake.simulation.scenario import Hardware
 

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.decoding import command_format, status_format
 from vcbf_drake.hil.inbox import Inbox

@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from vcbf_drake.errors import Array
-from vcbf_drake.plants import ControlAffineModel
+from vcbf_drake.checks import Array
+from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import InputSet
 
 Fallback = Literal["zero", "brake"]

@@ -11,7 +11,7 @@ from vcbf_drake.hil.obstacle_watch import ObstacleWatch
 from vcbf_drake.hil.state_predictor import StatePredictor
 from vcbf_drake.hil.state_receiver import StateReceiver
 from vcbf_drake.hil.state_watchdog import StateWatchdog
-from vcbf_drake.plants import ControlAffineModel
+from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import AddedSafetyFilter
 from vcbf_drake.simulation.loop import add_controller_and_filter
 from vcbf_drake.simulation.parts import make_observer, make_plant, make_source

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import Context
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.controller_process import ControllerProcess
 from vcbf_drake.hil.decoding import state_format

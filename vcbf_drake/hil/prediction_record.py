@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import Context, Diagram
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.hil.report import median_and_p99
 from vcbf_drake.hil.state_predictor import StatePredictor
 

@@ -9,7 +9,7 @@ from typing import Any, TypedDict
 import numpy as np
 from pydrake.systems.framework import Context, Diagram
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.hil.command_receiver import CommandReceiver
 from vcbf_drake.hil.inbox import Inbox
 from vcbf_drake.hil.messages import vcbf_status

@@ -8,8 +8,8 @@ import math
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
-from vcbf_drake.errors import Array
-from vcbf_drake.plants import ControlAffineModel
+from vcbf_drake.checks import Array
+from vcbf_drake.model import ControlAffineModel
 
 
 class StatePredictor(LeafSystem):

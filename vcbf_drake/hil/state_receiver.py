@@ -16,7 +16,7 @@ from pydrake.systems.framework import (
     State,
 )
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.decoding import state_format
 from vcbf_drake.hil.inbox import Inbox

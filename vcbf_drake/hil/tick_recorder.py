@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from pydrake.systems.framework import Context
 
+from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceObserver
-from vcbf_drake.errors import Array
 from vcbf_drake.hil.controller_process import ControllerProcess
 from vcbf_drake.safety import SafetyFilter
 from vcbf_drake.simulation.loop import logged_ports

@@ -12,7 +12,7 @@ from vcbf_drake.hil.command_receiver import CommandReceiver
 from vcbf_drake.hil.obstacle_sender import ObstacleSender
 from vcbf_drake.hil.state_sender import StateSender
 from vcbf_drake.hil.timeline import Timeline
-from vcbf_drake.plants import ControlAffineModel
+from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.simulation.loop import (
     LOG_PREFIX,
     add_collision_monitor,

@@ -1,4 +1,4 @@
-"""What is controlled: two plants, and the control-affine model of any Drake System."""
+"""The blimp and the car: plants and their point-to-point controllers."""
 
 from vcbf_drake.plants.blimp import (
     Blimp,
@@ -7,23 +7,26 @@ from vcbf_drake.plants.blimp import (
     BlimpParameters,
     BlimpState,
 )
+from vcbf_drake.plants.blimp_controller import (
+    BlimpController,
+    BlimpControllerParameters,
+)
 from vcbf_drake.plants.car import Car, Car_, CarInput, CarParameters, CarState
-from vcbf_drake.plants.compiled import compile_expressions
-from vcbf_drake.plants.control_affine import ControlAffineModel
-from vcbf_drake.plants.point_position import point_position
+from vcbf_drake.plants.car_controller import CarController, CarControllerParameters
 
 __all__ = [
     "Blimp",
+    "BlimpController",
+    "BlimpControllerParameters",
     "BlimpInput",
     "BlimpParameters",
     "BlimpState",
     "Blimp_",
     "Car",
+    "CarController",
+    "CarControllerParameters",
     "CarInput",
     "CarParameters",
     "CarState",
     "Car_",
-    "ControlAffineModel",
-    "compile_expressions",
-    "point_position",
 ]

@@ -14,7 +14,7 @@ from pydrake.math import cos, sin
 from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from vcbf_drake.plants.parameters import check_parameter
+from vcbf_drake.checks import check_parameter
 
 # Position and inertial velocity [m, m/s], heading and its rate [rad, rad/s].
 BlimpState = namedview(

@@ -1,5 +1,6 @@
 """The mathematics of one control tick, and the Drake system that runs it."""
 
+from vcbf_drake.between_ticks.held_rows import HeldRows, Tick, least_height
 from vcbf_drake.safety.add_safety_filter import (
     BETWEEN_TICKS,
     AddedSafetyFilter,
@@ -23,7 +24,6 @@ from vcbf_drake.safety.filter_qp import (
     FilterStatus,
     InfeasiblePolicy,
 )
-from vcbf_drake.safety.held_rows import HeldRows, Tick, least_height
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.methods import METHODS, Method
 from vcbf_drake.safety.packed_feasible_set import (

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 
 # A row this near to the span of others, for its length, is in it.
 _INDEPENDENT = 1e-12

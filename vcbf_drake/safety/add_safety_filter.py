@@ -16,7 +16,7 @@ from vcbf_drake.disturbances import (
     RiseObserver,
     observer_ports,
 )
-from vcbf_drake.plants import ControlAffineModel
+from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
 from vcbf_drake.safety.filter_qp import InfeasiblePolicy
 from vcbf_drake.safety.infeasibility_monitor import InfeasibilityMonitor

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.safety.cut_ellipsoid import estimated_weights
 
 # Largest certified error of log det B, hence of the volume's relative error.

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.solvers import ClpSolver, MathematicalProgram
 
-from vcbf_drake.errors import Array, SolverError, UnboundedSetError
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import SolverError, UnboundedSetError
 from vcbf_drake.safety.recession import widening_direction
 from vcbf_drake.safety.unit_rows import UnitRows
 

@@ -15,7 +15,7 @@ from pydrake.solvers import (
     SolverOptions,
 )
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 
 
 class ConeProgram:

@@ -35,7 +35,7 @@ import math
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 
 # A row that mentions an input by less than this has no closed form here.
 _LEAST_ENTRY = 1e-4

@@ -28,7 +28,7 @@ import math
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 
 # Past this the cut ball says little of what the rows leave: they face each other.
 _DEEPEST = -0.7

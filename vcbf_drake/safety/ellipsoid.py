@@ -14,7 +14,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vcbf_drake.errors import Array, EmptySetError, SolverError, UnboundedSetError
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import EmptySetError, SolverError, UnboundedSetError
 from vcbf_drake.safety.certified_ellipsoid import (
     ACCEPTED_GAP,
     CertifiedEllipsoid,

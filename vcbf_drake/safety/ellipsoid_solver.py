@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from vcbf_drake.errors import Array, EmptySetError, SolverError
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import EmptySetError, SolverError
 from vcbf_drake.safety.certified_ellipsoid import (
     ACCEPTED_GAP,
     TARGET_GAP,

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vcbf_drake.errors import Array, SolverError, UnboundedSetError
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import SolverError, UnboundedSetError
 from vcbf_drake.safety.active_set import nearest_by_active_set
 from vcbf_drake.safety.chebyshev import (
     FEASIBILITY_TOLERANCE,

@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vcbf_drake.errors import Array, SolverError
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import SolverError
 
 # Rows whose directions differ by less than this count as parallel.
 _PARALLEL = 1e-12

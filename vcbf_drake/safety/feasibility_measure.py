@@ -17,7 +17,8 @@ import math
 
 import numpy as np
 
-from vcbf_drake.errors import Array, EmptySetError
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import EmptySetError
 from vcbf_drake.safety.ellipsoid import Ellipsoid
 from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver
 from vcbf_drake.safety.face_volumes import MOST_DIMENSIONS, face_volumes

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vcbf_drake.barriers import BarrierRows
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.safety.input_set import InputSet
 
 

@@ -11,7 +11,8 @@ from typing import Literal
 import numpy as np
 from numpy.linalg import LinAlgError
 
-from vcbf_drake.errors import Array, EmptySetError, SolverError
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import EmptySetError, SolverError
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.linear_program import minimise_linear

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vcbf_drake.errors import Array, EmptySetError, UnboundedSetError, VcbfError
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import EmptySetError, UnboundedSetError, VcbfError
 from vcbf_drake.safety.chebyshev import chebyshev_ball
 from vcbf_drake.safety.linear_program import minimise_linear
 from vcbf_drake.safety.nearest_point import nearest_point

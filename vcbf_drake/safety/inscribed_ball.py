@@ -10,7 +10,7 @@ from threading import Lock
 import numpy as np
 from pydrake.solvers import ClpSolver, MathematicalProgram
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.safety.chebyshev import Ball, largest_ball
 from vcbf_drake.safety.unit_rows import UnitRows
 

@@ -8,7 +8,8 @@ from threading import Lock
 import numpy as np
 from pydrake.solvers import ClpSolver, MathematicalProgram
 
-from vcbf_drake.errors import Array, SolverError
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import SolverError
 from vcbf_drake.safety.active_set import nearest_by_active_set
 from vcbf_drake.safety.unit_length import of_unit_length
 

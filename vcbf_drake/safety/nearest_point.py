@@ -17,7 +17,8 @@ from pydrake.solvers import (
     SolverOptions,
 )
 
-from vcbf_drake.errors import Array, EmptySetError, SolverError
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import EmptySetError, SolverError
 from vcbf_drake.safety.active_set import ActiveSetSolution, nearest_by_active_set
 from vcbf_drake.safety.emptiness import Emptiness, emptiness_certificate
 from vcbf_drake.safety.unit_length import of_unit_length

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 
 
 class PackedFeasibleSet(NamedTuple):

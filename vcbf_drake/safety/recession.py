@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.solvers import ClpSolver, MathematicalProgram
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.safety.unit_rows import UnitRows
 
 # A ray may turn towards a row by this angle [rad] and still count as a ray.

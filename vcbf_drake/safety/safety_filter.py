@@ -19,9 +19,11 @@ from pydrake.systems.framework import (
 )
 
 from vcbf_drake.barriers import Barrier, BarrierSet, StateInputLimit
+from vcbf_drake.between_ticks.held_rows import HeldRows, Tick
+from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import observer_ports
-from vcbf_drake.errors import Array, EmptySetError, SolverError, VcbfError
-from vcbf_drake.plants import ControlAffineModel
+from vcbf_drake.errors import EmptySetError, SolverError, VcbfError
+from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
 from vcbf_drake.safety.ellipsoid import Ellipsoid
 from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver
@@ -39,7 +41,6 @@ from vcbf_drake.safety.filter_qp import (
     VolumeRow,
     choose_input,
 )
-from vcbf_drake.safety.held_rows import HeldRows, Tick
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.methods import method_named
 from vcbf_drake.safety.nearest_point import nearest_point

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 
 # A row shorter than this, which moves by no more over all normalised inputs, is blank.
 BLANK = 1e-12

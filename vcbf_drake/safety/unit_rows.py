@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 
 # A row further away than this holds everywhere, or nowhere [units of u].
 _FARTHEST = 1e20

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.safety.ellipsoid import Ellipsoid
 from vcbf_drake.safety.feasibility_measure import (
     MEASURES,
@@ -28,7 +28,7 @@ class VolumeBarrier:
     By default the paper's: V_v = det B - xi of the largest ellipsoid of inputs (E21),
     with B in normalised inputs, so that det B = 1 for a box that no barrier cuts,
     whatever the units of the inputs. Which measure to take for what is in
-    docs/feasibility_measures.md.
+    docs/results/feasibility_measures.md.
 
     Attributes:
         threshold: xi, the part of the free volume that must remain.

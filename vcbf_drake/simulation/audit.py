@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vcbf_drake.barriers import BarrierSet
+from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceBounds
-from vcbf_drake.errors import Array
 from vcbf_drake.safety import Assumption, FilterStatus, InputSet, SafetyFilter
 
 # What `audit_margins` has a margin of, in its order.

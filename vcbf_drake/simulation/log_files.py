@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 
 
 class LogFiles:

@@ -24,7 +24,7 @@ from vcbf_drake.disturbances import (
     DisturbanceSource,
     observer_ports,
 )
-from vcbf_drake.plants import ControlAffineModel
+from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import (
     AddedSafetyFilter,
     AddSafetyFilter,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 
 
 class MeasurementNoise(LeafSystem):

@@ -14,7 +14,6 @@ from vcbf_drake.barriers import (
     StateInputLimit,
     ackermann_limit,
 )
-from vcbf_drake.control import BlimpController, CarController
 from vcbf_drake.disturbances import (
     DisturbanceBounds,
     DisturbanceObserver,
@@ -23,7 +22,14 @@ from vcbf_drake.disturbances import (
     RiseGains,
     RiseObserver,
 )
-from vcbf_drake.plants import Blimp, BlimpParameters, Car, ControlAffineModel
+from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.plants import (
+    Blimp,
+    BlimpController,
+    BlimpParameters,
+    Car,
+    CarController,
+)
 from vcbf_drake.safety import METHODS
 from vcbf_drake.simulation.faulty_loop import faulty_observer
 from vcbf_drake.simulation.scenario import Scenario

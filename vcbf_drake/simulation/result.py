@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.scenario_file import dump_scenario, load_scenario
 

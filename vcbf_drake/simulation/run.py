@@ -16,7 +16,12 @@ from pydrake.systems.analysis import (
 )
 from pydrake.systems.framework import Context, Diagram
 
-from vcbf_drake.errors import Array, ModelError
+from vcbf_drake.between_ticks.certified_heights import (
+    certified_least_barrier,
+    is_certifiable,
+)
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import ModelError
 from vcbf_drake.safety import (
     Assumption,
     SafetyFilter,
@@ -27,10 +32,6 @@ from vcbf_drake.simulation.audit import (
     ROUNDING,
     audit_findings,
     reasons_against,
-)
-from vcbf_drake.simulation.certified_heights import (
-    certified_least_barrier,
-    is_certifiable,
 )
 from vcbf_drake.simulation.faults import fault_assumptions
 from vcbf_drake.simulation.loop import make_loop

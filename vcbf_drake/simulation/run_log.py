@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from pydrake.systems.framework import Context, Diagram, System
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.safety import SafetyFilter, unpack_feasible_set
 from vcbf_drake.simulation.audit import audit_margins
 from vcbf_drake.simulation.log_files import LogFiles

@@ -11,8 +11,6 @@ from typing import cast, get_type_hints
 
 import numpy as np
 
-from vcbf_drake.control.blimp_controller import BlimpControllerParameters
-from vcbf_drake.control.car_controller import CarControllerParameters
 from vcbf_drake.disturbances.source import (
     BandLimitedNoise,
     Constant,
@@ -21,7 +19,9 @@ from vcbf_drake.disturbances.source import (
     SmoothStep,
 )
 from vcbf_drake.plants.blimp import BlimpParameters
+from vcbf_drake.plants.blimp_controller import BlimpControllerParameters
 from vcbf_drake.plants.car import CarParameters
+from vcbf_drake.plants.car_controller import CarControllerParameters
 from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.volume_barrier import VolumeBarrier

@@ -9,7 +9,7 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from vcbf_drake.barriers import PerceivedSpheres
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.simulation.scenario import Obstacle
 
 # Ticks are compared with this part of a period to spare.

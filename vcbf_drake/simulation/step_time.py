@@ -6,8 +6,8 @@ import time
 
 import numpy as np
 
+from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import observer_ports
-from vcbf_drake.errors import Array
 from vcbf_drake.safety import SafetyFilter
 
 _SAMPLES = 400

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.safety import FilterStatus, SafetyFilter
 from vcbf_drake.safety.add_safety_filter import STOP_MONITOR
 from vcbf_drake.simulation.audit import LEAST_AUTHORITY, authority

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 from pydrake.systems.analysis import GetIntegrationSchemes
 
-from vcbf_drake.control.blimp_controller import BlimpControllerParameters
-from vcbf_drake.control.car_controller import CarControllerParameters
 from vcbf_drake.plants.blimp import BlimpParameters
+from vcbf_drake.plants.blimp_controller import BlimpControllerParameters
 from vcbf_drake.plants.car import CarParameters
+from vcbf_drake.plants.car_controller import CarControllerParameters
 from vcbf_drake.safety.add_safety_filter import BETWEEN_TICKS, covers_hold
 from vcbf_drake.safety.corrections import FIDELITIES
 from vcbf_drake.safety.filter_qp import INFEASIBLE_POLICIES

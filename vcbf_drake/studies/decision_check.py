@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.safety import FilterDecision, FilterStatus, InputSet
 from vcbf_drake.safety.filter_qp import InfeasiblePolicy, VolumeRow
 from vcbf_drake.studies.first_order_optimality import suboptimality

@@ -15,7 +15,7 @@ from itertools import combinations, islice
 import numpy as np
 from numpy.typing import NDArray
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 
 # A row touches a point that is this near to it. Rows at narrow angles leave a point
 # room to be away from where they meet.

@@ -9,8 +9,9 @@ import numpy as np
 from pydrake.systems.framework import Context
 
 from vcbf_drake.barriers import PerceivedSpheres, StateInputLimit, ackermann_limit
-from vcbf_drake.errors import Array
-from vcbf_drake.plants import Blimp, Car, ControlAffineModel
+from vcbf_drake.checks import Array
+from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.plants import Blimp, Car
 from vcbf_drake.safety import (
     METHODS,
     FilterDecision,

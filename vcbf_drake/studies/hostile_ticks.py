@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.safety import InputSet
 from vcbf_drake.safety.filter_qp import INFEASIBLE_POLICIES, VolumeRow
 from vcbf_drake.studies.decision_check import Tick

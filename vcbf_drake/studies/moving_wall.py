@@ -12,17 +12,17 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput
 
 from vcbf_drake.barriers import Barrier
+from vcbf_drake.between_ticks.certified_heights import certified_least_barrier
 from vcbf_drake.disturbances import DisturbanceSource
 from vcbf_drake.disturbances.source import Constant
+from vcbf_drake.model.compiled import Expressions
 from vcbf_drake.plants import Car
-from vcbf_drake.plants.compiled import Expressions
 from vcbf_drake.safety import (
     AddSafetyFilter,
     BetweenTicks,
     FilterStatus,
     InputSet,
 )
-from vcbf_drake.simulation.certified_heights import certified_least_barrier
 
 # The wall's way to either side [m] and its rate [rad/s]; the barrier's gains.
 _WALL = (0.5, 2.0)

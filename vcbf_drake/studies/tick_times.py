@@ -11,9 +11,10 @@ from pydrake.symbolic import Expression, MakeVectorVariable
 
 from vcbf_drake.barriers import Barrier
 from vcbf_drake.barriers.formula import as_expressions
+from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import observer_ports
-from vcbf_drake.errors import Array, EmptySetError
-from vcbf_drake.plants import ControlAffineModel
+from vcbf_drake.errors import EmptySetError
+from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import InputSet, SafetyFilter
 from vcbf_drake.safety.ellipsoid import Ellipsoid
 from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver

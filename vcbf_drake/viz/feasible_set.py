@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.safety.emptiness import emptiness_certificate
 from vcbf_drake.viz.runs import Run
 from vcbf_drake.viz.vertices import polytope_vertices

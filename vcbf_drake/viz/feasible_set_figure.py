@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.viz.feasible_set import FeasibleSet, feasible_set_at
 from vcbf_drake.viz.geometry import geometry_of
 from vcbf_drake.viz.runs import Run

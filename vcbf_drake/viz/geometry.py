@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.plants.blimp import BlimpParameters
 from vcbf_drake.plants.car import CarParameters
 

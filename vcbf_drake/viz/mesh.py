@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 
 
 @dataclass(frozen=True)

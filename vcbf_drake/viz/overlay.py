@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.viz.runs import Run
 from vcbf_drake.viz.stage import Motion, Stage, multiples
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 
 LIGHT = np.array([-0.35, -0.45, 0.82])  # Towards the light, in the world.
 SHADING_PIXELS = 160

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.viz.geometry import Sphere, geometry_of, spheres_of
 from vcbf_drake.viz.runs import Run
 from vcbf_drake.viz.space_figure import draw_space

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.viz.mesh import merge, sphere, torus, tube
 from vcbf_drake.viz.overlay import overlay_html, page_title
 from vcbf_drake.viz.stage import Stage, set_stage

@@ -8,7 +8,7 @@ import numpy as np
 from pydrake.geometry import Meshcat, Rgba
 from pydrake.math import RigidTransform
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.viz.mesh import Mesh, cylinder, merge, sphere, torus, tube
 from vcbf_drake.viz.stage import Stage, multiples
 from vcbf_drake.viz.style import OBSTACLE, START, TARGET

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 
 Style = dict[str, Any]  # The keyword arguments of something drawn.
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.viz.mesh import Mesh, merge, prism, revolve
 
 # The envelope of the indoor blimps whose mass and drag the scenarios use [m].

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 
 
 def polytope_vertices(A: Array, b: Array) -> Array:

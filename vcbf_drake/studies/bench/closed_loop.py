@@ -14,7 +14,7 @@ from pydrake.systems.primitives import (
     ZeroOrderHold,
 )
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.studies.bench.problem import (
     A_PLANT,
     B_PLANT,

@@ -7,8 +7,9 @@ from pydrake.systems.framework import Context
 from pydrake.systems.primitives import LinearSystem
 
 from vcbf_drake.barriers import SphereObstacle
-from vcbf_drake.errors import Array, EmptySetError
-from vcbf_drake.plants import ControlAffineModel
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import EmptySetError
+from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import (
     FeasibleSet,
     FilterDecision,

@@ -13,7 +13,7 @@ import numpy as np
 from pydrake.geometry.optimization import HPolyhedron
 from pydrake.solvers import ClarabelSolver, MathematicalProgram
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.studies.bench.problem import (
     A_PLANT,
     B_PLANT,

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 
 DRAG = 0.1  # [1/s]
 LIMIT = 1.0  # The largest acceleration along each axis [m/s^2].

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 from pydrake.geometry.optimization import HPolyhedron
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.studies.bench.problem import (
     NUM_INPUTS,
     barrier_rows,

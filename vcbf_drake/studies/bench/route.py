@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 
 # From the state and the controller's input to the input, or None for "infeasible".
 Filter: TypeAlias = Callable[[Array, Array], Array | None]

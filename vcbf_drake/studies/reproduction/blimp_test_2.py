@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.simulation.result import Result
 from vcbf_drake.studies.reproduction.archive import Archive
 from vcbf_drake.studies.reproduction.estimation import estimation

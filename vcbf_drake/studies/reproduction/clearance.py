@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceBounds
-from vcbf_drake.errors import Array
 from vcbf_drake.safety import METHODS
 from vcbf_drake.simulation.loop import make_loop
 from vcbf_drake.simulation.result import Result

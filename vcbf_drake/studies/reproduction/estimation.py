@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import RiseGains
-from vcbf_drake.errors import Array
 from vcbf_drake.simulation.loop import make_loop
 from vcbf_drake.simulation.result import Result
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from vcbf_drake.errors import Array
+from vcbf_drake.checks import Array
 from vcbf_drake.viz.path_figure import draw_plane, path_extent
 from vcbf_drake.viz.runs import Run
 from vcbf_drake.viz.style import PAGE_WIDTH, legend_in_a_row, new_figure

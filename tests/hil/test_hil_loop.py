@@ -1,0 +1,167 @@
+"""Both halves over memq://: the same run bit for bit, and that of a simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.lcm import DrakeLcm
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput, ZeroOrderHold
+import pytest
+
+from vcbf_drake import (
+    AddSafetyFilter,
+    BlimpController,
+    CarController,
+    InputSet,
+    load_scenario,
+    make_loop,
+    simulate,
+)
+from vcbf_drake.disturbances import DisturbanceBounds
+from vcbf_drake.errors import ScenarioError
+from vcbf_drake.hil import Bus, InProcess, SimulatedClock, make_vehicle
+from vcbf_drake.hil.timeline import Timeline
+from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.simulation import barriers
+from vcbf_drake.simulation.loop import add_simulated_plant
+from vcbf_drake.simulation.parts import make_observer
+from vcbf_drake.simulation.run import make_simulator
+
+CASES = [("blimp-multiple-obstacles", 6.0), ("car-avoidance", 4.0)]
+
+
+def scenario(name: str, **overrides):
+    """A shipped scenario whose observer and margins are those of a simulation."""
+    loaded = load_scenario(name, overrides)
+    loaded.hardware.longest_interval = loaded.period
+    return loaded
+
+
+def path(plant) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states at every integrator step."""
+    log = plant.diagram.GetSubsystemByName("log_path").FindLog(plant.context)
+    return log.sample_times().copy(), log.data().T.copy()
+
+
+def in_process(loaded, duration: float) -> tuple[np.ndarray, np.ndarray]:
+    run = InProcess(loaded)
+    run.advance_to(duration)
+    return path(run.plant)
+
+
+@pytest.mark.parametrize(("name", "duration"), CASES)
+def test_lockstep_is_the_simulation(name: str, duration: float) -> None:
+    loaded = scenario(name)
+    times, states = in_process(loaded, duration)
+    log = simulate(scenario(name)).log
+    ticks = log["time"] <= duration + 1e-9
+    # The observer is told an integral, whose difference rounds; all else is the same.
+    for k in range(states.shape[1]):
+        found = np.interp(log["time"][ticks], times, states[:, k])
+        np.testing.assert_allclose(found, log["state"][ticks, k], rtol=0, atol=1e-9)
+
+
+def test_lockstep_repeats_bit_for_bit() -> None:
+    (times, first), (again, second) = (
+        in_process(scenario("blimp-multiple-obstacles"), 2.0) for _ in range(2)
+    )
+    assert times.tobytes() == again.tobytes()
+    assert first.tobytes() == second.tobytes()
+    assert np.ptp(first[:, 0]) > 0.5
+
+
+def both_halves_in_one_diagram(name: str, duration: float) -> np.ndarray:
+    """The states at the ticks when a simulator drives both halves."""
+    loaded, clock, lcm = scenario(name), SimulatedClock(), DrakeLcm("memq://")
+    builder, timeline = DiagramBuilder(), Timeline(clock)
+    bus = Bus(lcm, clock)
+    builder.AddNamedSystem("controller", make_loop(loaded, hardware=True, bus=bus))
+    vehicle = builder.AddNamedSystem("vehicle", make_vehicle(loaded, bus, timeline))
+    simulator = Simulator(builder.Build())
+    context = simulator.get_mutable_context()
+    fixed = SimulatorConfig(max_step_size=min(loaded.period, 0.01))
+    fixed.use_error_control = False
+    ApplySimulatorConfig(fixed, simulator)
+    context.SetAccuracy(1e-4)
+    plant = vehicle.GetSubsystemByName("plant")
+    plant_context = plant.GetMyMutableContextFromRoot(context)
+    plant_context.SetContinuousState(loaded.initial_state)
+    states = []
+    for tick in range(round(duration / loaded.period) + 1):
+        clock.now = timeline.utime(tick * loaded.period)
+        simulator.AdvanceTo(tick * loaded.period)
+        bus.poll()  # Messages arrive at the tick, not when the next step begins.
+        states.append(plant_context.get_continuous_state_vector().CopyToVector())
+    return np.array(states)
+
+
+def simulation_with_a_second_hold(name: str, duration: float) -> np.ndarray:
+    """The states at the ticks when every command comes one control period late."""
+    loaded = scenario(name)
+    builder = DiagramBuilder()
+    simulated = add_simulated_plant(builder, loaded)
+    plant, bounds = simulated.plant, simulated.source.bounds
+    model = ControlAffineModel.from_system(plant)
+    late = builder.AddSystem(ZeroOrderHold(loaded.period, model.num_inputs))
+    kind = BlimpController if name.startswith("blimp") else CarController
+    pilot = builder.AddSystem(kind(loaded.target, loaded.controller, loaded.plant))
+    builder.Connect(simulated.state, pilot.GetInputPort("state"))
+    added = AddSafetyFilter(
+        builder,
+        plant=None,
+        model=model,
+        state=simulated.state,
+        applied_input=late.get_output_port(),
+        reference=pilot.GetOutputPort("reference"),
+        barriers=barriers(loaded),
+        input_set=loaded.input_set.input_set(),
+        period=loaded.period,
+        bounds=bounds,
+        method=loaded.method,
+        volume_barrier=loaded.volume,
+        observer=make_observer(loaded, model, bounds, period=loaded.period),
+    )
+    builder.Connect(added.hold.get_output_port(), late.get_input_port())
+    builder.Connect(late.get_output_port(), plant.GetInputPort("input"))
+    builder.Connect(
+        added.observer.GetOutputPort("disturbance_estimate"),
+        pilot.GetInputPort("disturbance_estimate"),
+    )
+    log = LogVectorOutput(simulated.state, builder, loaded.period)
+    diagram = builder.Build()
+    simulator = make_simulator(diagram, loaded)
+    simulator.AdvanceTo(duration)
+    return log.FindLog(simulator.get_context()).data().T
+
+
+@pytest.mark.parametrize(("name", "duration"), CASES)
+def test_one_diagram_is_the_simulation_one_period_late(name, duration) -> None:
+    found = both_halves_in_one_diagram(name, duration)
+    expected = simulation_with_a_second_hold(name, duration)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+    again = both_halves_in_one_diagram(name, duration)
+    assert found.tobytes() == again.tobytes()
+    on_time = simulate(scenario(name)).log["state"][: len(found)]
+    assert np.abs(found - on_time).max() > 1e-4
+
+
+def test_time_limits_below_the_period_are_refused() -> None:
+    loaded = load_scenario("car-avoidance", {"hardware": {"command_timeout": 1e-3}})
+    with pytest.raises(ScenarioError, match=r"hardware\.command_timeout: 0\.001 s"):
+        InProcess(loaded)
+
+
+def test_a_plant_elsewhere_needs_its_model_and_a_state() -> None:
+    builder = DiagramBuilder()
+    pilot = builder.AddSystem(BlimpController([1.0, 0.0, 0.0]))
+    with pytest.raises(ValueError, match="model and state must be given"):
+        AddSafetyFilter(
+            builder,
+            plant=None,
+            reference=pilot.GetOutputPort("reference"),
+            barriers=[],
+            input_set=InputSet.box([-1.0] * 3, [1.0] * 3),
+            period=0.02,
+            bounds=DisturbanceBounds(0.0, 0.0, 0.0),
+        )

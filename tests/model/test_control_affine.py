@@ -1,0 +1,338 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+import os
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+from pydrake.examples import AcrobotPlant, PendulumPlant, QuadrotorPlant
+from pydrake.math import RigidTransform, abs, sin, sqrt
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    PrismaticJoint,
+    RevoluteJoint,
+    SpatialInertia,
+    UnitInertia,
+)
+from pydrake.systems.framework import (
+    BasicVector_,
+    Diagram,
+    DiagramBuilder,
+    LeafSystem,
+    LeafSystem_,
+)
+from pydrake.systems.primitives import Integrator, LinearSystem
+from pydrake.systems.scalar_conversion import TemplateSystem
+import pytest
+
+from vcbf_drake.errors import ModelError
+from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.plants import Blimp, BlimpParameters, Car
+
+
+@TemplateSystem.define("Formula_")
+def Formula_(T: type) -> type:
+    class Impl(LeafSystem_[T]):
+        """A plant of two states whose rate is any function of (t, x, u, d, p)."""
+
+        def _construct(
+            self,
+            rate: Callable[..., list[Any]],
+            num_inputs: int = 1,
+            num_disturbances: int = 1,
+            other_size: int = 0,
+            converter: Any = None,
+        ) -> None:
+            LeafSystem_[T].__init__(self, converter=converter)
+            self.arguments = rate, num_inputs, num_disturbances, other_size
+            self.rate = rate
+            self.DeclareContinuousState(2)
+            self.DeclareNumericParameter(BasicVector_[T]([3.0]))
+            self.u = self.DeclareVectorInputPort("input", num_inputs)
+            self.d = self.DeclareVectorInputPort("disturbance", num_disturbances)
+            self.other = other_size and self.DeclareVectorInputPort("other", other_size)
+
+        def _construct_copy(self, other: Any, converter: Any = None) -> None:
+            Impl._construct(self, *other.arguments, converter=converter)
+
+        def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
+            rate = self.rate(
+                context.get_time(),
+                context.get_continuous_state_vector().CopyToVector(),
+                self.u.Eval(context),
+                self.d.Eval(context),
+                self.other.Eval(context)
+                if self.other
+                else context.get_numeric_parameter(0).CopyToVector(),
+            )
+            derivatives.SetFromVector(np.array(rate))
+
+    return Impl
+
+
+Formula = Formula_[None]
+
+
+def cart_pole() -> MultibodyPlant:
+    plant = MultibodyPlant(time_step=0.0)
+    sphere = UnitInertia.SolidSphere(0.1)
+    bob = UnitInertia.PointMass([0.0, 0.0, -0.5])
+    cart = plant.AddRigidBody("cart", SpatialInertia(1.0, [0.0, 0.0, 0.0], sphere))
+    pole = plant.AddRigidBody("pole", SpatialInertia(0.3, [0.0, 0.0, -0.5], bob))
+    world, axis = plant.world_frame(), [1.0, 0.0, 0.0]
+    slider = plant.AddJoint(PrismaticJoint("slider", world, cart.body_frame(), axis))
+    plant.AddJoint(
+        RevoluteJoint("hinge", cart.body_frame(), pole.body_frame(), [0.0, 1.0, 0.0])
+    )
+    plant.AddJointActuator("force", slider)
+    plant.Finalize()
+    return plant
+
+
+def arm() -> MultibodyPlant:
+    plant = MultibodyPlant(time_step=0.0)
+    link = SpatialInertia(
+        1.2,
+        [0.0, 0.0, -0.5],
+        UnitInertia.SolidSphere(0.2).ShiftFromCenterOfMass([0.0, 0.0, -0.5]),
+    )
+    frame = plant.world_frame()
+    for name in ("shoulder", "elbow"):
+        body = plant.AddRigidBody(name, link)
+        joint = RevoluteJoint(name, frame, body.body_frame(), [0.0, 1.0, 0.0], 0.1)
+        plant.AddJointActuator(name, plant.AddJoint(joint))
+        tip = RigidTransform([0.0, 0.0, -1.0])
+        frame = plant.AddFrame(FixedOffsetFrame(f"{name} tip", body.body_frame(), tip))
+    plant.Finalize()
+    return plant
+
+
+def linear_system() -> LinearSystem:
+    random = np.random.default_rng(3)
+    return LinearSystem(
+        A=random.normal(size=(3, 3)), B=random.normal(size=(3, 2)), C=np.eye(3)
+    )
+
+
+def diagram(plant: Any, port: str) -> Diagram:
+    builder = DiagramBuilder()
+    builder.AddNamedSystem("plant", plant)
+    builder.ExportInput(plant.GetInputPort(port), "input")
+    return builder.Build()
+
+
+def assert_agrees(model: ControlAffineModel, port: Any, context: Any) -> None:
+    """Compares f + g u + E d with Drake's own derivatives at random points."""
+    system = port.get_system()
+    random = np.random.default_rng(0)
+    for _ in range(10):
+        x = random.normal(size=model.num_states)
+        u = random.normal(size=model.num_inputs)
+        d = random.normal(size=model.num_disturbances)
+        context.SetContinuousState(x)
+        port.FixValue(context, u)
+        if model.num_disturbances:
+            system.GetInputPort("disturbance").FixValue(context, d)
+        f, g = model.drift_and_input_matrix(x)
+        rate = f + g @ u + model.disturbance_matrix @ d
+        expected = system.EvalTimeDerivatives(context).CopyToVector()
+        np.testing.assert_allclose(rate, expected, rtol=1e-9, atol=1e-9)
+        np.testing.assert_array_equal(model.drift(x), f)
+        np.testing.assert_array_equal(model.input_matrix(x), g)
+
+
+@pytest.mark.parametrize(
+    ("system", "port"),
+    [
+        (Blimp(), "input"),
+        (Blimp(BlimpParameters(added_mass=[0.1, 0.3, 0.2])), "input"),
+        (Car(), "input"),
+        (PendulumPlant(), "tau"),
+        (AcrobotPlant(), "elbow_torque"),
+        (QuadrotorPlant(), "propeller_force"),
+        (linear_system(), "u0"),
+        (cart_pole(), "actuation"),
+        (arm(), "actuation"),
+        (diagram(Blimp(), "input"), "input"),
+        (diagram(arm(), "actuation"), "input"),
+        (Formula(lambda t, x, u, d, p: [sqrt(1.5 + sin(x[0])), u[0] + d[0]]), "input"),
+    ],
+)
+def test_model_agrees_with_the_system(system: Any, port: str) -> None:
+    model = ControlAffineModel.from_system(system, port)
+    assert_agrees(model, system.GetInputPort(port), system.CreateDefaultContext())
+
+
+def test_parameters_come_from_the_context() -> None:
+    blimp = Blimp()
+    context = blimp.CreateDefaultContext()
+    parameters = context.get_mutable_numeric_parameter(0)
+    parameters.SetFromVector(1.7 * parameters.CopyToVector())
+    model = ControlAffineModel.from_system(blimp, context=context)
+    assert_agrees(model, blimp.GetInputPort("input"), context)
+    default = ControlAffineModel.from_system(blimp)
+    x = np.ones(8)
+    assert not np.allclose(model.input_matrix(x), default.input_matrix(x))
+
+
+def test_blimp_model_has_names_shapes_and_the_disturbed_channels() -> None:
+    model = ControlAffineModel.from_system(Blimp())
+    assert (model.num_states, model.num_inputs, model.num_disturbances) == (8, 3, 3)
+    assert model.state_names == ("x", "y", "z", "yaw", "vx", "vy", "vz", "yaw_rate")
+    assert model.state.shape == model.drift_expressions.shape == (8,)
+    assert model.input_matrix_expressions.shape == (8, 3)
+    np.testing.assert_array_equal(model.disturbance_matrix, np.eye(8)[:, 4:7])
+
+
+def test_states_are_named_as_the_system_names_them() -> None:
+    model = ControlAffineModel.from_system(arm(), "actuation")
+    assert model.state_names == tuple(arm().GetStateNames())
+    assert ControlAffineModel.from_system(PendulumPlant()).state_names == ("x0", "x1")
+
+
+def test_ports_are_given_by_object_name_or_index() -> None:
+    car = Car()
+    x = np.array([1.0, 2.0, 3.0, 4.0])
+    expected = ControlAffineModel.from_system(car)
+    for port in (car.GetInputPort("input"), "input", 0, np.int64(0)):
+        model = ControlAffineModel.from_system(
+            car, port, disturbance_port="disturbance"
+        )
+        np.testing.assert_array_equal(model.input_matrix(x), expected.input_matrix(x))
+    swapped = ControlAffineModel.from_system(car, "disturbance", "input")
+    np.testing.assert_array_equal(swapped.input_matrix(x), [[0], [0], [1], [0]])
+    np.testing.assert_array_equal(swapped.disturbance_matrix, expected.input_matrix(x))
+
+
+def test_a_system_without_a_disturbance_has_none() -> None:
+    model = ControlAffineModel.from_system(AcrobotPlant())
+    assert model.num_disturbances == 0
+    assert model.disturbance_matrix.shape == (4, 0)
+
+
+def test_other_ports_are_held_at_zero_or_at_their_value_in_the_context() -> None:
+    system = Formula(lambda t, x, u, d, o: [o[0] * x[1], u[0] + d[0]], other_size=1)
+    x = np.array([5.0, 2.0])
+    model = ControlAffineModel.from_system(system, "input")
+    np.testing.assert_array_equal(model.drift(x), [0.0, 0.0])
+    context = system.CreateDefaultContext()
+    system.GetInputPort("other").FixValue(context, [3.0])
+    model = ControlAffineModel.from_system(system, "input", context=context)
+    np.testing.assert_array_equal(model.drift(x), [6.0, 0.0])
+
+
+def test_an_affine_form_may_want_simplification() -> None:
+    def rate(t: Any, x: Any, u: Any, d: Any, p: Any) -> list[Any]:
+        return [(u[0] + x[1]) ** 2 - u[0] ** 2, d[0] * (x[0] / (2.0 * x[0]))]
+
+    model = ControlAffineModel.from_system(Formula(rate))
+    np.testing.assert_allclose(model.input_matrix(np.array([1.0, 4.0])), [[8.0], [0.0]])
+    np.testing.assert_allclose(model.disturbance_matrix, [[0.0], [0.5]])
+
+
+@pytest.mark.parametrize(
+    ("rate", "message"),
+    [
+        (lambda t, x, u, d, p: [x[1], u[0] ** 2 + d[0]], "derivative of x1 is not aff"),
+        (lambda t, x, u, d, p: [sin(u[0]), d[0]], "derivative of x0 is not affine"),
+        (lambda t, x, u, d, p: [x[1] + d[0], u[0] * d[0]], "x1 is not affine"),
+        (lambda t, x, u, d, p: [x[1], u[0] + d[0] ** 3], "x1 is not affine"),
+        (lambda t, x, u, d, p: [x[1], abs(u[0]) + d[0]], "x1 is not affine"),
+        (lambda t, x, u, d, p: [1.0 / u[0], d[0]], "x0 is not affine"),
+        (
+            lambda t, x, u, d, p: [x[1], u[0] + x[0] * d[0]],
+            "disturbance 0 acts on.* x1",
+        ),
+        (lambda t, x, u, d, p: [sqrt(x[0]) * d[0], u[0]], "E is not constant"),
+        (lambda t, x, u, d, p: [x[1], u[0]], "columns of the disturbance matrix"),
+        (lambda t, x, u, d, p: [t * x[1], u[0] + d[0]], "of x0 depends on time"),
+        (lambda t, x, u, d, p: [x[1], u[0] + d[0] if x[0] > 0 else 0], "do not eval"),
+    ],
+)
+def test_what_is_not_affine_is_refused_by_name(
+    rate: Callable[..., list[Any]], message: str
+) -> None:
+    system = Formula(rate)
+    system.set_name("the_plant")
+    with pytest.raises(ModelError, match=f"the_plant.*{message}"):
+        ControlAffineModel.from_system(system)
+
+
+def test_systems_without_a_symbolic_or_continuous_form_are_refused() -> None:
+    class Numeric(LeafSystem):
+        def __init__(self) -> None:
+            super().__init__()
+            self.DeclareContinuousState(1)
+            self.DeclareVectorInputPort("input", 1)
+
+    with pytest.raises(ModelError, match=r"Numeric.* does not convert to symbolic"):
+        ControlAffineModel.from_system(Numeric())
+    with pytest.raises(ModelError, match="discrete"):
+        discrete = LinearSystem(A=[[0.0]], B=[[1.0]], C=[[1.0]], time_period=0.1)
+        ControlAffineModel.from_system(discrete)
+    with pytest.raises(ModelError, match="no continuous state"):
+        gain = LinearSystem(A=np.empty((0, 0)), B=np.empty((0, 1)), D=[[1.0]])
+        ControlAffineModel.from_system(gain)
+
+
+def test_ports_that_do_not_fit_are_refused_with_a_list_of_those_there_are() -> None:
+    car = Car()
+    there_are = r"its vector input ports are input \(2\), disturbance \(1\)"
+    for port in ("throttle", 7, -1, Car().GetInputPort("input")):
+        with pytest.raises(ModelError, match=there_are):
+            ControlAffineModel.from_system(car, port)
+    with pytest.raises(ModelError, match="'input' cannot be both"):
+        ControlAffineModel.from_system(car, "input", "input")
+    with pytest.raises(ModelError, match=r"say which .* actuation \(2\), applied_gen"):
+        ControlAffineModel.from_system(arm())
+    with pytest.raises(ModelError, match="'applied_spatial_force' carries no vector"):
+        ControlAffineModel.from_system(arm(), "applied_spatial_force")
+    with pytest.raises(ModelError, match="its vector input ports are none"):
+        ControlAffineModel.from_system(diagram_without_inputs())
+
+
+def diagram_without_inputs() -> Diagram:
+    builder = DiagramBuilder()
+    builder.AddNamedSystem("integrator", Integrator(1))
+    return builder.Build()
+
+
+def test_states_and_parts_of_wrong_shape_are_refused() -> None:
+    model = ControlAffineModel.from_system(Car())
+    with pytest.raises(ValueError, match=r"shape \(3,\); it must be \(4,\)"):
+        model.drift(np.zeros(3))
+    with pytest.raises(ValueError, match=r"must be \(4,\), \(4, m\) and \(4, q\)"):
+        ControlAffineModel(
+            model.state,
+            model.drift_expressions,
+            model.input_matrix_expressions,
+            np.eye(3),
+        )
+
+
+def test_values_are_the_same_in_every_process() -> None:
+    program = (
+        "import test_control_affine as t\n"
+        "import numpy as np\n"
+        "for system in (t.Blimp(t.BlimpParameters(drag=[0.1, 0.2, 0.3])), t.arm()):\n"
+        "    port = 'input' if system.HasInputPort('input') else 'actuation'\n"
+        "    model = t.ControlAffineModel.from_system(system, port)\n"
+        "    x = np.linspace(-1.0, 1.0, model.num_states)\n"
+        "    f, g = model.drift_and_input_matrix(x)\n"
+        "    print(f.tobytes().hex(), g.tobytes().hex())\n"
+    )
+    path = os.pathsep.join([os.path.dirname(__file__), *sys.path])
+    outputs = {
+        subprocess.run(
+            [sys.executable, "-c", program],
+            env=os.environ | {"PYTHONHASHSEED": seed, "PYTHONPATH": path},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert len(outputs) == 1

@@ -1,0 +1,225 @@
+import dataclasses
+import struct
+from xml.etree import ElementTree
+
+import matplotlib
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull, HalfspaceIntersection
+
+from tests.helpers.synthetic_results import blimp_result, blimp_results, car_result
+from vcbf_drake.safety.methods import METHODS
+from vcbf_drake.viz import write_figures
+from vcbf_drake.viz.feasible_set import feasible_set_at, telling_times
+from vcbf_drake.viz.parallel_view import ParallelView
+from vcbf_drake.viz.runs import label_runs
+from vcbf_drake.viz.series_figures import volume_figure
+from vcbf_drake.viz.style import METHOD_STYLES, figure_style, save_figure
+from vcbf_drake.viz.vertices import polygon, polytope_faces, polytope_vertices
+
+BLIMP_FIGURES = [
+    "overview",
+    "paths",
+    "barriers",
+    "volume",
+    "slack",
+    "disturbance",
+    "inputs",
+    "feasible_sets",
+    "feasible_solids",
+]
+
+
+def png_size_and_dpi(path):
+    """Read from the file's own chunks."""
+    content = path.read_bytes()
+    assert content[:8] == b"\x89PNG\r\n\x1a\n"
+    width, height = struct.unpack(">II", content[16:24])
+    at = content.index(b"pHYs") + 4
+    per_metre = struct.unpack(">I", content[at : at + 4])[0]
+    return width, height, per_metre * 0.0254
+
+
+def random_polytope(rng, inputs):
+    """Rows around the origin with a box to close them."""
+    rows = rng.normal(size=(2 * inputs + 3, inputs))
+    A = np.vstack([rows, np.eye(inputs), -np.eye(inputs)])
+    return A, np.concatenate([rng.uniform(0.3, 1.0, len(rows)), np.ones(2 * inputs)])
+
+
+def same_points(first, second):
+    """Every point of one set is a point of the other."""
+    distance = np.linalg.norm(first[:, None] - second[None], axis=2)
+    return distance.min(axis=0).max() < 1e-7 and distance.min(axis=1).max() < 1e-7
+
+
+def test_a_blimps_figures(tmp_path):
+    paths = write_figures(blimp_results()[1:], tmp_path / "made" / "here")
+    assert [p.name for p in paths] == [
+        f"{name}.{ending}" for name in BLIMP_FIGURES for ending in ("png", "svg")
+    ]
+    for path in paths:
+        if path.suffix == ".png":
+            width, height, dpi = png_size_and_dpi(path)
+            assert dpi == pytest.approx(160, abs=0.1)
+            assert 900 < width < 1600 and 300 < height < 2000
+        else:
+            assert ElementTree.parse(path).getroot().tag.endswith("svg")
+            assert b"dc:date" not in path.read_bytes()
+
+
+def test_a_cars_figures_are_those_of_two_inputs(tmp_path):
+    runs = [car_result("cbf-qp", 4.0, "collision", 0.3), car_result()]
+    paths = write_figures(runs, tmp_path, times=[1.0])
+    assert {p.stem for p in paths} == set(BLIMP_FIGURES) - {"feasible_solids"}
+
+
+def test_the_same_result_gives_the_same_bytes(tmp_path):
+    contents = []
+    for name in ("first", "second"):
+        with figure_style():
+            figure = volume_figure(label_runs(blimp_results()))
+            (tmp_path / name).mkdir()
+            saved = save_figure(figure, tmp_path / name, "volume")
+        contents.append([path.read_bytes() for path in saved])
+    assert contents[0] == contents[1]
+
+
+def test_the_users_settings_stay_as_they_are(tmp_path):
+    before = dict(matplotlib.rcParams)
+    with figure_style():
+        assert matplotlib.rcParams["svg.hashsalt"] == "vcbf_drake"
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_every_method_has_its_own_colour_and_dashes():
+    assert list(METHOD_STYLES) == list(METHODS)
+    for field in ("label", "color", "dashes"):
+        assert len({getattr(s, field) for s in METHOD_STYLES.values()}) == len(METHODS)
+
+
+def test_a_run_without_a_state_of_the_filter_is_drawn(tmp_path):
+    # A run that never solved: no volume, no ellipsoid, limits instead of barriers.
+    result = blimp_result(end=2.0)
+    names = ("volume", "ellipsoid_shape", "ellipsoid_center")
+    missing = {name: np.full_like(result.log[name], np.nan) for name in names}
+    barriers = result.log["barriers"].copy()
+    barriers[:, 0] = np.nan
+    log = result.log | missing | {"barriers": barriers}
+    assert write_figures([dataclasses.replace(result, log=log)], tmp_path)
+
+
+def test_the_least_barrier_leaves_out_what_is_not_a_number():
+    result = blimp_result(end=1.0)
+    result.log["barriers"][:, 2] = np.nan
+    result.log["barriers"][4] = np.nan
+    least = label_runs([result])[0].least_barrier
+    assert np.isnan(least[4])
+    assert least[7] == np.nanmin(result.log["barriers"][7])
+
+
+def test_the_failure_is_at_its_tick():
+    run = label_runs([blimp_result("dob-cbf-qp", 7.6, infeasible=True)])[0]
+    assert run.time[run.failure_tick] == pytest.approx(7.6)
+    assert label_runs([blimp_result(end=1.0)])[0].failure_tick is None
+
+
+@pytest.mark.parametrize("inputs", [2, 3])
+@pytest.mark.parametrize("seed", range(8))
+def test_corners_are_those_of_qhull(inputs, seed):
+    A, b = random_polytope(np.random.default_rng(seed), inputs)
+    halfspaces = np.column_stack([A, -b])
+    expected = HalfspaceIntersection(halfspaces, np.zeros(inputs)).intersections
+    # Qhull lists a corner once for each simplex that meets there.
+    assert same_points(polytope_vertices(A, b), expected)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-6, 1e6])
+def test_corners_of_a_box_in_any_unit(scale):
+    A = np.vstack([np.eye(3), -np.eye(3)])
+    corners = polytope_vertices(A, scale * np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0]))
+    assert len(corners) == 8
+    np.testing.assert_allclose(corners.max(axis=0), scale * np.array([1.0, 2.0, 3.0]))
+
+
+def test_an_empty_set_has_no_corners():
+    A = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    assert polytope_vertices(A, np.array([-1.0, -1.0, 1.0, 1.0])).shape == (0, 2)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_polygon_is_the_convex_hull_in_order(seed):
+    points = np.random.default_rng(seed).normal(size=(30, 2))
+    corners = polygon(points)
+    hull = ConvexHull(points)
+    assert same_points(corners, points[hull.vertices])
+    x, y = corners.T
+    area = 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
+    assert area == pytest.approx(hull.volume)  # Positive: counter-clockwise.
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_faces_close_the_polytope(seed):
+    A, b = random_polytope(np.random.default_rng(seed), 3)
+    corners = polytope_vertices(A, b)
+    volume, edges, faces = 0.0, 0, polytope_faces(A, b, corners)
+    for row, face in faces:
+        np.testing.assert_allclose(face @ A[row], b[row], atol=1e-9)
+        around = np.cross(face, np.roll(face, -1, axis=0)).sum(axis=0)
+        volume += abs(face[0] @ around) / 6.0  # A pyramid up from the origin.
+        edges += len(face)
+    assert len(corners) - edges // 2 + len(faces) == 2  # Euler.
+    assert volume == pytest.approx(ConvexHull(corners).volume)
+
+
+def test_the_telling_times():
+    assert telling_times(label_runs(blimp_results())) == pytest.approx([2, 7.58, 7.6])
+    assert telling_times(label_runs([blimp_result(end=12.0)])) == [2.0, 6.0, 9.0]
+
+
+def test_an_empty_set_names_its_conflict():
+    run = label_runs([blimp_result("dob-cbf-qp", 7.6, infeasible=True)])[0]
+    assert not feasible_set_at(run, 7.58).empty
+    empty = feasible_set_at(run, 7.6)
+    assert empty.empty
+    assert 6 in empty.conflict  # The first obstacle's row follows six input limits.
+    assert len(empty.conflict) <= 4
+
+
+def test_the_set_is_that_of_the_last_tick():
+    run = label_runs([blimp_result(end=4.0)])[0]
+    log = run.result.log
+    np.testing.assert_array_equal(feasible_set_at(run, 2.0).b, log["polytope_b"][100])
+    np.testing.assert_array_equal(feasible_set_at(run, 2.019).b, log["polytope_b"][100])
+    np.testing.assert_array_equal(feasible_set_at(run, 99.0).b, log["polytope_b"][-1])
+
+
+def test_rows_that_are_not_finite_are_left_out():
+    result = blimp_result(end=1.0)
+    result.log["polytope_A"][:, 7] = np.nan
+    chosen = feasible_set_at(label_runs([result])[0], 0.5)
+    assert np.all(np.isfinite(chosen.A))
+    assert not chosen.empty
+
+
+def test_a_parallel_view_keeps_lengths_across_it():
+    view = ParallelView.from_angles(azimuth=-112.0, elevation=24.0)
+    axes = np.stack([view.right, view.up, view.toward])
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(np.cross(view.right, view.up), view.toward, atol=1e-12)
+    assert view.up[2] > 0.0
+
+
+def test_a_ball_hides_what_it_covers():
+    view = ParallelView.from_angles(azimuth=-100.0, elevation=30.0)
+    rng = np.random.default_rng(0)
+    center, radius = np.array([0.3, -0.2, 0.5]), 0.8
+    points = center + rng.normal(size=(400, 3))
+    points = points[np.linalg.norm(points - center, axis=1) > radius]
+    # March from each point to the eye and see whether the ball is in the way.
+    steps = np.linspace(0.0, 6.0, 3001)[:, None, None]
+    way = points + steps * view.toward
+    expected = np.any(np.linalg.norm(way - center, axis=2) < radius, axis=0)
+    assert 0.1 < expected.mean() < 0.6
+    disagree = view.hidden(points, center, radius) != expected
+    assert disagree.mean() < 0.01  # Grazing lines, between two steps of the march.

@@ -1,0 +1,365 @@
+import base64
+import dataclasses
+import html
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from tests.helpers.synthetic_results import blimp_result, blimp_results, car_result
+from vcbf_drake.safety.methods import METHODS
+from vcbf_drake.viz import write_replay
+from vcbf_drake.viz.geometry import geometry_of
+from vcbf_drake.viz.mesh import cylinder, lattice, merge, prism, sphere, torus, tube
+from vcbf_drake.viz.runs import label_runs
+from vcbf_drake.viz.stage import MAX_FRAMES, set_stage
+from vcbf_drake.viz.vehicles import BLIMP_LENGTH, BLIMP_WIDTH, blimp, car
+
+
+def refuse_constant(name):
+    raise AssertionError(f"the page's data holds {name}")
+
+
+def page_data(page):
+    text = re.search(r'id="replay-data">(.*?)</script>', page, re.DOTALL)[1]
+    return json.loads(text, parse_constant=refuse_constant)
+
+
+def commands(page):
+    """What the page tells Meshcat, as bytes."""
+    found = re.findall(r'fetch\("data:application/octet-binary;base64,([^"]+)', page)
+    return [base64.b64decode(text) for text in found]
+
+
+def signed_volume(mesh):
+    """By the divergence theorem: positive when the faces look outwards."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    return np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0
+
+
+@pytest.fixture(scope="module")
+def page_path(tmp_path_factory):
+    path = tmp_path_factory.mktemp("replay") / "made" / "blimp.html"
+    return write_replay(blimp_results(), path)
+
+
+@pytest.fixture(scope="module")
+def page(page_path):
+    return page_path.read_text(encoding="utf-8")
+
+
+def test_the_page_is_one_file_that_drives_meshcats_own_player(page):
+    assert page.count("</body>") == 1
+    assert "viewer.animator" in page
+    assert page.count("<title>A blimp among spheres - vcbf_drake</title>") == 1
+    assert "class Animator" in page  # Meshcat's code itself is inside.
+    assert not re.search(r'<(script|link|img)[^>]+(src|href)="', page)
+    assert len(page.encode()) < 4e6
+
+
+def test_the_data_are_finite_json_and_are_those_of_the_log(page):
+    data = page_data(page)
+    results = blimp_results()
+    assert [run["label"] for run in data["runs"]] == [
+        "Robust CBF-QP",
+        "DOB-CBF-QP",
+        "DOB-VCBF-QP",
+    ]
+    assert data["duration"] == pytest.approx(19.5)
+    for run, result in zip(data["runs"], results, strict=True):
+        ticks = np.searchsorted(result.log["time"], np.array(run["time"]) - 1e-3)
+        least = result.log["barriers"].min(axis=1)[ticks]
+        np.testing.assert_allclose(run["barrier"], least, rtol=1e-4)
+        assert len(run["time"]) <= 800
+        assert run["time"][-1] == pytest.approx(result.log["time"][-1], rel=1e-4)
+
+
+def test_what_is_not_a_number_is_null(page):
+    run = page_data(page)["runs"][1]
+    assert run["volume"][-1] is None  # The set is empty at the infeasible tick.
+    assert None not in run["volume"][:-1]
+
+
+def test_the_legend_knows_what_happened_and_when(page):
+    robust, ours, best = page_data(page)["runs"]
+    assert robust["events"][0]["kind"] == "reached"
+    assert ours["events"] == [
+        {"time": 7.6, "kind": "infeasible", "text": "infeasible since 7.6 s"}
+    ]
+    assert best["events"][0]["text"] == "reached at 19.5 s"
+
+
+def test_only_the_infeasible_run_gets_a_marker_and_it_appears_in_time(page):
+    animation = next(c for c in commands(page) if b"set_animation" in c)
+    assert b"/drake/failure/1" in animation and b".visible" in animation
+    assert b"/drake/failure/0" not in animation
+    assert b"/drake/failure/2" not in animation
+
+
+def test_the_scenarios_words_cannot_become_markup(tmp_path):
+    words = "<script>alert(1)</script> & more\n</script><b>bold</b>"
+    result = blimp_result(end=2.0)
+    scenario = dataclasses.replace(result.scenario, description=words, name="<i>")
+    result = dataclasses.replace(result, scenario=scenario)
+    page = write_replay([result], tmp_path / "page.html").read_text()
+    assert "<script>alert" not in page
+    assert "<b>bold" not in page
+    assert html.escape("<script>alert(1)</script> & more") in page
+
+
+def test_the_same_results_give_the_same_bytes(tmp_path):
+    results = [blimp_result("dob-cbf-qp", 3.0, infeasible=True), blimp_result(end=4.0)]
+    first = write_replay(results, tmp_path / "first.html").read_bytes()
+    second = write_replay(results, tmp_path / "second.html").read_bytes()
+    assert first == second
+
+
+def test_only_moving_obstacles_are_recorded(tmp_path):
+    page = write_replay([car_result()], tmp_path / "car.html").read_text()
+    animation = next(c for c in commands(page) if b"set_animation" in c)
+    assert b"/drake/obstacles/2" in animation
+    assert b"/drake/obstacles/0" not in animation
+
+
+def test_frames_follow_the_log_and_rest_when_it_ends():
+    results = blimp_results()
+    stage = set_stage(results)
+    short = stage.motions[1]
+    assert np.diff(short.time) == pytest.approx(0.1)
+    assert stage.frames_per_second == pytest.approx(10.0)
+    log = results[1].log
+    tick = 137
+    np.testing.assert_allclose(
+        short.position_at(log["time"][tick]), log["state"][tick, :3], atol=2e-3
+    )
+    after = short.position[short.time > 7.6]
+    np.testing.assert_array_equal(after, np.tile(log["state"][-1, :3], (len(after), 1)))
+    assert np.all(stage.low < stage.high)
+
+
+def test_a_long_run_has_no_more_frames():
+    result = car_result(end=60.0)
+    stage = set_stage([result])
+    assert len(stage.motions[0].time) <= MAX_FRAMES + 1
+    assert stage.duration == pytest.approx(60.0)
+
+
+def test_many_runs_still_make_a_small_page(tmp_path):
+    runs = [blimp_result(method) for method in METHODS]
+    assert write_replay(runs, tmp_path / "page.html").stat().st_size < 4e6
+
+
+def test_the_car_drives_in_the_plane_and_turns_by_its_heading():
+    result = car_result()
+    motion = set_stage([result]).motions[0]
+    assert np.all(motion.position[:, 2] == 0.0)
+    assert motion.heading[0] == pytest.approx(result.log["state"][0, 3])
+
+
+def test_a_vehicle_larger_than_its_obstacles_is_drawn_smaller():
+    result = blimp_result(end=2.0)
+    assert set_stage([result]).fraction == 1
+    small = [dataclasses.replace(o, radius=0.2) for o in result.scenario.obstacles]
+    scenario = dataclasses.replace(result.scenario, obstacles=small)
+    stage = set_stage([dataclasses.replace(result, scenario=scenario)])
+    assert stage.fraction == 3
+    assert stage.reach == pytest.approx(0.5 * BLIMP_LENGTH / 3)
+
+
+def test_no_obstacles_are_no_trouble(tmp_path):
+    result = blimp_result(end=2.0)
+    scenario = dataclasses.replace(result.scenario, obstacles=[])
+    log = result.log | {"barriers": np.empty((len(result.log["time"]), 0))}
+    result = dataclasses.replace(result, scenario=scenario, log=log)
+    page = write_replay([result], tmp_path / "page.html").read_text()
+    assert set(page_data(page)["runs"][0]["barrier"]) == {None}
+
+
+def test_runs_of_one_method_are_told_apart():
+    results = [car_result(end=2.0) for _ in range(3)]
+    for result, gain in zip(results, (0.2, 0.6, 1.0), strict=True):
+        result.scenario.volume.gain = gain
+    runs = label_runs(results)
+    labels = [run.label for run in runs]
+    assert labels == [f"DOB-VCBF-QP, gain = {gain}" for gain in (0.2, 0.6, 1.0)]
+    assert len({run.color for run in runs}) == 3
+    assert runs[-1].color == "#0072b2"
+
+
+def test_bad_input_is_refused_in_one_line(tmp_path):
+    with pytest.raises(ValueError, match="results: got none"):
+        write_replay([], tmp_path / "page.html")
+    result = blimp_result(end=2.0)
+    scenario = dataclasses.replace(result.scenario, plant="a brick")
+    with pytest.raises(ValueError, match=r"cannot draw str; allowed: BlimpParameters"):
+        geometry_of(dataclasses.replace(result, scenario=scenario))
+
+
+def test_meshes_look_outwards_and_have_the_right_size():
+    assert signed_volume(sphere(0.7)) == pytest.approx(4 / 3 * np.pi * 0.343, rel=0.02)
+    ring = 2.0 * np.pi**2 * 0.9 * 0.1**2
+    assert signed_volume(torus(0.9, 0.1)) == pytest.approx(ring, rel=0.12)
+    # A rounded rim and an open bottom, whose plane holds the origin, take little.
+    pillar = cylinder(0.5, 0.3)
+    assert signed_volume(pillar) == pytest.approx(np.pi * 0.25 * 0.3, rel=0.03)
+    box = prism([(-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0), (1.0, -1.0)], 0.5)
+    assert signed_volume(box) == pytest.approx(4.0)
+    two = merge([box, box.moved((5.0, 0.0, 0.0))])
+    assert signed_volume(two) == pytest.approx(8.0)
+
+
+def test_a_lattice_follows_its_rows():
+    points = np.random.default_rng(0).normal(size=(5, 4, 3))
+    faces = lattice(points).faces
+    assert len(faces) == 4 * 4 * 2
+    for row in range(4):
+        assert set(faces[8 * row : 8 * row + 8].ravel() // 4) == {row, row + 1}
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        np.linspace([0.0, 0.0, 0.0], [0.0, 0.0, 2.0], 9),  # Straight up.
+        np.tile([1.0, 2.0, 3.0], (6, 1)),  # At rest.
+        np.repeat(np.linspace([0.0, 0.0, 0.0], [1.0, 1.0, 0.0], 5), 3, axis=0),
+        np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [1, 1, 1], [0, 1, 1], [1, 1, 1]]),
+    ],
+)
+def test_a_tube_goes_anywhere(path):
+    mesh = tube(path, 0.05)
+    assert np.all(np.isfinite(mesh.vertices))
+    rings = mesh.vertices.reshape(len(path), -1, 3)
+    distance = np.linalg.norm(rings - path[:, None], axis=2)
+    np.testing.assert_allclose(distance, 0.05)
+
+
+def test_a_straight_tube_has_a_cylinders_volume():
+    mesh = tube(np.linspace([-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], 5), 0.1, sides=64)
+    # Its ends are open: they add nothing to the integral only if they hold the origin.
+    side = 2.0 / 3.0 * np.pi * 0.1**2 * 2.0
+    assert signed_volume(mesh) == pytest.approx(side, rel=0.01)
+
+
+@pytest.mark.parametrize("parts", [blimp("#0072b2"), car("#0072b2")])
+def test_vehicles_are_sound(parts):
+    assert len({part.name for part in parts}) == len(parts)
+    for part in parts:
+        assert np.all(np.isfinite(part.mesh.vertices))
+        assert part.mesh.faces.min() >= 0
+        assert part.mesh.faces.max() < len(part.mesh.vertices)
+        assert re.fullmatch("#[0-9a-f]{6}", part.color)
+
+
+def test_the_blimp_has_its_true_size_and_the_car_stands_on_the_ground():
+    envelope = np.vstack(
+        [p.mesh.vertices for p in blimp("#000000") if p.name != "fins"][:3]
+    )
+    size = np.ptp(envelope, axis=0)
+    np.testing.assert_allclose(
+        size, [BLIMP_LENGTH, BLIMP_WIDTH, BLIMP_WIDTH], rtol=0.01
+    )
+    lowest = min(part.mesh.vertices[:, 2].min() for part in car("#000000"))
+    assert lowest == pytest.approx(0.0, abs=1e-9)
+
+
+def in_browser(page, tmp_path, fragment):
+    """The page as headless Chromium leaves it, and what it wrote to its console."""
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    if chromium is None:
+        pytest.skip("no chromium on PATH")
+    options = (
+        "--headless --no-sandbox --disable-gpu --use-gl=angle --use-angle=swiftshader"
+        " --enable-unsafe-swiftshader --no-first-run --disable-background-networking"
+        " --enable-logging=stderr --v=0 --window-size=900,700"
+        " --virtual-time-budget=4000 --dump-dom"
+    )
+    for attempt in range(3):  # Chromium's own start fails now and then under load.
+        profile = f"--user-data-dir={tmp_path / f'profile{attempt}'}"
+        address = page.resolve().as_uri() + fragment
+        run = subprocess.run(
+            [chromium, *options.split(), profile, address],
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
+        if run.returncode == 0 and "</html>" in run.stdout:
+            return run.stdout, run.stderr
+    pytest.skip(f"chromium does not run here: {run.stderr[-200:]}")
+
+
+def console_errors(console):
+    lines = [line for line in console.splitlines() if "CONSOLE" in line]
+    return [line for line in lines if re.search("rror|xception", line)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("fragment", "clock", "words"),
+    [("#t=5", "5.00 s", "under way"), ("#t=9", "9.00 s", "infeasible since 7.6 s")],
+)
+def test_a_real_browser_shows_it(page_path, tmp_path, fragment, clock, words):
+    dom, console = in_browser(page_path, tmp_path, fragment)
+    assert not console_errors(console)
+    shown = re.sub("<script.*?</script>", "", dom, flags=re.DOTALL)
+    legend = re.search('<ul id="legend">(.*?)</ul>', shown, re.DOTALL)[1]
+    assert re.search(f"DOB-CBF-QP</span><span[^>]*>{words}", legend)
+    assert re.search(f'<output id="clock">{clock}', shown)
+    assert shown.count("<figure>") == 3
+    assert shown.count('class="curve"') == 18  # 3 plots, 3 runs, pale and strong.
+    assert re.search(r"<canvas[^>]+(width|height)", shown)
+
+
+# Waits for Meshcat to load its scene, acts, and leaves what it saw in the page.
+PROBE = """
+<pre id="probe"></pre>
+<script>
+function seen() {
+  const find = (path) => viewer.scene_tree.find(path.split("/")).object;
+  let drawn = 0;
+  find("drake/trail/2").traverse((mesh) => {
+    if (mesh.isMesh) drawn = mesh.geometry.drawRange.count / mesh.geometry.index.count;
+  });
+  return {
+    time: Math.max(...viewer.animator.actions.map((action) => action.time)),
+    playing: viewer.animator.playing,
+    failure: find("drake/failure/1").visible,
+    x: find("drake/vehicle/2").position.x,
+    drawn,
+  };
+}
+setTimeout(() => {
+  const report = [seen()];
+  const press = (key) => window.dispatchEvent(new KeyboardEvent("keydown", { key }));
+  press("ArrowRight");
+  report.push(seen());
+  const box = document.querySelector("#plots svg").getBoundingClientRect();
+  const middle = box.left + (42 + box.width - 10) / 2;  // Between the margins.
+  const drag = { clientX: middle, clientY: box.top + 5, buttons: 1 };
+  const plot = document.querySelector("#plots svg");
+  plot.dispatchEvent(new PointerEvent("pointermove", drag));
+  report.push(seen());
+  document.getElementById("probe").textContent = JSON.stringify(report);
+}, 2500);
+</script>
+"""
+
+
+@pytest.mark.slow
+def test_seeking_moves_the_scene(page, tmp_path):
+    path = tmp_path / "probe.html"
+    path.write_text(page.replace("</body>", PROBE + "</body>"), encoding="utf-8")
+    dom, console = in_browser(path, tmp_path, "#t=5")
+    assert not console_errors(console)
+    probe = re.search('<pre id="probe">(.*?)</pre>', dom, re.DOTALL)[1]
+    opened, stepped, dragged = json.loads(html.unescape(probe))
+    log = blimp_results()[2].log
+    for seen, time in ((opened, 5.0), (stepped, 5.5), (dragged, 19.5 / 2.0)):
+        assert seen["time"] == pytest.approx(time, abs=0.02)
+        assert not seen["playing"]  # The page's own clock leads.
+        assert seen["drawn"] == pytest.approx(time / 19.5, abs=0.01)
+        x = np.interp(time, log["time"], log["state"][:, 0])
+        assert seen["x"] == pytest.approx(x, abs=0.03)
+        assert seen["failure"] == (time > 7.6)

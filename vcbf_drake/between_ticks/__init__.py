@@ -1,0 +1,1 @@
+"""Certified bounds of the barriers between control ticks, by interval arithmetic."""

@@ -1,0 +1,169 @@
+"""The least that a run's barriers can have been, at the ticks and between them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+import math
+
+import numpy as np
+
+from vcbf_drake.barriers import Barrier
+from vcbf_drake.between_ticks.interval import Interval
+from vcbf_drake.checks import Array
+from vcbf_drake.safety import (
+    Assumption,
+    DisturbanceKnowledge,
+    HeldRows,
+    SafetyFilter,
+    Tick,
+    least_height,
+)
+from vcbf_drake.simulation.audit import known_along
+from vcbf_drake.simulation.scenario import Scenario
+
+# How many ticks are looked at together: a log on disk need not fit the memory.
+_BLOCK = 4096
+# Hypotheses that make the guarantees but no part of what is said of the rows here.
+_IRRELEVANT = (
+    "start inside",
+    "input authority",
+    "volume at the start",
+    "total derivative of the volume",
+)
+
+
+def is_certifiable(scenario: Scenario, assumptions: Sequence[Assumption]) -> bool:
+    """Returns whether state and disturbance are known as well as a certificate needs.
+
+    Args:
+        scenario: What is run.
+        assumptions: Its hypotheses.
+    """
+    # The explicit step's bound is calibrated, not proven (E36).
+    return scenario.observer.step != "explicit" and all(
+        each.holds is not False or each.name.startswith(_IRRELEVANT)
+        for each in assumptions
+    )
+
+
+def certified_least_barrier(
+    safety_filter: SafetyFilter,
+    log: Mapping[str, Array],
+    holds: int,
+    period: float,
+    disturbance_bound: float,
+) -> float:
+    """Returns what no h of a run was below, at the ticks or between them (E76).
+
+    That is true of every disturbance that agrees with what was known at the ticks.
+    -inf where nothing is certain, inf without a barrier.
+
+    Args:
+        safety_filter: The filter that ran.
+        log: The arrays of the log, one row a control tick.
+        holds: How many ticks' inputs were held for a whole period.
+        period: How long that is [s].
+        disturbance_bound: delta1 [m/s^2].
+
+    Raises:
+        ModelError: The plant or a barrier has no enclosure on intervals.
+    """
+    run = _Holds(safety_filter, log, period, disturbance_bound)
+    least = _least(log["barriers"][: holds + 1])
+    spans = [(0, holds)] if holds else []
+    while spans:
+        first, last = spans.pop()
+        # Most of a run is far from every barrier: a few large boxes show that.
+        if run.least_of_many(first, last) >= least:
+            continue
+        if last == first + 1:
+            least = min(least, run.least(first))
+        else:
+            middle = (first + last) // 2
+            spans += [(first, middle), (middle, last)]
+    return least
+
+
+class _Holds:
+    """The holds of a run, each from its tick to the next."""
+
+    def __init__(
+        self,
+        safety_filter: SafetyFilter,
+        log: Mapping[str, Array],
+        period: float,
+        disturbance_bound: float,
+    ) -> None:
+        self._model = safety_filter.model
+        self._barriers = safety_filter.barrier_set
+        self._decay_rates = {
+            row: each.decay_rates
+            for row, each in enumerate(safety_filter.barriers)
+            if isinstance(each, Barrier)
+        }
+        self._rows = HeldRows(self._model, self._barriers, period, disturbance_bound)
+        self._times, self._states = log["time"], log["state"]
+        self._inputs, self._period = log["input"], period
+        self._estimates, self._bounds = known_along(
+            log, safety_filter, disturbance_bound
+        )
+        is_estimated = safety_filter.method.disturbance == "estimated"
+        self._hold_margin = safety_filter.hold_margin if is_estimated else 0.0
+
+    def least_of_many(self, first: int, last: int) -> float:
+        """Returns a lower bound of every h from one tick to another."""
+        span = slice(first, last)
+        tube = self._rows.tube(
+            _hulls(self._states[span]),
+            _hulls(self._inputs[span]),
+            self._disturbances(first, last),
+        )
+        if tube is None:
+            return -math.inf
+        start, end = self._times[first], self._times[last - 1] + self._rows.period
+        box = [*tube.states, Interval(float(start), float(end))]
+        low, _ = self._barriers.enclosures(float(start)).values(box)
+        return _least(low[list(self._decay_rates)])
+
+    def least(self, k: int) -> float:
+        """Returns a lower bound of every h while the input of one tick is held."""
+        x, t = self._states[k], float(self._times[k])
+        tick = Tick(self._barriers.rows(x, t), x, t, self._known(k))
+        chi = self._rows.least(tick, self._inputs[k])
+        found = [
+            least_height(tick.rows.chain[row], rates, float(chi[row]), self._period)
+            for row, rates in self._decay_rates.items()
+        ]
+        # Where a barrier is singular nothing is certain.
+        return -math.inf if any(map(math.isnan, found)) else min(found)
+
+    def _known(self, k: int) -> DisturbanceKnowledge:
+        """Returns what the filter took as known of the disturbance at one tick."""
+        estimate, bound = self._estimates[k], float(self._bounds[k])
+        return DisturbanceKnowledge(
+            estimate, np.zeros_like(estimate), bound + self._hold_margin, 0.0, 0.0
+        )
+
+    def _disturbances(self, first: int, last: int) -> list[Interval]:
+        """Returns where each channel of d is from one tick to another."""
+        lows, highs = [], []
+        for start in range(first, last, _BLOCK):
+            block = slice(start, min(start + _BLOCK, last))
+            bounds = (self._bounds[block] + self._hold_margin)[:, None]
+            lows.append((self._estimates[block] - bounds).min(axis=0))
+            highs.append((self._estimates[block] + bounds).max(axis=0))
+        least, most = np.min(lows, axis=0).tolist(), np.max(highs, axis=0).tolist()
+        return [
+            self._rows.bounded(Interval(low, high) + 0.0)  # Rounds outwards.
+            for low, high in zip(least, most, strict=True)
+        ]
+
+
+def _hulls(points: Array) -> list[Interval]:
+    """Returns the box that holds points, shape (k, n)."""
+    ends = np.array([points.min(axis=0), points.max(axis=0)]).T.tolist()
+    return [Interval(low, high) for low, high in ends]
+
+
+def _least(values: Array) -> float:
+    return float(np.fmin.reduce(values, axis=None, initial=np.inf))

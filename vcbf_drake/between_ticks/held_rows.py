@@ -1,0 +1,252 @@
+"""What rows are worth while an input is held: certified, between ticks too."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+import contextlib
+from dataclasses import dataclass, replace
+import math
+from typing import TypeAlias
+
+import numpy as np
+
+from vcbf_drake.barriers import BarrierRows, BarrierSet
+from vcbf_drake.between_ticks.interval import Interval, Number
+from vcbf_drake.between_ticks.reach_tube import ReachTube, reach_tube
+from vcbf_drake.checks import Array
+from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.safety.feasible_set import DisturbanceKnowledge, disturbance_margin
+from vcbf_drake.safety.filter_qp import FilterDecision, FilterStatus
+
+_Pair: TypeAlias = tuple[Array, Array]  # Middles and radii of intervals.
+
+# How far below 0 a row's chi counts as 0, as for a row at the tick itself.
+_TOLERANCE = 1e-9
+# What a margin is more than a row lost without it: the next input loses another amount.
+_HEADROOM = 1.1
+_ATTEMPTS = 5
+# Bounds the rounding of the sums below, relative to the sum of their terms' sizes.
+_ROUNDING = 1e-12
+
+
+@dataclass(frozen=True)
+class Tick:
+    """What is known at one tick.
+
+    Attributes:
+        rows: The barrier rows.
+        state: Shape (n,).
+        time: When it is [s].
+        known: What is known of the disturbance until the next tick.
+        obstacles: What is perceived, shape (obstacles_size,).
+    """
+
+    rows: BarrierRows
+    state: Array
+    time: float
+    known: DisturbanceKnowledge
+    obstacles: Array | None = None
+
+    def chi(self, u: Array) -> Array:
+        """Returns b + Lambda - A u, shape (N,).
+
+        Args:
+            u: An input, shape (m,).
+        """
+        margin = disturbance_margin(self.rows, self.known)
+        chi: Array = self.rows.b + margin - self.rows.A @ u
+        return chi
+
+
+class HeldRows:
+    """The rows' values while an input is held, bounded from below (E72).
+
+    Attributes:
+        period: For how long it is held [s].
+    """
+
+    def __init__(
+        self,
+        model: ControlAffineModel,
+        barrier_set: BarrierSet,
+        period: float,
+        disturbance_bound: float,
+    ) -> None:
+        """Makes what bounds the rows.
+
+        Args:
+            model: The plant.
+            barrier_set: The rows.
+            period: For how long an input is held [s].
+            disturbance_bound: delta1 [m/s^2].
+
+        Raises:
+            ModelError: The model or a row has no enclosure on intervals.
+        """
+        barrier_set.require_enclosures()
+        with contextlib.suppress(ArithmeticError, ValueError):  # Singular at 0.
+            model.nominal_rate_over([0.0] * model.num_states, [0.0] * model.num_inputs)
+        # Ticks are whole periods up to rounding.
+        self.period = period * (1.0 + _ROUNDING)
+        self._model = model
+        self._barriers = barrier_set
+        self._disturbance_bound = disturbance_bound
+
+    def disturbances(self, known: DisturbanceKnowledge) -> list[Interval]:
+        """Returns where each channel of d is: near its estimate, and within delta1.
+
+        Args:
+            known: What is known of the disturbance until the next tick.
+        """
+        ball = Interval(-known.bound, known.bound)
+        return [self.bounded(ball + estimate) for estimate in known.estimate.tolist()]
+
+    def bounded(self, channel: Interval) -> Interval:
+        """Returns the part of an interval that is within delta1.
+
+        Args:
+            channel: Where a channel of d is, as far as an estimate tells [m/s^2].
+        """
+        most = self._disturbance_bound
+        low, high = max(channel.low, -most), min(channel.high, most)
+        # What cannot be true (an estimate too far off) still has a nearest truth.
+        return Interval(min(low, most), max(high, -most))
+
+    def tube(
+        self,
+        start: Sequence[Number],
+        inputs: Sequence[Number],
+        disturbances: Sequence[Number],
+    ) -> ReachTube | None:
+        """Returns a tube around the state until the next tick; None without one.
+
+        Args:
+            start: Where the state is at the tick, n numbers or intervals.
+            inputs: Where the held input is, m of them.
+            disturbances: Where the disturbance is, q of them.
+        """
+        try:
+            return reach_tube(self._model, start, inputs, disturbances, self.period)
+        except (ArithmeticError, ValueError):
+            return None
+
+    def least(self, tick: Tick, u: Array) -> Array:
+        """Returns a lower bound of every row's chi until the next tick, shape (N,).
+
+        It is -inf where none was found.
+
+        Args:
+            tick: What is known at the last one.
+            u: The input that is held, shape (m,).
+        """
+        d = self.disturbances(tick.known)
+        tube = self.tube(tick.state.tolist(), u.tolist(), d)
+        if tube is None:
+            return np.full(self._barriers.size, -np.inf)
+        box = [*tube.states, Interval(0.0, self.period) + tick.time]
+        enclosures = self._barriers.enclosures(tick.time, tick.obstacles)
+        weights = _pair([*(-u).tolist(), 1.0, *d])
+        # Far from its bound, a row is safe wherever in the tube the state is (E75) ...
+        least = _least_products(_middle_and_radius(*enclosures.entries(box)), weights)
+        near = np.flatnonzero(~(least >= 0.0)).tolist()
+        if near:  # ... and else its rate says how much it can lose (E74).
+            gradients = _middle_and_radius(*enclosures.gradients(box, near))
+            rates = _least_rates(weights, gradients, _pair([*tube.rates, 1.0]))
+            lasting = tick.chi(u)[near] + self.period * np.minimum(rates, 0.0)
+            least[near] = np.fmax(least[near], lasting)
+        return np.where(np.isnan(least), -np.inf, least)
+
+    def lasting_decision(
+        self,
+        tick: Tick,
+        decision: FilterDecision,
+        choose: Callable[[Array], FilterDecision],
+    ) -> FilterDecision:
+        """Returns a decision under which the rows hold until the next tick (E77).
+
+        A row that would not is given, as a margin, what it would lose and some more.
+        Where no input leaves it that, the margin gives way: the decision stays, and
+        its `least_chi` is negative.
+
+        Args:
+            tick: Where it is made.
+            decision: The one without a margin.
+            choose: Returns the decision under margins, shape (N,).
+        """
+        if decision.status >= FilterStatus.INFEASIBLE:
+            return decision
+        least, margin = self.least(tick, decision.input), np.zeros(self._barriers.size)
+        found = plain = _judged(decision, least)
+        for _ in range(_ATTEMPTS):
+            lacking = least < -_TOLERANCE
+            if not lacking.any():
+                break
+            loss = tick.chi(found.input) - least
+            margin = np.where(lacking, _HEADROOM * loss, margin)
+            found = choose(margin)
+            if found.status >= FilterStatus.INFEASIBLE:
+                return plain
+            least = self.least(tick, found.input)
+            found = _judged(found, least)
+        return found
+
+
+def _judged(decision: FilterDecision, least: Array) -> FilterDecision:
+    return replace(decision, least_chi=float(np.min(least, initial=np.inf)))
+
+
+def least_height(
+    chain: Array, decay_rates: Array, least_chi: float, duration: float
+) -> float:
+    """Returns a lower bound of h while an input is held, by comparison (E76).
+
+    Args:
+        chain: phi^0, ..., phi^(r-1) at the tick, shape (r,).
+        decay_rates: lambda_1, ..., lambda_r, shape (r,).
+        least_chi: What phi^(r-1)' + lambda_r phi^(r-1) is at least.
+        duration: For how long the input is held [s].
+    """
+    least = least_chi
+    for phi, rate in zip(chain[::-1].tolist(), decay_rates[::-1].tolist(), strict=True):
+        decay = math.exp(-rate * duration)
+        at_end = decay * phi + (1.0 - decay) / rate * least
+        least = at_end if math.isnan(at_end) else min(phi, at_end)
+    return least
+
+
+# Singular rows have infinite ends, which become nan here.
+@np.errstate(invalid="ignore")
+def _least_products(entries: _Pair, weights: _Pair) -> Array:
+    """Returns the least of b + w'd - A u for each row (E75), shape (N,)."""
+    (middle, radius), (z, z_radius) = entries, weights
+    z_most, most = np.abs(z) + z_radius, np.abs(middle) + radius
+    uncertain = radius @ z_most + np.abs(middle) @ z_radius
+    least: Array = middle @ z - uncertain - _ROUNDING * (most @ z_most)
+    return least
+
+
+@np.errstate(invalid="ignore")
+def _least_rates(weights: _Pair, gradients: _Pair, rates: _Pair) -> Array:
+    """Returns the least of z' G F for each row (E74), shape (N,)."""
+    (z, z_radius), (G, G_radius), (F, F_radius) = weights, gradients, rates
+    z_most, G_most, F_most = (
+        np.abs(z) + z_radius,
+        np.abs(G) + G_radius,
+        np.abs(F) + F_radius,
+    )
+    slope = z @ G
+    slope_radius = np.abs(z) @ G_radius + z_radius @ G_most
+    uncertain = np.abs(slope) @ F_radius + slope_radius @ F_most
+    least: Array = slope @ F - uncertain - _ROUNDING * (z_most @ G_most @ F_most)
+    return least
+
+
+def _pair(numbers: Sequence[Number]) -> _Pair:
+    ends = [(n.low, n.high) if isinstance(n, Interval) else (n, n) for n in numbers]
+    return _middle_and_radius(*np.array(ends).T)
+
+
+@np.errstate(invalid="ignore")
+def _middle_and_radius(low: Array, high: Array) -> _Pair:
+    middle = 0.5 * (low + high)
+    return middle, np.maximum(high - middle, middle - low)

@@ -1,0 +1,7 @@
+"""The control-affine model of any Drake System, derived and compiled symbolically."""
+
+from vcbf_drake.model.compiled import compile_expressions
+from vcbf_drake.model.control_affine import ControlAffineModel
+from vcbf_drake.model.point_position import point_position
+
+__all__ = ["ControlAffineModel", "compile_expressions", "point_position"]

@@ -1,0 +1,280 @@
+"""The dynamics of a Drake System as symbolic expressions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from pydrake.symbolic import Expression, Jacobian, Variable
+from pydrake.systems.framework import InputPort, PortDataType
+
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import ModelError
+from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.model.massless_bodies import give_mass
+
+# pydrake's classes carry no types that a checker can use.
+System: TypeAlias = Any
+Context: TypeAlias = Any
+Port: TypeAlias = Any
+PortChoice: TypeAlias = Any  # an InputPort, its name, its index, or None
+
+
+@dataclass(frozen=True)
+class SymbolicDynamics:
+    """The dynamics M(x) dx/dt = F(x, u, d) of a System; M is the identity for most.
+
+    Attributes:
+        name: What the System is called in messages.
+        state_names: What its states are called, n names.
+        state: The variables x, shape (n,).
+        input: The variables u, shape (m,).
+        disturbance: The variables d, shape (q,).
+        mass_matrix: M, shape (n, n), expressions over x.
+        force: F, shape (n,), expressions over x, u and d.
+        effort_limits: How large each input may be, shape (m,); infinite for most.
+    """
+
+    name: str
+    state_names: tuple[str, ...]
+    state: Expressions
+    input: Expressions
+    disturbance: Expressions
+    mass_matrix: Expressions
+    force: Expressions
+    effort_limits: Array
+
+
+def symbolic_dynamics(
+    system: System,
+    input_port: PortChoice = None,
+    disturbance_port: PortChoice = None,
+    context: Context = None,
+) -> SymbolicDynamics:
+    """Derives the dynamics of a System, or Diagram, that converts to symbolic.
+
+    They are read off the implicit form (CalcImplicitTimeDerivativesResidual), which is
+    symbolic for a MultibodyPlant of several joints too; its explicit form is not.
+
+    Args:
+        system: The System; all its state must be continuous.
+        input_port: The port of u: an InputPort, its name or its index; None for the
+            only vector input port beside the disturbance's.
+        disturbance_port: The port of d, likewise; None for the port called
+            "disturbance" if there is one, else q = 0.
+        context: Holds the parameters, and values for the other input ports; None for
+            the defaults. Other ports without a value are left unconnected if the
+            System tolerates it, and held at 0 if not.
+
+    Raises:
+        ModelError: The System is not symbolic, has a state that is not continuous or
+            none at all, depends on time, or its ports are not what is needed.
+    """
+    name = system.get_name() or system.GetSystemType()
+    disturbance = _disturbance_port(system, name, disturbance_port)
+    input_ = _input_port(system, name, input_port, disturbance)
+    symbolic = _to_symbolic(system, name)
+    target = _default_context(symbolic, name)
+    state_names = _state_names(system, target.num_continuous_states())
+
+    time = Variable("t")
+    x = np.array([Variable(state) for state in state_names])
+    rate = np.array([Variable(f"d{state}/dt") for state in state_names])
+    u = _variables("u", input_.size())
+    d = _variables("d", disturbance.size() if disturbance else 0)
+    if context is not None:
+        target.SetTimeStateAndParametersFrom(context)
+        _copy_port_values(system, context, symbolic, target)
+    target.SetTime(Expression(time))
+    target.SetContinuousState(x)
+    symbolic.get_input_port(input_.get_index()).FixValue(target, u)
+    if disturbance:
+        symbolic.get_input_port(disturbance.get_index()).FixValue(target, d)
+
+    residual = _residual(symbolic, target, rate, name)
+    at_rest = {variable: 0.0 for variable in rate}
+    force = np.array([-e.Substitute(at_rest) for e in residual])
+    # Without F, whose derivatives pydrake may leave unsimplified, as 0 / (..).
+    inertial = [r + f for r, f in zip(residual, force, strict=True)]
+    mass_matrix = Jacobian(inertial, rate)
+    # Linear in the rates; a rate in it is there only for want of simplification.
+    for entry, value in np.ndenumerate(mass_matrix):
+        mass_matrix[entry] = value.Substitute(at_rest)
+    _require_time_invariant(force, mass_matrix, time, state_names, name)
+    limits = _effort_limits(system, input_)
+    return SymbolicDynamics(name, state_names, x, u, d, mass_matrix, force, limits)
+
+
+def _disturbance_port(system: System, name: str, choice: PortChoice) -> Port:
+    if choice is None and not system.HasInputPort("disturbance"):
+        return None
+    return _chosen_port(system, name, "disturbance" if choice is None else choice)
+
+
+def _input_port(
+    system: System, name: str, choice: PortChoice, disturbance: Port
+) -> Port:
+    if choice is not None:
+        port = _chosen_port(system, name, choice)
+        if port is disturbance:
+            raise ModelError(
+                f"{name}: the port '{port.get_name()}' cannot be both the input and"
+                " the disturbance"
+            )
+        return port
+    ports = [p for p in _vector_ports(system) if p is not disturbance]
+    if len(ports) != 1:
+        raise ModelError(
+            f"{name}: say which port is the input, by input_port; {_list_ports(system)}"
+        )
+    return ports[0]
+
+
+def _chosen_port(system: System, name: str, choice: PortChoice) -> Port:
+    if isinstance(choice, InputPort):
+        if choice.get_system() is not system:
+            raise ModelError(
+                f"{name}: the port '{choice.get_name()}' belongs to another system;"
+                f" {_list_ports(system)}"
+            )
+        port = choice
+    elif isinstance(choice, str) and system.HasInputPort(choice):
+        port = system.GetInputPort(choice)
+    elif not isinstance(choice, str) and 0 <= int(choice) < system.num_input_ports():
+        port = system.get_input_port(int(choice))
+    else:
+        raise ModelError(
+            f"{name}: there is no input port {choice!r}; {_list_ports(system)}"
+        )
+    if not _is_vector(port):
+        raise ModelError(
+            f"{name}: the port '{port.get_name()}' carries no vector;"
+            f" {_list_ports(system)}"
+        )
+    return port
+
+
+def _is_vector(port: Port) -> bool:
+    return bool(port.get_data_type() == PortDataType.kVectorValued and port.size() > 0)
+
+
+def _vector_ports(system: System) -> list[Port]:
+    ports = [system.get_input_port(i) for i in range(system.num_input_ports())]
+    return [p for p in ports if _is_vector(p)]
+
+
+def _list_ports(system: System) -> str:
+    ports = [f"{p.get_name()} ({p.size()})" for p in _vector_ports(system)]
+    return "its vector input ports are " + (", ".join(ports) or "none")
+
+
+def _to_symbolic(system: System, name: str) -> System:
+    try:
+        symbolic = system.ToSymbolic()
+    except RuntimeError as error:
+        raise ModelError(
+            f"{name}: it does not convert to symbolic; write it as a template of its"
+            f" scalar type (pydrake's TemplateSystem): {error}"
+        ) from error
+    for actuator in _actuators(symbolic):
+        actuator.set_effort_limit(np.inf)  # A clamped input is not affine.
+    return symbolic
+
+
+def _actuators(system: System) -> list[Any]:
+    """The joint actuators of a MultibodyPlant; none of any other System."""
+    if not hasattr(system, "GetJointActuatorIndices"):
+        return []
+    return [system.get_joint_actuator(i) for i in system.GetJointActuatorIndices()]
+
+
+def _effort_limits(system: System, port: Port) -> Array:
+    """How large each input may be before a MultibodyPlant clamps it, shape (m,)."""
+    actuators = _actuators(system)
+    if actuators and port is not system.get_actuation_input_port():
+        actuators = [
+            each
+            for each in actuators
+            if port is system.get_actuation_input_port(each.model_instance())
+        ]
+    limits = [each.effort_limit() for each in actuators]
+    return np.array(limits or [np.inf] * port.size())
+
+
+def _default_context(system: System, name: str) -> Context:
+    context = system.CreateDefaultContext()
+    if context.num_discrete_state_groups() or context.num_abstract_states():
+        raise ModelError(
+            f"{name}: it has discrete or abstract state; derive the model from its"
+            " continuous twin (of a MultibodyPlant, the one with time_step=0) and give"
+            " that as model"
+        )
+    if not context.num_continuous_states():
+        raise ModelError(f"{name}: it has no continuous state")
+    return context
+
+
+def _copy_port_values(
+    system: System, context: Context, symbolic: System, target: Context
+) -> None:
+    for port in _vector_ports(system):
+        if port.HasValue(context):
+            value = port.Eval(context)
+            symbolic.get_input_port(port.get_index()).FixValue(target, value)
+
+
+def _state_names(system: System, size: int) -> tuple[str, ...]:
+    """The names the System declares, as `state_names` or like a MultibodyPlant."""
+    names = getattr(system, "state_names", None)
+    if names is None and hasattr(system, "GetStateNames"):
+        names = system.GetStateNames()
+    return tuple(names) if names else tuple(f"x{i}" for i in range(size))
+
+
+def _variables(prefix: str, size: int) -> Expressions:
+    return np.array([Variable(f"{prefix}{i}") for i in range(size)], dtype=object)
+
+
+# Expressions leave floating-point flags that NumPy takes for its own.
+@np.errstate(invalid="ignore")
+def _residual(
+    system: System,
+    context: Context,
+    rate: Expressions,
+    name: str,
+    all_have_mass: bool = False,
+) -> Expressions:
+    """The residual M dx/dt - F; ports without a value are held at 0 if they must.
+
+    And bodies without a mass are given one if they must have it.
+    """
+    derivatives = system.AllocateTimeDerivatives()
+    derivatives.SetFromVector(rate)
+    try:
+        residual = system.CalcImplicitTimeDerivativesResidual(context, derivatives)
+    except Exception as error:  # A System's own code may raise anything.
+        if not all_have_mass and give_mass(system, context):
+            return _residual(system, context, rate, name, all_have_mass=True)
+        unset = [p for p in _vector_ports(system) if not p.HasValue(context)]
+        if not unset:
+            raise ModelError(
+                f"{name}: its dynamics do not evaluate with symbolic numbers: {error}"
+            ) from error
+    else:
+        return np.asarray(residual, dtype=object)
+    for port in unset:
+        port.FixValue(context, np.zeros(port.size()))
+    return _residual(system, context, rate, name, all_have_mass)
+
+
+def _require_time_invariant(
+    force: Expressions,
+    mass_matrix: Expressions,
+    time: Variable,
+    state_names: tuple[str, ...],
+    name: str,
+) -> None:
+    for state, *row in zip(state_names, force, *mass_matrix.T, strict=True):
+        if any(time in e.GetVariables() for e in row):
+            raise ModelError(f"{name}: the derivative of {state} depends on time")
