@@ -3,11 +3,12 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: demo reproduce test coverage mutation audit lint format bench clean help
+.PHONY: demo reproduce properties test coverage mutation audit lint format bench clean help
 
 help:
 	@echo "make demo       the paper's Test 2 with and without the volume barrier, in out/"
 	@echo "make reproduce  everything the paper shows, in out/reproduction"
+	@echo "make properties the filter's promises on a million hostile ticks"
 	@echo "make test       every test"
 	@echo "make coverage   every test, and how much of each package they reach"
 	@echo "make mutation   which small faults in vcbf_drake/safety no test notices"
@@ -27,6 +28,9 @@ demo: $(STAMP)
 
 reproduce: $(STAMP)
 	$(BIN)/vcbf-drake reproduce
+
+properties: $(STAMP)
+	$(BIN)/python -m tests.properties
 
 test: $(STAMP)
 	$(BIN)/python -m pytest

@@ -22,7 +22,10 @@ def test_the_blocks_are_one_program_that_runs() -> None:
     for block in BLOCKS:
         line = PAGE[: PAGE.index(block)].count("\n")
         # Empty lines in front make a traceback point into the page.
-        exec(compile("\n" * line + block, str(DOCS / "guide" / "barriers.md"), "exec"), names)
+        exec(
+            compile("\n" * line + block, str(DOCS / "guide" / "barriers.md"), "exec"),
+            names,
+        )
 
 
 def test_every_class_that_makes_barriers_is_in_the_table() -> None:

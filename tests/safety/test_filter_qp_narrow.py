@@ -6,6 +6,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from tests.properties.campaign import make_example
+from tests.properties.first_order_optimality import solve_exactly
 from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.errors import EmptySetError
 from vcbf_drake.safety import DisturbanceKnowledge, FilterStatus, InputSet
@@ -14,8 +16,6 @@ from vcbf_drake.safety.feasible_set import feasible_set
 from vcbf_drake.safety.filter_qp import VolumeRow, choose_input
 from vcbf_drake.safety.linear_program import minimise_linear
 from vcbf_drake.safety.nearest_point import nearest_point
-from vcbf_drake.studies.first_order_optimality import solve_exactly
-from vcbf_drake.studies.property_campaign import make_example
 
 SQUARE = np.vstack([np.eye(2), -np.eye(2)])
 

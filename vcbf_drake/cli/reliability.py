@@ -1,4 +1,4 @@
-"""The command reliability: faults in the loop, and hostile ticks, many times."""
+"""The command reliability: faults in the loop, many times."""
 
 from __future__ import annotations
 
@@ -26,17 +26,9 @@ def reliability(
         int,
         typer.Option(min=0, help="How many of each fault, method and fidelity."),
     ] = 100,
-    properties: Annotated[
-        int,
-        typer.Option(
-            min=0, help="How many hostile ticks to check what the filter promises."
-        ),
-    ] = 100_000,
     quick: Annotated[
         bool,
-        typer.Option(
-            "--quick", help="One trial of each, of the car alone, and 2000 ticks."
-        ),
+        typer.Option("--quick", help="One trial of each, of the car alone."),
     ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the draws.")] = 0,
     workers: Annotated[
@@ -45,7 +37,7 @@ def reliability(
     ] = None,
     out: Annotated[Path | None, out_option("out/reliability")] = None,
 ) -> None:
-    """Put faults into the loop and hostile data into the filter, and see what breaks.
+    """Put faults into the loop, and see what breaks.
 
     Goes on with what DIR holds; with more of it where a number is greater.
     """
@@ -53,42 +45,14 @@ def reliability(
     directory = out or Path("out") / "reliability"
     workers = workers or os.cpu_count() or 1
     if quick:
-        trials, properties = 1, 2000
+        trials = 1
     command = "vcbf-drake reliability"
     command += "" if scenarios is None else f" --scenarios {scenarios}"
-    command += " --quick" if quick else f" --trials {trials} --properties {properties}"
+    command += " --quick" if quick else f" --trials {trials}"
     command += f" --seed {seed}"
-    if properties:
-        _check_properties(properties, seed, workers, directory, command)
     if trials:
         _put_faults(names, trials, quick, seed, workers, directory, command)
     typer.echo(f"written to {directory}")
-
-
-def _check_properties(
-    examples: int, seed: int, workers: int, directory: Path, command: str
-) -> None:
-    from vcbf_drake.studies.property_campaign import run_properties
-    from vcbf_drake.studies.property_report import (
-        property_headline,
-        property_markdown,
-    )
-    from vcbf_drake.viz.terminal import progress_bar
-
-    with progress_bar() as bar:
-        task = bar.add_task(f"{examples} hostile ticks", total=1.0)
-        counts = run_properties(
-            examples,
-            directory / "properties.jsonl",
-            seed,
-            workers,
-            progress=lambda done: bar.update(task, completed=done),
-        )
-    with whole_or_not_at_all(directory) as staging:
-        page = property_markdown(counts, seed, command)
-        (staging / "properties.md").write_text(page, encoding="utf-8")
-    for sentence in property_headline(counts):
-        typer.echo(sentence)
 
 
 def _put_faults(

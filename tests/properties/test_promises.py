@@ -1,7 +1,7 @@
 """Whatever comes in, what leaves the filter is what it says it is.
 
-The checker shares no code with the filter: see `vcbf_drake.studies.decision_check`. The
-same instances, in greater numbers, are run by `vcbf-drake reliability`.
+The checker shares no code with the filter: see `decision_check`. The
+same instances, in greater numbers, are run by `make properties`.
 """
 
 import dataclasses
@@ -12,10 +12,10 @@ from hypothesis.extra.numpy import arrays
 import numpy as np
 import pytest
 
+from tests.properties.campaign import ALL_KINDS, decide, make_example
+from tests.properties.decision_check import UNSOLVED, Tick, broken_promises
 from vcbf_drake.safety import FilterStatus, InputSet
 from vcbf_drake.safety.filter_qp import INFEASIBLE_POLICIES, VolumeRow
-from vcbf_drake.studies.decision_check import UNSOLVED, Tick, broken_promises
-from vcbf_drake.studies.property_campaign import ALL_KINDS, decide, make_example
 
 BOX = InputSet.box([-1.0, -0.2, -3.0], [0.5, 0.3, 1.0])
 TRIANGLE = InputSet(

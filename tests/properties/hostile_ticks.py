@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from tests.properties.decision_check import Tick
 from vcbf_drake.checks import Array
 from vcbf_drake.safety import InputSet
 from vcbf_drake.safety.filter_qp import INFEASIBLE_POLICIES, VolumeRow
-from vcbf_drake.studies.decision_check import Tick
 
 MOST_INPUTS = 4
 MOST_ROWS = 8

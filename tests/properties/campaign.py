@@ -1,4 +1,4 @@
-"""The property campaign: what the filter promises, on random hostile ticks.
+"""The property campaign: the filter's promises on random hostile ticks.
 
 Every example is drawn from the study's seed and its own number, so that any one of them
 can be made again by itself.
@@ -16,14 +16,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tests.properties.decision_check import UNSOLVED, Tick, broken_promises
+from tests.properties.hostile_states import PLANTS, random_decision
+from tests.properties.hostile_ticks import KINDS, random_input_set, random_tick
 from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.safety import DisturbanceKnowledge, FilterDecision, InputSet
 from vcbf_drake.safety.feasible_set import feasible_set
 from vcbf_drake.safety.filter_qp import choose_input
-from vcbf_drake.studies.decision_check import UNSOLVED, Tick, broken_promises
-from vcbf_drake.studies.hostile_states import PLANTS, random_decision
-from vcbf_drake.studies.hostile_ticks import KINDS, random_input_set, random_tick
 from vcbf_drake.studies.worker_processes import new_pool
 
 # The kinds of rows, and the states of each plant, take turns.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from tests.properties.campaign import ALL_KINDS, RAISED, PropertyCounts
+from tests.properties.decision_check import FEASIBILITY, OPTIMALITY, UNSOLVED
 from vcbf_drake.safety import FilterStatus
-from vcbf_drake.studies.decision_check import FEASIBILITY, OPTIMALITY, UNSOLVED
-from vcbf_drake.studies.property_campaign import ALL_KINDS, RAISED, PropertyCounts
 
 _PROMISES = {
     RAISED: "an answer, whatever is asked",

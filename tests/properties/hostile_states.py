@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from pydrake.systems.framework import Context
 
+from tests.properties.decision_check import Tick
 from vcbf_drake.barriers import PerceivedSpheres, StateInputLimit, ackermann_limit
 from vcbf_drake.checks import Array
 from vcbf_drake.model import ControlAffineModel
@@ -20,7 +21,6 @@ from vcbf_drake.safety import (
     SafetyFilter,
 )
 from vcbf_drake.safety.filter_qp import INFEASIBLE_POLICIES
-from vcbf_drake.studies.decision_check import Tick
 
 PLANTS = ("blimp", "car")
 MOST_OBSTACLES = 4
