@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections import deque
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.systems.framework import (
@@ -25,6 +26,16 @@ from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import InputSet
 from vcbf_drake.simulation.scenario import Hardware
 
+# Commands that a step may find waiting; the oldest of more are obsolete anyway.
+_MOST_WAITING = 1000
+
+
+class _Received(NamedTuple):
+    """A command, and when it came [us]."""
+
+    command: Any
+    at: int
+
 
 class CommandReceiver(LeafSystem):
     """Applies the newest command, or falls back when none came for too long.
@@ -44,8 +55,12 @@ class CommandReceiver(LeafSystem):
     | ``input`` | m | what the actuators apply: always inside their limits |
     | ``mode`` | 1 | a `VehicleMode` |
 
-    At the beginning of every simulator step a command that has arrived by then is
-    taken; between steps the input is held.
+    At the beginning of every simulator step the newest command that has come by then is
+    taken, and the watchdog looks at its age; between steps the input is held. A process
+    that wakes late handles commands that are younger than the step it has to make up
+    for: that one step passes them over, for they were not there yet, and the next one
+    takes them. So a command acts from the second step on at the latest that begins
+    after it was handled, whatever comes after it.
 
     Args:
         bus: Where commands come from.
@@ -73,8 +88,11 @@ class CommandReceiver(LeafSystem):
         m = model.num_inputs
         self.round_trip = RoundTrip()
         self.inbox = Inbox(
-            bus, command_format(m), settings.command_timeout, self._take_times
+            bus, command_format(m), settings.command_timeout, self._receive
         )
+        self._applied: _Received | None = None
+        self._waiting: deque[_Received] = deque(maxlen=_MOST_WAITING)
+        self._passed_over = 0
         self._state = self.DeclareVectorInputPort("state", model.num_states)
         # The input, and the mode.
         self.DeclareDiscreteState(np.append(np.zeros(m), VehicleMode.WAITING))
@@ -93,13 +111,21 @@ class CommandReceiver(LeafSystem):
         state.get_mutable_discrete_state().set_value(np.append(u, mode))
         return EventStatus.Succeeded()
 
+    def _take_commands(self, now: int) -> None:
+        """Takes what has come by `now` [us], and whatever a step passed over before."""
+        waiting = self._waiting
+        while waiting and (self._passed_over > 0 or waiting[0].at <= now):
+            self._applied = waiting.popleft()
+            self._passed_over -= 1
+        self._passed_over = len(waiting)
+
     def _choose(self, context: Context) -> tuple[VehicleMode, Array]:
-        command, mode = self.inbox.newest, self.mode(context)
-        u = _held(context)[:-1]
         now = self._timeline.utime(context.get_time())
-        age = 1e-6 * (now - self.inbox.received_at)
-        if command is None or age < 0.0:  # It comes later than this step begins.
-            return mode, u
+        self._take_commands(now)
+        if self._applied is None:
+            return self.mode(context), _held(context)[:-1]
+        command, received_at = self._applied
+        age = 1e-6 * (now - received_at)
         applies = command.mode in (CommandMode.APPLY, CommandMode.HOLD)
         if applies and age <= self._settings.command_timeout:
             return VehicleMode.FOLLOWING, self._input_set.project(command.input)
@@ -117,7 +143,8 @@ class CommandReceiver(LeafSystem):
     def _calc_mode(self, context: Context, output: BasicVector) -> None:
         output[0] = _held(context)[-1]
 
-    def _take_times(self, command: Any, now: int) -> None:
+    def _receive(self, command: Any, now: int) -> None:
+        self._waiting.append(_Received(command, now))
         is_answer = command.state_session == self._bus.session
         if is_answer and command.mode == CommandMode.APPLY:
             self.round_trip.add(now - command.state_utime)
