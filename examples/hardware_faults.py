@@ -25,7 +25,7 @@ from vcbf_drake.hil import Bus, BusError, ControllerProcess, check_bus
 from vcbf_drake.hil.messages import vcbf_state
 
 SCENARIO = "blimp-multiple-obstacles"
-COMMAND = [sys.executable, "-m", "vcbf_drake.cli"]
+COMMAND = [sys.executable, "-m", "vcbf_drake"]
 FAULTS = {
     "good": [],
     "lossy": ["--drop", "0.2"],

@@ -85,7 +85,7 @@ def main() -> None:
     except BusError as error:
         print(error)
         return
-    command = [sys.executable, "-m", "vcbf_drake.cli", "plant", "car-avoidance"]
+    command = [sys.executable, "-m", "vcbf_drake", "plant", "car-avoidance"]
     options = ["--lcm-url", url, "--duration", duration, "--json"]
     vehicle = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True)
     drive(url)

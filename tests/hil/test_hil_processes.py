@@ -27,7 +27,7 @@ from vcbf_drake.hil.bus import check_bus
 from vcbf_drake.hil.messages import vcbf_command, vcbf_state
 
 URL = f"udpm://239.255.76.67:{9700 + os.getpid() % 1000}?ttl=0"
-COMMAND = [sys.executable, "-W", "error", "-m", "vcbf_drake.cli"]
+COMMAND = [sys.executable, "-W", "error", "-m", "vcbf_drake"]
 
 
 def bus_works() -> bool:

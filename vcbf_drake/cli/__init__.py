@@ -8,7 +8,6 @@ from collections.abc import Callable
 from typing import Any
 
 from vcbf_drake.cli.application import app
-from vcbf_drake.cli.bench import bench
 from vcbf_drake.cli.hardware import controller, plant
 from vcbf_drake.cli.hardware_logs import replay_log
 from vcbf_drake.cli.monte_carlo import monte_carlo
@@ -27,7 +26,6 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "reproduce": reproduce,
     "reliability": reliability,
     "rate-sweep": rate_sweep,
-    "bench": bench,
     "plant": plant,
     "controller": controller,
     "replay-log": replay_log,

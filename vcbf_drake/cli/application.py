@@ -14,6 +14,11 @@ from vcbf_drake.drake_log import show_warnings_only
 _FAILED, _BAD_USAGE = 1, 2
 
 
+# Commands of earlier versions, and where their work is done now.
+_MOVED = {
+    "bench": "is `make bench` in a clone of the repository",
+}
+
 # Click's class, wherever the installed typer keeps it.
 _UsageError = cast(type[Exception], typer.BadParameter.__base__)
 
@@ -45,6 +50,12 @@ class OneLineGroup(TyperGroup):
             kind = type(error).__name__
             _complain(f"{kind}: {error} (vcbf-drake --traceback ... shows where)")
             sys.exit(_FAILED)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Finds the command; of one that has moved, says where to."""
+        if args[0] in _MOVED:
+            raise _UsageError(f"{args[0]} {_MOVED[args[0]]}")
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         """Runs the command; with ``--traceback``, shows where it failed."""

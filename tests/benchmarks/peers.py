@@ -5,16 +5,16 @@ Packages are imported when a route is made, so that those that are missing cost 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 import os
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from pydrake.geometry.optimization import HPolyhedron
 from pydrake.solvers import ClarabelSolver, MathematicalProgram
 
-from vcbf_drake.checks import Array
-from vcbf_drake.studies.bench.problem import (
+from tests.benchmarks.problem import (
     A_PLANT,
     B_PLANT,
     BOX_A,
@@ -29,7 +29,14 @@ from vcbf_drake.studies.bench.problem import (
     polytope,
     volume_row,
 )
-from vcbf_drake.studies.bench.route import Filter, Projection, VolumeGradient
+from vcbf_drake.checks import Array
+
+# From the state and the controller's input to the input, or None for "infeasible".
+Filter: TypeAlias = Callable[[Array, Array], Array | None]
+# From the state to det B and its gradient by the state, or None for "empty".
+VolumeGradient: TypeAlias = Callable[[Array], tuple[float, Array] | None]
+# From A, b and a point to the nearest point of {u : A u <= b}, or None for "empty".
+Projection: TypeAlias = Callable[[Array, Array, Array], Array | None]
 
 _STEP = 1e-4  # Of the differences, where their error is least.
 

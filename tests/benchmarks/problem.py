@@ -21,11 +21,8 @@ RATES = (1.0, 3.0)  # Decay rates of the barriers [1/s].
 GAINS = (RATES[0] + RATES[1], RATES[0] * RATES[1])  # K of (E4).
 # xi of (E21) and lambda_Vv [1/s]: cautious, so that the volume row acts often.
 THRESHOLD, VOLUME_GAIN = 0.1, 0.5
-GOAL_GAINS = (0.5, 1.2)  # What drives the point to the origin [1/s^2], [1/s].
 
 NUM_STATES, NUM_INPUTS = 6, 3
-PERIOD = 0.02  # [s]
-START = np.array([4.0, 0.2, -0.1, -0.6, 0.0, 0.0])  # The way to the origin is blocked.
 
 A_PLANT = np.block(
     [[np.zeros((3, 3)), np.eye(3)], [np.zeros((3, 3)), -DRAG * np.eye(3)]]

@@ -7,13 +7,13 @@ from itertools import combinations
 import numpy as np
 from pydrake.geometry.optimization import HPolyhedron
 
-from vcbf_drake.checks import Array
-from vcbf_drake.studies.bench.problem import (
+from tests.benchmarks.problem import (
     NUM_INPUTS,
     barrier_rows,
     polytope,
     volume_row,
 )
+from vcbf_drake.checks import Array
 
 _THINNEST = 1e-6  # Sets with a smaller inradius count as empty.
 _LAST_BARRIER = 1e-10  # Weight mu of the last logarithmic barrier.

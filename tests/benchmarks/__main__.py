@@ -1,0 +1,124 @@
+"""The benchmarks: `python -m tests.benchmarks`, or `make bench`.
+
+Prints the tables of docs/results/performance.md. CPU time of one thread throughout;
+nothing is asserted, for it depends on the machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+
+from tests.benchmarks.problem import instances
+from tests.benchmarks.routes import CBF_QP, GRADIENT, TASKS, Cost, markdown, measure
+from tests.benchmarks.ticks import GROWTH, growth_markdown, tick_times
+from vcbf_drake import load_scenario, simulate
+
+_CROWD = """\
+parent: car-avoidance
+duration: 60
+target: [100.0, 100.0]
+obstacles:
+"""
+
+
+def main() -> None:
+    """Prints the tables, each as soon as it is measured."""
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.benchmarks",
+        description="Prints CPU times as Markdown; about ten minutes.",
+    )
+    parser.add_argument("--quick", action="store_true", help="rough numbers, a minute")
+    quick = parser.parse_args().quick
+    chosen = instances(20 if quick else 200)
+    print(f"## Beside others, on {len(chosen)} ticks\n")
+    costs = {}
+    for task in TASKS:
+        costs[task.title] = list(measure(task, chosen))
+        _print(markdown(task, costs[task.title]))
+    print("## One tick and how it grows, medians in microseconds\n")
+    for title in ("method",) if quick else GROWTH:
+        _print(growth_markdown(title, 20 if quick else 200))
+    print("## The numbers to keep\n")
+    print("| number | at most | measured |")
+    print("| --- | ---: | ---: |")
+    for name, limit, measured in _kept(costs, quick):
+        print(f"| {name} | {limit} | {measured} |", flush=True)
+
+
+def _print(lines: Iterator[str]) -> None:
+    print(*lines, "", sep="\n", flush=True)
+
+
+def _kept(
+    costs: dict[str, list[Cost | str]], quick: bool
+) -> Iterator[tuple[str, str, str]]:
+    """Yields the project's own limits: what, at most, measured."""
+    ticks = 20 if quick else 200
+    plain = _ratio(costs[CBF_QP.title], "cbfpy")
+    yield "plain CBF-QP tick / cbfpy's", "1", plain
+    gradient = _ratio(costs[GRADIENT.title], "cvxpylayers, SCS")
+    yield "ellipsoid and gradient / cvxpylayers'", "0.0125", gradient
+    alone = tick_times(num_cutting=0, ticks=ticks)["tick"][0]
+    yield "tick without a cutting row", "100 us", f"{alone:.0f} us"
+    many = tick_times(num_obstacles=200, ticks=ticks)["tick"][0]
+    yield "tick among 200 obstacles, two cut", "2000 us", f"{many:.0f} us"
+    speed = _speed(2.0 if quick else 20.0)
+    yield "Test 2 at 100 Hz, log and audit, times real time", "20 (least)", speed
+    yield "import vcbf_drake", "0.5 s", _cpu("-c", "import vcbf_drake")
+    yield "vcbf-drake --help", "0.4 s", _cpu("-m", "vcbf_drake", "--help")
+    if not quick:
+        yield "memory of 60 s among 1000 discs", "1024 MiB", _memory_among_discs()
+
+
+def _ratio(costs: list[Cost | str], peer: str) -> str:
+    medians = {cost.name: cost.median for cost in costs if isinstance(cost, Cost)}
+    if peer not in medians:
+        return f"{peer} is not installed"
+    return f"{medians['vcbf_drake'] / medians[peer]:.3g}"
+
+
+def _speed(duration: float) -> str:
+    settings = {"period": 0.01, "duration": duration}
+    scenario = load_scenario("blimp-multiple-obstacles", settings)
+    simulate(scenario)  # Compiles.
+    started = time.process_time()
+    summary = simulate(scenario).summary
+    return f"{summary['running_time'] / (time.process_time() - started):.1f}"
+
+
+def _cpu(*arguments: str) -> str:
+    """CPU time of a new Python, the least of three."""
+    spent = []
+    for _ in range(3):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        command = [sys.executable, *arguments]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        spent.append(
+            after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        )
+    return f"{min(spent):.2f} s"
+
+
+def _memory_among_discs() -> str:
+    """The most memory that `vcbf-drake run` takes, with log, figures and replay."""
+    rows = [(4.0 + 3.0 * (i % 32), 3.0 * (i // 32)) for i in range(1000)]
+    discs = [f"  - !Sphere {{center: [{x}, {y}], radius: 0.3}}" for x, y in rows]
+    with tempfile.TemporaryDirectory() as directory:
+        path = f"{directory}/crowd.yaml"
+        with open(path, "w", encoding="utf-8") as file:
+            file.write(_CROWD + "\n".join(discs) + "\n")
+        command = [sys.executable, "-m", "vcbf_drake", "run", path]
+        done = subprocess.run([*command, "--out", f"{directory}/out"], check=False)
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
+    return f"{peak:.0f} MiB" + (" (it failed)" if done.returncode else "")
+
+
+if __name__ == "__main__":
+    main()

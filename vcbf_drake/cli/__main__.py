@@ -1,5 +1,0 @@
-"""Lets ``python -m vcbf_drake.cli`` be the command line."""
-
-from vcbf_drake.cli import main
-
-main()
