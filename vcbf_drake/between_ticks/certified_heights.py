@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,8 +19,9 @@ from vcbf_drake.safety import (
     Tick,
     least_height,
 )
-from vcbf_drake.simulation.audit import known_along
-from vcbf_drake.simulation.scenario import Scenario
+
+if TYPE_CHECKING:
+    from vcbf_drake.simulation.scenario import Scenario
 
 # How many ticks are looked at together: a log on disk need not fit the memory.
 _BLOCK = 4096
@@ -30,6 +32,24 @@ _IRRELEVANT = (
     "volume at the start",
     "total derivative of the volume",
 )
+
+
+def known_along(
+    log: Mapping[str, Array], safety_filter: SafetyFilter, disturbance_bound: float
+) -> tuple[Array, Array]:
+    """Returns what a method takes as known: estimates (T, q) and their bounds (T,).
+
+    Args:
+        log: The arrays of the log, one row a control tick.
+        safety_filter: The filter that ran.
+        disturbance_bound: delta1 [m/s^2].
+    """
+    handling = safety_filter.method.disturbance
+    if handling == "estimated":
+        return log["disturbance_estimate"], log["error_bound"]
+    bound = disturbance_bound if handling == "worst_case" else 0.0
+    T, q = len(log["time"]), safety_filter.model.num_disturbances
+    return np.broadcast_to(0.0, (T, q)), np.broadcast_to(bound, T)
 
 
 def is_certifiable(scenario: Scenario, assumptions: Sequence[Assumption]) -> bool:

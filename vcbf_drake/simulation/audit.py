@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vcbf_drake.barriers import BarrierSet
+from vcbf_drake.between_ticks.certified_heights import known_along
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceBounds
 from vcbf_drake.safety import Assumption, FilterStatus, InputSet, SafetyFilter
@@ -82,24 +83,6 @@ def audit_margins(
         _yes_or_no(_are_inside(log["input"], safety_filter.input_set)),
     ]
     return np.column_stack(margins)
-
-
-def known_along(
-    log: Mapping[str, Array], safety_filter: SafetyFilter, disturbance_bound: float
-) -> tuple[Array, Array]:
-    """Returns what a method takes as known: estimates (T, q) and their bounds (T,).
-
-    Args:
-        log: The arrays of the log, one row a control tick.
-        safety_filter: The filter that ran.
-        disturbance_bound: delta1 [m/s^2].
-    """
-    handling = safety_filter.method.disturbance
-    if handling == "estimated":
-        return log["disturbance_estimate"], log["error_bound"]
-    bound = disturbance_bound if handling == "worst_case" else 0.0
-    T, q = len(log["time"]), safety_filter.model.num_disturbances
-    return np.broadcast_to(0.0, (T, q)), np.broadcast_to(bound, T)
 
 
 def audit_findings(
