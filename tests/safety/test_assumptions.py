@@ -72,7 +72,7 @@ def test_each_method_is_asked_what_its_proof_needs(car, method):
 def test_a_method_that_ignores_the_disturbance_needs_it_to_be_zero(car, monkeypatch):
     assert at(car, "cbf-qp")["no disturbance"].holds is False
     assert at(car, "cbf-qp")["no disturbance"].numbers == {"delta1": 0.3}
-    monkeypatch.setattr("test_assumptions.BOUNDS", DisturbanceBounds(0.0, 0.0, 0.0))
+    monkeypatch.setattr(f"{__name__}.BOUNDS", DisturbanceBounds(0.0, 0.0, 0.0))
     assert at(car, "cbf-qp")["no disturbance"].holds is True
 
 
