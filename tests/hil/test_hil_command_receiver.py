@@ -5,10 +5,10 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
-from pydrake.lcm import DrakeLcm
 from pydrake.systems.analysis import Simulator
 import pytest
 
+from tests.helpers.memory_bus import MemoryLcm
 from vcbf_drake import Car, ControlAffineModel, InputSet, load_scenario
 from vcbf_drake.hil import (
     Bus,
@@ -33,7 +33,7 @@ class Vehicle:
     """A command receiver by itself, whose commands carry their number as an input."""
 
     def __init__(self) -> None:
-        self.clock, lcm = SimulatedClock(), DrakeLcm("memq://")
+        self.clock, lcm = SimulatedClock(), MemoryLcm()
         self.bus, sender = Bus(lcm, self.clock), Bus(lcm, self.clock)
         self._outbox = Outbox(sender, command_format(2).channel)
         self._timeline = Timeline(self.clock)
