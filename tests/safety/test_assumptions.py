@@ -167,7 +167,8 @@ def test_the_printed_orders_of_rates_are_information(car):
 
 def test_gains_that_are_too_small_are_named_with_both_sides(car):
     def weak(model, period, bounds):
-        return RiseObserver(model, period, bounds, RiseGains(5.0, 0.1, 4.0))
+        gains = RiseGains(5.0, 0.1, 4.0)
+        return RiseObserver(model, period, bounds, gains, uncertified=True)
 
     found = at(car, "dob-cbf-qp", observer=weak)
     conditions = [a for n, a in found.items() if n.startswith("observer gain: ")]

@@ -302,7 +302,7 @@ def test_assumptions_of_the_demo_hold_and_say_their_numbers():
 @pytest.mark.parametrize(
     ("overrides", "name"),
     [
-        ({"observer": {"beta": 0.05}}, "observer gain: beta"),
+        ({"observer": {"beta": 0.05, "uncertified": True}}, "observer gain: beta"),
         ({"method": "cbf-qp"}, "no disturbance"),
         ({"initial_state": [0.0] * 4 + [60.0] + [0.0] * 3}, "start inside"),
         ({"noise": {"std": [1e-3] * 8}}, "known start"),

@@ -4,6 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import math
+from typing import Literal
+
+# What a bound of an estimate's error rests on: a ``proven`` inequality for exact
+# measurements; nothing but |d| <= delta1, also proven (``worst case``); formulas that
+# simulations ``calibrated``; or the ``published`` inequality, false in sampled time.
+Basis = Literal["proven", "worst case", "calibrated", "published"]
 
 
 @dataclass(frozen=True)
@@ -76,3 +82,9 @@ def check_positive(name: str, value: float) -> None:
     """Raises ValueError unless a number is finite and above 0."""
     if not (math.isfinite(value) and value > 0.0):
         raise ValueError(f"{name} is {value!r}; it must be finite and above 0")
+
+
+def noise_peak(num_disturbances: int) -> float:
+    """Returns how many deviations the norm of q normals exceeds once in 10^4 ticks."""
+    # sqrt(q) + 3 is exceeded with probability 6e-5, whether q is 1, 2 or 3.
+    return math.sqrt(num_disturbances) + 3.0

@@ -17,7 +17,12 @@ from pydrake.systems.framework import (
 )
 
 from vcbf_drake.checks import Array
-from vcbf_drake.disturbances.bounds import Condition, DisturbanceBounds, ErrorBound
+from vcbf_drake.disturbances.bounds import (
+    Basis,
+    Condition,
+    DisturbanceBounds,
+    ErrorBound,
+)
 from vcbf_drake.errors import ModelError
 
 if TYPE_CHECKING:
@@ -71,6 +76,8 @@ class DisturbanceObserver(LeafSystem):
 
     Attributes:
         bounds: delta1, delta2 and delta3 (E8).
+        basis: What the error bound rests on; only ``proven`` and ``worst case`` are
+            certain.
         estimate_gain: How the unknown error drives the estimate [1/s] (E26):
             d(dhat)/dt = estimate_rate + estimate_gain (d - dhat).
         longest_interval: The longest time between measurements that is bridged [s];
@@ -78,6 +85,7 @@ class DisturbanceObserver(LeafSystem):
     """
 
     bounds: DisturbanceBounds
+    basis: Basis
     estimate_gain: float
 
     def __init__(
@@ -88,6 +96,7 @@ class DisturbanceObserver(LeafSystem):
         *,
         memory_size: int,
         error_bound: ErrorBound,
+        basis: Basis,
         estimate_gain: float,
         longest_interval: float | None = None,
     ) -> None:
@@ -99,6 +108,7 @@ class DisturbanceObserver(LeafSystem):
             bounds: delta1, delta2 and delta3 of the disturbance (E8).
             memory_size: How many numbers the observer remembers, all 0 at the start.
             error_bound: The bound of its error.
+            basis: See the attribute.
             estimate_gain: See the attribute.
             longest_interval: See the attribute.
 
@@ -107,6 +117,7 @@ class DisturbanceObserver(LeafSystem):
         """
         super().__init__()
         self.bounds = bounds
+        self.basis = basis
         self.estimate_gain = estimate_gain
         self.longest_interval = max(period, longest_interval or math.inf)
         self._model = model
@@ -256,6 +267,12 @@ class DisturbanceObserver(LeafSystem):
     def _is_gap(self, elapsed: float) -> bool:
         least, most = -self._instant, self.longest_interval + self._instant
         return elapsed < least or elapsed > most
+
+
+def nearest_in_ball(vector: Array, radius: float) -> Array:
+    """Returns the point of a ball around 0 that is nearest to a vector."""
+    size = float(np.linalg.norm(vector))
+    return vector * (radius / size) if size > radius else vector
 
 
 def _is_finite(vector: Array) -> bool:

@@ -20,7 +20,8 @@ saturated step has the Huber function of width φ for the 1-norm. There P_k may 
 below 0, which costs the further floor (E51).
 
 Calibrated, not proven: what measurement noise adds (E52), and all of the explicit step,
-which chatters (E36).
+which chatters (E36). Where the conditions fail, nothing but |d| <= δ1 is left: the
+estimate is kept within δ1, so that it is off by 2 δ1 at most (E94).
 """
 
 from __future__ import annotations
@@ -35,15 +36,15 @@ from vcbf_drake.disturbances.bounds import (
     DisturbanceBounds,
     ErrorBound,
     check_positive,
+    noise_peak,
 )
 
 STEPS = ("implicit", "saturated", "explicit")
 
 # The explicit step's peaks over the law (E36) were 0.86 to 1.18 in simulations.
 _CHATTER_MARGIN = 1.2
-# The norm of q independent standard normals exceeds sqrt(q) by 3 with probability
-# 6e-5, whether q is 1, 2 or 3.
-_NOISE_SIGMAS = 3.0
+# By how much a computed beta exceeds the least that (E49) allows.
+_GAIN_MARGIN = 1.1
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,29 @@ class RiseGains:
         for name in ("alpha", "beta", "gamma"):
             check_positive(name, getattr(self, name))
 
+    @classmethod
+    def for_bounds(
+        cls,
+        bounds: DisturbanceBounds,
+        period: float,
+        alpha: float = 5.0,
+        gamma: float = 4.0,
+    ) -> RiseGains:
+        """Returns gains whose beta satisfies (E49), whatever the disturbance's unit.
+
+        beta is the paper's 6 where that does, else 10 % above the least (E93). In the
+        implicit step a large beta costs nothing: the bound (E50) does not contain it.
+
+        Args:
+            bounds: Bounds of the disturbance.
+            period: Time between measurements [s].
+            alpha: As above; more than 1 [1/s].
+            gamma: As above [1/s].
+        """
+        gains = cls(alpha, gamma=gamma)
+        least = least_beta(gains, bounds, period)
+        return gains if gains.beta > least else cls(alpha, _GAIN_MARGIN * least, gamma)
+
     @property
     def decay_rate(self) -> float:
         """lambda_V = min(alpha - 1, gamma) of (E13), or 0 where alpha <= 1 [1/s]."""
@@ -82,6 +106,13 @@ class RiseGains:
         return 1.0 + dt * (self.alpha + self.gamma) + dt**2 * self.stiffness
 
 
+def least_beta(gains: RiseGains, bounds: DisturbanceBounds, period: float) -> float:
+    """Returns what beta has to exceed (E49); with period 0, (E13) [m/s^3]."""
+    stretch = 1.0 + gains.decay_rate * period
+    slack = max(1.0, gains.alpha - gains.gamma)
+    return bounds.delta2 + stretch * bounds.delta3 / slack
+
+
 def gain_conditions(
     gains: RiseGains, bounds: DisturbanceBounds, period: float, step: str
 ) -> tuple[Condition, ...]:
@@ -91,14 +122,14 @@ def gain_conditions(
         gains: The gains.
         bounds: Bounds of the disturbance.
         period: Time between measurements [s].
-        step: Which step; the explicit one has the conditions of continuous time.
+        step: Which step; the explicit one has the conditions of continuous time, and
+            its linear part has to be stable (E94).
     """
     alpha, beta, gamma = gains.alpha, gains.beta, gains.gamma
     sampled = step != "explicit"
-    stretch = 1.0 + gains.decay_rate * period if sampled else 1.0
-    least = bounds.delta2 + stretch * bounds.delta3 / max(1.0, alpha - gamma)
+    least = least_beta(gains, bounds, period if sampled else 0.0)
     factor = "(1 + lambda_V dt) " if sampled else ""
-    return (
+    conditions = (
         Condition("alpha > 1", alpha, 1.0, alpha > 1.0),
         Condition("gamma > 0", gamma, 0.0, gamma > 0.0),
         Condition(
@@ -108,6 +139,13 @@ def gain_conditions(
             beta > least,
         ),
     )
+    if sampled:
+        return conditions
+    damping = alpha + gamma
+    oscillation = math.sqrt(max(0.0, damping**2 - 4.0 * gains.stiffness))
+    longest = (damping - oscillation) / gains.stiffness
+    name = "longest stable period > dt"
+    return (*conditions, Condition(name, longest, period, longest > period))
 
 
 def error_bound(
@@ -130,7 +168,7 @@ def error_bound(
         noise: Standard deviation of each disturbed channel's measurement [m/s].
         num_disturbances: q.
     """
-    peak = math.sqrt(num_disturbances) + _NOISE_SIGMAS
+    peak = noise_peak(num_disturbances)
     if step == "explicit":
         law = gains.beta * math.sqrt(3.0 * period / (gains.alpha + gains.gamma))
         chatter = _CHATTER_MARGIN * math.sqrt(num_disturbances) * law

@@ -9,12 +9,13 @@ import numpy as np
 
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances.bounds import (
+    Basis,
     Condition,
     DisturbanceBounds,
     ErrorBound,
     check_positive,
 )
-from vcbf_drake.disturbances.observer import DisturbanceObserver
+from vcbf_drake.disturbances.observer import DisturbanceObserver, nearest_in_ball
 from vcbf_drake.disturbances.rise_certificate import (
     STEPS,
     RiseGains,
@@ -79,6 +80,7 @@ class RiseObserver(DisturbanceObserver):
         noise: float = 0.0,
         floor: bool = True,
         longest_interval: float | None = None,
+        uncertified: bool = False,
     ) -> None:
         """Initialises the observer.
 
@@ -86,7 +88,7 @@ class RiseObserver(DisturbanceObserver):
             model: Gives f, g and E.
             period: Time between measurements [s].
             bounds: delta1, delta2 and delta3 of the disturbance (E8).
-            gains: alpha, beta, gamma; 5, 6, 4 by default.
+            gains: alpha, beta, gamma; those of `RiseGains.for_bounds` by default.
             step: ``implicit``, ``saturated`` or ``explicit``.
             boundary_layer: φ of the saturated step [m/s].
             noise: Standard deviation of the measured disturbed channels [m/s].
@@ -96,10 +98,13 @@ class RiseObserver(DisturbanceObserver):
                 and that the bound is for [s]; proven for equal intervals, measured for
                 others. By default every time is bridged, and the bound is for the
                 period.
+            uncertified: Whether gains that fail `gain_conditions` are allowed. Their
+                error bound is what needs no condition, 2 delta1 (E94).
 
         Raises:
             ModelError: Two disturbances act on the state in the same way.
-            ValueError: An argument is outside what is allowed.
+            ValueError: An argument is outside what is allowed, or the gains fail a
+                condition.
         """
         check_positive("period", period)
         check_positive("boundary_layer", boundary_layer)
@@ -107,18 +112,29 @@ class RiseObserver(DisturbanceObserver):
             raise ValueError(f"step is {step!r}; it must be one of {STEPS}")
         if not (math.isfinite(noise) and noise >= 0.0):
             raise ValueError(f"noise is {noise!r}; it must be finite and not below 0")
-        gains = gains or RiseGains()
         q = model.num_disturbances
         interval = max(period, longest_interval or 0.0)
-        bound = ErrorBound(bounds.delta1, gains.decay_rate / 2.0, 0.0)
-        if floor:
+        gains = gains or RiseGains.for_bounds(bounds, interval)
+        conditions = gain_conditions(gains, bounds, interval, step)
+        failed = [each for each in conditions if not each.holds]
+        basis: Basis
+        if failed and not uncertified:
+            raise ValueError(_refusal(gains, failed))
+        if failed:
+            basis, bound = "worst case", ErrorBound(0.0, 0.0, 2.0 * bounds.delta1)
+        elif floor:
+            basis = "calibrated" if noise or step == "explicit" else "proven"
             bound = error_bound(gains, bounds, interval, step, boundary_layer, noise, q)
+        else:
+            rate = gains.decay_rate / 2.0
+            basis, bound = "published", ErrorBound(bounds.delta1, rate, 0.0)
         super().__init__(
             model,
             period,
             bounds,
             memory_size=3 * q,
             error_bound=bound,
+            basis=basis,
             estimate_gain=gains.gamma,
             longest_interval=longest_interval,
         )
@@ -167,8 +183,23 @@ class RiseObserver(DisturbanceObserver):
 
     def _estimate(self, memory: Array) -> Array:
         xtil, integral, _ = memory.reshape(3, -1)
-        return self.gains.gamma * xtil + integral
+        estimate = self.gains.gamma * xtil + integral
+        if self.basis == "worst case":  # Nearest to it where d can be (E94).
+            return nearest_in_ball(estimate, self.bounds.delta1)
+        return estimate
 
     def _estimate_rate(self, memory: Array) -> Array:
         xtil, _, s = memory.reshape(3, -1)
         return xtil + self.gains.beta * s
+
+
+def _refusal(gains: RiseGains, failed: list[Condition]) -> str:
+    """Returns one line on gains whose error bound could not be proven."""
+    broken = "; ".join(
+        f"{each.name} needs {each.left:.4g} > {each.right:.4g}" for each in failed
+    )
+    return (
+        f"observer gains alpha, beta, gamma = {gains.alpha:g}, {gains.beta:g},"
+        f" {gains.gamma:g}: {broken}; leave them out to have them computed, or say"
+        " uncertified for a bound of 2 delta1"
+    )

@@ -98,7 +98,15 @@ def _observer_conditions(observer: DisturbanceObserver) -> Iterator[Assumption]:
             "Lemma 2 (E13) in sampled time",
             condition.holds,
             {"left": condition.left, "right": condition.right},
-            "the error bound is not certified, so no row is",
+            "the error bound is the worst case, 2 delta1 (E94): the volume row is not"
+            " certified",
+        )
+    if observer.basis == "calibrated":
+        yield Assumption(
+            "proven error bound",
+            "the error bound is proven, not calibrated by simulations (E39)",
+            False,
+            consequence="an estimate may be off by more than its bound says",
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ from vcbf_drake.plants import (
 )
 from vcbf_drake.safety import METHODS
 from vcbf_drake.simulation.faulty_loop import faulty_observer
+from vcbf_drake.simulation.invalid_field import InvalidFieldError
 from vcbf_drake.simulation.scenario import Scenario
 
 
@@ -109,11 +111,12 @@ def make_controller(scenario: Scenario) -> LeafSystem:
 
 
 def measurement_noise(scenario: Scenario, model: ControlAffineModel) -> float:
-    """Returns the largest noise on a disturbed state [m/s]; 0 without noise."""
+    """Returns the largest deviation of a disturbed channel E^+ x; 0 without noise."""
     if not any(scenario.noise.std):
         return 0.0
-    disturbed = np.any(model.disturbance_matrix != 0.0, axis=1)
-    return float(np.max(np.array(scenario.noise.std)[disturbed], initial=0.0))
+    channels = np.linalg.pinv(model.disturbance_matrix)
+    deviations = np.linalg.norm(channels * scenario.noise.std, axis=1)
+    return float(np.max(deviations, initial=0.0))
 
 
 def make_observer(
@@ -134,22 +137,32 @@ def make_observer(
         longest_interval: See `DisturbanceObserver`.
     """
     settings = scenario.observer
+    noise = measurement_noise(scenario, model)
     if METHODS[scenario.method].observer == "linear":
         return faulty_observer(scenario, LinearDisturbanceObserver)(
             model,
             period,
             bounds,
             rate=settings.linear_rate,
+            noise=noise,
             longest_interval=longest_interval,
         )
-    return faulty_observer(scenario, RiseObserver)(
-        model,
-        period,
-        bounds,
-        gains=RiseGains(settings.alpha, settings.beta, settings.gamma),
-        step=settings.step,
-        boundary_layer=settings.boundary_layer,
-        noise=measurement_noise(scenario, model),
-        floor=scenario.applied_corrections.error_floor,
-        longest_interval=longest_interval,
-    )
+    interval = max(period, longest_interval or 0.0)
+    gains = RiseGains.for_bounds(bounds, interval, settings.alpha, settings.gamma)
+    if settings.beta is not None:
+        gains = replace(gains, beta=settings.beta)
+    try:
+        return faulty_observer(scenario, RiseObserver)(
+            model,
+            period,
+            bounds,
+            gains=gains,
+            step=settings.step,
+            boundary_layer=settings.boundary_layer,
+            noise=noise,
+            floor=scenario.applied_corrections.error_floor,
+            longest_interval=longest_interval,
+            uncertified=settings.uncertified,
+        )
+    except ValueError as error:
+        raise InvalidFieldError(("observer",), str(error)) from None

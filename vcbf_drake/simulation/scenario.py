@@ -79,8 +79,11 @@ class Observer:
 
     # Gains of the RISE observer, (E9), (E13).
     alpha: float = 5.0
-    beta: float = 6.0
+    # None for one that the disturbance's bounds need (E49): 6, or more.
+    beta: float | None = None
     gamma: float = 4.0
+    # Whether gains that fail (E49) are allowed: with the error bound 2 delta1 (E94).
+    uncertified: bool = False
     # How one sampled step is taken: implicit (E40), saturated (E38), explicit (E36).
     step: str = "implicit"
     # Time between its steps, at most the control period [s]; 0 means that one.

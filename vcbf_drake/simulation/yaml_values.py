@@ -42,11 +42,10 @@ def build(node: Node, hint: Any, path: KeyPath = ()) -> Any:
 def _build_union(node: Node, members: Sequence[Any], path: KeyPath) -> Any:
     if types.NoneType in members and shown(node) == "nothing":
         return None
-    by_tag = {
-        f"!{member.__name__}": member
-        for member in members
-        if member is not types.NoneType
-    }
+    members = [member for member in members if member is not types.NoneType]
+    if members[0] in _SCALARS:
+        return build(node, members[0], path)
+    by_tag = {f"!{member.__name__}": member for member in members}
     if node.tag.startswith("!"):
         if node.tag not in by_tag:
             fail(

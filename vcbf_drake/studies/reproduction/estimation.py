@@ -29,7 +29,7 @@ def estimation(result: Result) -> dict[str, Any]:
     log, observer = result.log, result.scenario.observer
     time = log["time"]
     error = np.linalg.norm(log["disturbance"] - log["disturbance_estimate"], axis=1)
-    gains = RiseGains(observer.alpha, observer.beta, observer.gamma)
+    gains = RiseGains(observer.alpha, gamma=observer.gamma)
     delta1 = make_loop(result.scenario).GetSubsystemByName("disturbance").bounds.delta1
     printed = delta1 * np.exp(-0.5 * gains.decay_rate * time)
     settled = error[time >= _SETTLED]
