@@ -261,6 +261,73 @@ def test_what_is_not_affine_is_refused_by_name(
         ControlAffineModel.from_system(system)
 
 
+def drag(t: Any, x: Any, u: Any, d: Any, p: Any) -> list[Any]:
+    """A cart whose drag is against its motion, |v| v: here +4 at v = -2."""
+    return [x[1], u[0] + d[0] - (x[1] * x[1]) ** 0.5 * x[1]]
+
+
+@pytest.mark.parametrize(
+    "rate",
+    [
+        drag,
+        lambda t, x, u, d, p: [x[1], u[0] + d[0] - ((x[1] / 3) ** 4) ** 0.25],
+        lambda t, x, u, d, p: [(x[1] ** 2) ** 1.5, u[0] + d[0]],
+        lambda t, x, u, d, p: [x[1], ((x[0] - 2.0) ** 2) ** 0.5 * u[0] + d[0]],
+        lambda t, x, u, d, p: [x[1], u[0] + d[0] + ((p[0] * x[0]) ** 2) ** 0.5],
+        lambda t, x, u, d, p: [x[1], u[0] + d[0] + (x[0] ** 2) ** 0.25],
+    ],
+)
+def test_a_plant_that_its_symbols_misread_is_refused(rate: Any) -> None:
+    plant = Formula(rate)
+    context = plant.CreateDefaultContext()
+    for name in ("input", "disturbance"):
+        plant.GetInputPort(name).FixValue(context, [0.0])
+    context.SetContinuousState([-1.0, -2.0])
+    own = plant.EvalTimeDerivatives(context).CopyToVector()
+    np.testing.assert_allclose(own, np.array(rate(0, [-1.0, -2.0], [0], [0], [3.0])))
+    builder = DiagramBuilder()
+    inside = builder.AddSystem(Formula(rate))
+    for name in ("input", "disturbance"):
+        builder.ExportInput(inside.GetInputPort(name), name)
+    for system in (plant, builder.Build()):
+        with pytest.raises(ModelError, match=r"derivative of x\d is .* at x = \[") as e:
+            ControlAffineModel.from_system(system)
+        message = str(e.value)
+        assert "makes of its symbols is" in message
+        assert "write (e**2 + c**2)**0.5" in message
+        assert "\n" not in message
+
+
+def test_drag_with_a_rounded_root_is_right() -> None:
+    def rounded(t: Any, x: Any, u: Any, d: Any, p: Any) -> list[Any]:
+        return [x[1], u[0] + d[0] - (x[1] * x[1] + 1e-12) ** 0.5 * x[1]]
+
+    model = ControlAffineModel.from_system(Formula(rounded))
+    np.testing.assert_allclose(model.drift(np.array([0.0, -2.0])), [-2.0, 4.0])
+
+
+def test_a_plant_whose_values_are_hardly_anywhere_is_said_not_to_be_compared() -> None:
+    def far_away(t: Any, x: Any, u: Any, d: Any, p: Any) -> list[Any]:
+        return [x[1], u[0] + d[0] - (x[0] - 1e5) ** 0.5]
+
+    with pytest.warns(UserWarning, match=r"x0 is finite at 0 of \d+ points only"):
+        ControlAffineModel.from_system(Formula(far_away))
+
+
+def test_a_plant_is_compared_within_its_effort_limits_and_on_unit_quaternions() -> None:
+    plant = MultibodyPlant(time_step=0.0)
+    inertia = SpatialInertia(1.3, [0.0, 0.0, 0.0], UnitInertia(0.1, 0.2, 0.25))
+    plant.AddRigidBody("free", inertia)
+    cart = plant.AddRigidBody("cart", inertia)
+    axis = [1.0, 0.0, 0.0]
+    rail = PrismaticJoint("rail", plant.world_frame(), cart.body_frame(), axis)
+    plant.AddJointActuator("force", plant.AddJoint(rail), 0.5)
+    plant.Finalize()
+    model = ControlAffineModel.from_system(plant, "actuation")
+    assert model.effort_limits.tolist() == [0.5]
+    assert sum(name.endswith("_qw") for name in model.state_names) == 1
+
+
 def test_systems_without_a_symbolic_or_continuous_form_are_refused() -> None:
     class Numeric(LeafSystem):
         def __init__(self) -> None:

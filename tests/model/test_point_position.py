@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.symbolic import Expression
 import pytest
 
 from vcbf_drake import ControlAffineModel, InputSet, ModelError, SphereObstacle
@@ -123,5 +124,7 @@ def test_a_body_that_is_but_a_frame_needs_no_mass(model):
             strict=True,
         ):
             np.testing.assert_allclose(own, other, rtol=1e-9, atol=1e-9)
-        found = [e.Evaluate() for e in position(x)]
+        symbols = np.array([Expression(number) for number in x])
+        found = [e.Evaluate() for e in position(symbols)]
         np.testing.assert_allclose(found, hand(x), atol=1e-12)
+        np.testing.assert_allclose(position(x), hand(x), atol=1e-12)

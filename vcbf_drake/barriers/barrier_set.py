@@ -10,6 +10,7 @@ import numpy as np
 
 from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.barrier_rows import BarrierRows, RowsAlong
+from vcbf_drake.barriers.compared import require_same_numbers
 from vcbf_drake.barriers.input_limits import StateInputLimit
 from vcbf_drake.barriers.perceived_spheres import PerceivedBarrier
 from vcbf_drake.barriers.row_functions import (
@@ -44,8 +45,9 @@ class BarrierSet:
 
         Raises:
             ModelError: A barrier's function does not suit the model, or the input or
-                the disturbance enters it at another derivative than its gains say; the
-                message names the barrier.
+                the disturbance enters it at another derivative than its gains say, or
+                pydrake's expressions give other numbers than it does; the message names
+                the barrier.
             TypeError: One of them is neither a barrier nor a limit.
             ValueError: Perceived obstacles of different capacities or dimensions.
         """
@@ -61,6 +63,7 @@ class BarrierSet:
         self._num_inputs = model.num_inputs
         self._num_entries = model.num_inputs + 1 + model.num_disturbances
         self._functions = [_functions(model, barrier) for barrier in barriers]
+        require_same_numbers(model, zip(barriers, self._functions, strict=True))
         self._perceived = [
             (i, barrier)
             for i, barrier in enumerate(barriers)

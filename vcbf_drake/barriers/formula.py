@@ -92,10 +92,7 @@ class Symbols:
         names = tuple(variable.get_name() for variable in self.variables)
         if len(set(names)) < len(names):
             return object()  # Names do not tell the variables apart: equal to no other.
-        f, g = self.model.drift_expressions, self.model.input_matrix_expressions
-        E = self.model.disturbance_matrix
-        text = tuple(str(e) for e in (*expressions, *f, *g.flat))
-        return names, text, E.shape, E.tobytes()
+        return names, tuple(map(str, expressions)), self.model.content
 
 
 def as_expressions(values: Iterable[Any]) -> Expressions:

@@ -101,8 +101,10 @@ def _is_nonzero(
     written = np.array([not e.EqualTo(zero) for e in slope @ channels], dtype=bool)
     if not written.any():
         return written
-    seen = []
+    seen: list[NDArray[np.bool_]] = []
     for sample in samples:
+        if seen and (written <= np.any(seen, axis=0)).all():
+            break
         try:
             values = Evaluate(np.vstack([slope, channels.T]), sample)
         except (RuntimeError, ValueError):  # Outside the domain of h or of the model.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
+from functools import cached_property
 
 import numpy as np
 from pydrake.symbolic import Expression, Jacobian, MakeVectorVariable
@@ -11,6 +12,7 @@ from vcbf_drake.between_ticks.interval import Number
 from vcbf_drake.between_ticks.interval_function import interval_function
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
+from vcbf_drake.model.agreement import require_agreement, sample_points
 from vcbf_drake.model.compiled import (
     CompiledFunction,
     Expressions,
@@ -118,12 +120,13 @@ class ControlAffineModel:
         Raises:
             ModelError: The System is not symbolic, has a state that is not continuous
                 or none at all, depends on time, is not affine in u and d, E is not
-                constant or lacks rank, or the ports are not what is needed.
+                constant or lacks rank, the ports are not what is needed, or pydrake's
+                expressions give other rates than the System itself.
         """
         dynamics = symbolic_dynamics(system, input_port, disturbance_port, context)
         m = len(dynamics.input)
         parts = _solve(dynamics.mass_matrix, _affine_parts(dynamics))
-        return cls(
+        model = cls(
             state=dynamics.state,
             drift=parts[:, 0],
             input_matrix=parts[:, 1 : 1 + m],
@@ -132,6 +135,15 @@ class ControlAffineModel:
             name=dynamics.name,
             effort_limits=dynamics.effort_limits,
         )
+        _require_same_rates(model, dynamics)
+        return model
+
+    @cached_property
+    def content(self) -> Hashable:
+        """The text of f and g, and E: equal for models that read the same."""
+        f, g = self.drift_expressions, self.input_matrix_expressions
+        E = self.disturbance_matrix
+        return tuple(str(e) for e in (*f, *g.flat)), E.shape, E.tobytes()
 
     def drift(self, x: Array) -> Array:
         """Evaluates f(x), shape (n,), in state units per second."""
@@ -190,6 +202,42 @@ def _compiled_rate(
     u = MakeVectorVariable(input_matrix.shape[1], "u")
     rate = drift + input_matrix @ u
     return compile_expressions([*state, *u], rate, f"{name}, f + g u")
+
+
+def _require_same_rates(model: ControlAffineModel, dynamics: SymbolicDynamics) -> None:
+    """Compares the model's dx/dt with the System's own, in plain numbers (E1)."""
+    n, m, E = model.num_states, model.num_inputs, model.disturbance_matrix
+    # Beyond its effort limits a plant clamps its inputs.
+    limits = np.fmin(model.effort_limits, np.finfo(float).max)
+
+    def parts(point: Array) -> tuple[Array, Array, Array]:
+        x, u, d = np.split(point, [n, n + m])
+        return _unit_quaternions(x, model.state_names), np.clip(u, -limits, limits), d
+
+    def derived(point: Array) -> Array:
+        x, u, d = parts(point)
+        f, g = model.drift_and_input_matrix(x)
+        return np.concatenate([f + g @ u, model.nominal_rate(x, u)]) + np.tile(E @ d, 2)
+
+    def own(point: Array) -> Array:
+        return np.tile(dynamics.rate(*parts(point)), 2)
+
+    def describe(point: Array) -> str:
+        x, u, d = (", ".join(f"{value:.6g}" for value in part) for part in parts(point))
+        return f"x = [{x}], u = [{u}]" + (f", d = [{d}]" if d else "")
+
+    points = sample_points(n + m + E.shape[1])
+    names = [f"{model.name}: the derivative of {state}" for state in model.state_names]
+    require_agreement(derived, own, points, describe, names)
+
+
+def _unit_quaternions(x: Array, names: Sequence[str]) -> Array:
+    """The state with its quaternions, as a MultibodyPlant names them, made unit."""
+    x = x.copy()
+    for i, name in enumerate(names):
+        if name.endswith("_qw"):
+            x[i : i + 4] /= np.linalg.norm(x[i : i + 4])
+    return x
 
 
 def _affine_parts(dynamics: SymbolicDynamics) -> Expressions:

@@ -38,13 +38,18 @@ def point_position(
         moving = symbolic.GetFrameByName(frame)
     except RuntimeError as error:
         raise ModelError(f"{plant.get_name()}: {error}") from error
-    context, world = symbolic.CreateDefaultContext(), symbolic.world_frame()
+    context = symbolic.CreateDefaultContext()
     give_mass(symbolic, context)  # Positions do not depend on it.
+    in_numbers = plant, plant.GetFrameByName(frame), plant.CreateDefaultContext()
+    in_symbols = symbolic, moving, context
     chosen, offset = list(axes), np.array(point, dtype=float)
 
     def position(x: Expressions) -> Expressions:
-        symbolic.SetPositions(context, x[: symbolic.num_positions()])
-        points = symbolic.CalcPointsPositions(context, moving, offset, world)
+        numbers = x.dtype == float
+        tree, moving, context = in_numbers if numbers else in_symbols
+        tree.SetPositions(context, x[: tree.num_positions()])
+        world = tree.world_frame()
+        points = tree.CalcPointsPositions(context, moving, offset, world)
         coordinates: Expressions = points[chosen, 0]
         return coordinates
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -34,6 +35,8 @@ class SymbolicDynamics:
         mass_matrix: M, shape (n, n), expressions over x.
         force: F, shape (n,), expressions over x, u and d.
         effort_limits: How large each input may be, shape (m,); infinite for most.
+        rate: ``rate(x, u, d)`` is dx/dt, shape (n,), in plain numbers, by the System
+            itself.
     """
 
     name: str
@@ -44,6 +47,7 @@ class SymbolicDynamics:
     mass_matrix: Expressions
     force: Expressions
     effort_limits: Array
+    rate: Callable[[Array, Array, Array], Array]
 
 
 def symbolic_dynamics(
@@ -103,7 +107,10 @@ def symbolic_dynamics(
         mass_matrix[entry] = value.Substitute(at_rest)
     _require_time_invariant(force, mass_matrix, time, state_names, name)
     limits = _effort_limits(system, input_)
-    return SymbolicDynamics(name, state_names, x, u, d, mass_matrix, force, limits)
+    own_rate = _own_rate(system, input_, disturbance, context)
+    return SymbolicDynamics(
+        name, state_names, x, u, d, mass_matrix, force, limits, own_rate
+    )
 
 
 def _disturbance_port(system: System, name: str, choice: PortChoice) -> Port:
@@ -222,6 +229,34 @@ def _copy_port_values(
         if port.HasValue(context):
             value = port.Eval(context)
             symbolic.get_input_port(port.get_index()).FixValue(target, value)
+
+
+def _own_rate(
+    system: System, input_: Port, disturbance: Port, context: Context
+) -> Callable[[Array, Array, Array], Array]:
+    own = system.CreateDefaultContext()
+    if context is not None:
+        own.SetTimeStateAndParametersFrom(context)
+        _copy_port_values(system, context, system, own)
+
+    def rate(x: Array, u: Array, d: Array) -> Array:
+        own.SetContinuousState(x)
+        input_.FixValue(own, u)
+        if disturbance:
+            disturbance.FixValue(own, d)
+        try:
+            derivatives = system.EvalTimeDerivatives(own)
+        except Exception:  # A System's own code may raise anything.
+            unset = [p for p in _vector_ports(system) if not p.HasValue(own)]
+            if not unset:
+                raise
+            for port in unset:
+                port.FixValue(own, np.zeros(port.size()))
+            derivatives = system.EvalTimeDerivatives(own)
+        values: Array = derivatives.CopyToVector()
+        return values
+
+    return rate
 
 
 def _state_names(system: System, size: int) -> tuple[str, ...]:

@@ -1,0 +1,88 @@
+"""Compiled barriers and limits beside the functions that a user wrote, in numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from pydrake.symbolic import Expression
+
+from vcbf_drake.barriers.barrier import Barrier
+from vcbf_drake.barriers.formula import as_expressions
+from vcbf_drake.barriers.input_limits import StateInputLimit
+from vcbf_drake.barriers.row_functions import RowFunctions
+from vcbf_drake.checks import Array
+from vcbf_drake.model.agreement import require_agreement, sample_points
+from vcbf_drake.model.control_affine import ControlAffineModel
+
+# How many pairs of points a formula is compared at: once, and for other parameters.
+_MANY, _FEW = 32, 3
+
+
+def require_same_numbers(
+    model: ControlAffineModel,
+    compiled: Iterable[tuple[Barrier | StateInputLimit, RowFunctions]],
+) -> None:
+    """Compares what was compiled of each barrier with its ``function(x, t, p)``.
+
+    Args:
+        model: The plant.
+        compiled: Barriers and limits, each with its functions.
+
+    Raises:
+        ModelError: One of them has other numbers; the message names it.
+    """
+    formulas, vectors = set(), set()
+    for barrier, functions in compiled:
+        # Closures of one code may differ in their cells, so each is looked at.
+        code = getattr(barrier.function, "__code__", type(barrier.function))
+        formula = functions.value, functions.row, code
+        vector = *formula, barrier.function, functions.parameters
+        if vector not in vectors:
+            pairs = _FEW if formula in formulas else _MANY
+            _compare(model, barrier, functions, pairs)
+        formulas.add(formula)
+        vectors.add(vector)
+
+
+def _compare(
+    model: ControlAffineModel,
+    barrier: Barrier | StateInputLimit,
+    functions: RowFunctions,
+    pairs: int,
+) -> None:
+    is_barrier = isinstance(barrier, Barrier)
+    compiled = functions.value if is_barrier else functions.row
+    size = 1 if is_barrier else model.num_inputs + 1
+    parameters = functions.parameters
+
+    def derived(point: Array) -> list[float]:
+        *x, t = point.tolist()
+        return compiled(*x, abs(t), *parameters)[:size]
+
+    def written(point: Array) -> list[Any]:
+        return _written(barrier, point[:-1], abs(point[-1]))
+
+    def describe(point: Array) -> str:
+        x = ", ".join(f"{value:.6g}" for value in point[:-1])
+        return f"x = [{x}], t = {abs(point[-1]):.6g}"
+
+    kind = "barrier" if is_barrier else "limit"
+    points = sample_points(model.num_states + 1, parameters, pairs)
+    name = f"{kind} '{barrier.name}': function(x, t, p)"
+    require_agreement(derived, written, points, describe, [name])
+
+
+def _written(barrier: Barrier | StateInputLimit, x: Array, t: float) -> list[Any]:
+    """The numbers of ``function(x, t, p)`` itself: h, or a limit's row and bound."""
+    function, p = barrier.function, barrier.parameters
+    try:
+        values = function(np.array(x), np.float64(t), np.array(p))
+    except (AttributeError, TypeError, RuntimeError):
+        # It takes expressions only. Those without a variable are numbers at each step.
+        values = function(as_expressions(x), Expression(t), as_expressions(p))
+    if isinstance(barrier, Barrier):
+        return [np.asarray(values, dtype=object).item()]
+    row, bound = values
+    return [*row, bound]

@@ -1,0 +1,154 @@
+"""Numbers of a derived function beside those of the function it was derived from.
+
+Symbolic expressions are simplified as they are built, and not always rightly: pydrake
+turns ``((x - a)**2)**0.5`` into ``x - a``, a wall's distance into one that is negative
+behind it. So whatever was derived is compared in plain numbers, which nothing
+simplifies, with its origin: at points near and far, of both signs, at and around the
+places that matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+import math
+from typing import Any, TypeAlias
+import warnings
+
+import numpy as np
+from pydrake.symbolic import Expression
+
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import ModelError
+
+NumberFunction: TypeAlias = Callable[[Array], Iterable[Any]]
+
+# How far two ways of calculating one number may be apart, relative to it.
+_TOLERANCE = 1e-6
+# What a relative change of the arguments by next to nothing shows of the rounding.
+_NEXT_TO_NOTHING = 1e-13
+_ROUNDING_FACTOR = 100.0
+# Fewer points than this are too few to say that two functions agree.
+_FEW = 4
+_WAY_OUT = (
+    "pydrake simplifies the power of a power, (e**2)**0.5 to e: write"
+    " (e**2 + c**2)**0.5 with a small c, or one formula for each sign of e"
+)
+
+
+def sample_points(
+    size: int, places: Sequence[float] | Array = (), pairs: int = 32
+) -> Iterator[Array]:
+    """Yields arguments to compare at, shape (size,); the same ones every time.
+
+    They come in pairs, opposite each other: around 0 at first, then around vectors of
+    the places and their negatives, from nearest to farthest. Each comes after the place
+    itself.
+
+    Args:
+        size: How many arguments there are.
+        places: Values of arguments that matter, such as an obstacle's coordinates.
+        pairs: How many pairs there are.
+    """
+    random = np.random.default_rng(0)
+    around = np.concatenate([[0.0], places, np.negative(places)])
+    for i, scale in enumerate(np.geomspace(1e-2, 1e3, pairs)):
+        center = random.choice(around, size) if i % 2 else np.zeros(size)
+        offset = scale * random.normal(size=size)
+        yield center + offset
+        yield center - offset
+        if i % 4 == 1:
+            yield center
+
+
+def require_agreement(
+    derived: NumberFunction,
+    origin: NumberFunction,
+    points: Iterable[Array],
+    describe: Callable[[Array], str],
+    names: Sequence[str],
+) -> None:
+    """Compares a derived function with its origin.
+
+    Points where the origin has no finite value are passed over, as are those where the
+    derived function divides by 0 or overflows: it may, in another order of operations.
+    If hardly a point is left, a warning says so.
+
+    Args:
+        derived: Returns k numbers, or raises.
+        origin: Returns the k numbers that are right, or raises.
+        points: Where to compare them.
+        describe: Returns a point in words.
+        names: What the k numbers are called; one name for all of them.
+
+    Raises:
+        ModelError: They differ; the message has the point, both values and the way out.
+    """
+    compared = passed_over = 0
+    for point in points:
+        expected, found = _numbers(origin, point), _numbers(derived, point)
+        if expected is None or found is None or not np.isfinite(expected).all():
+            passed_over += 1
+            continue
+        found = np.broadcast_to(found, expected.shape)
+        compared += 1
+        differs = ~(np.abs(found - expected) <= _tolerance(found, expected))
+        if differs.any():
+            rounding = _rounding(derived, point, found)
+            rounding = np.fmax(rounding, _rounding(origin, point, expected))
+            differs &= ~(np.abs(found - expected) <= rounding)
+        if differs.any():
+            k = int(differs.argmax())
+            name, right, wrong = names[k % len(names)], expected[k], found[k]
+            raise ModelError(
+                f"{name} is {right:.6g} at {describe(point)}, but what pydrake makes"
+                f" of its symbols is {wrong:.6g} there: {_WAY_OUT}"
+            )
+    if passed_over and compared < _FEW:
+        number = compared + passed_over
+        warnings.warn(
+            f"{names[0]} is finite at {compared} of {number} points only, too few to"
+            " tell whether what was derived from it has the same values",
+            stacklevel=2,
+        )
+
+
+def plain_numbers(values: Any) -> list[float]:
+    """Returns numbers, or expressions without a variable, as floats.
+
+    Raises:
+        TypeError: One of them is neither.
+        RuntimeError: An expression has a variable or no value.
+    """
+    flat = np.asarray(values, dtype=object).flat
+    return [v.Evaluate() if isinstance(v, Expression) else float(v) for v in flat]
+
+
+def _numbers(function: NumberFunction, point: Array) -> Array | None:
+    """The function's numbers, nan where they are not real; None without any."""
+    try:
+        with np.errstate(all="ignore"):
+            return np.array(plain_numbers(function(point)))
+    except ArithmeticError:
+        return None
+    except ValueError:  # The root of a negative number, say.
+        return np.array([math.nan])
+    except (TypeError, RuntimeError):
+        return None
+
+
+def _tolerance(found: Array, expected: Array) -> Array:
+    tolerance: Array = _TOLERANCE * np.fmax(np.abs(found), np.abs(expected))
+    return tolerance
+
+
+def _rounding(function: NumberFunction, point: Array, values: Array) -> Array:
+    """How far rounding may have moved a function's values, shape (k,)."""
+    random = np.random.default_rng(0)
+    changes = [np.zeros_like(values)]
+    for _ in range(4):
+        nudge = 1.0 + _NEXT_TO_NOTHING * random.normal(size=point.shape)
+        nearby = _numbers(function, point * nudge)
+        if nearby is not None:
+            changes.append(np.abs(nearby - values))
+    rounding: Array = _ROUNDING_FACTOR * np.fmax.reduce(changes)
+    return rounding
