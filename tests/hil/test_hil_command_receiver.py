@@ -19,9 +19,9 @@ from vcbf_drake.hil import (
     VehicleMode,
     command_format,
 )
-from vcbf_drake.hil.command_receiver import CommandReceiver
 from vcbf_drake.hil.messages import vcbf_command
-from vcbf_drake.hil.timeline import Timeline
+from vcbf_drake.hil.timing import Timeline
+from vcbf_drake.hil.vehicle_side import CommandReceiver
 from vcbf_drake.simulation.scenario import Hardware
 
 CAR = ControlAffineModel.from_system(Car())

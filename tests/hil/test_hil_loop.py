@@ -15,13 +15,18 @@ from vcbf_drake import (
     CarController,
     InputSet,
     load_scenario,
-    make_loop,
     simulate,
 )
 from vcbf_drake.disturbances import DisturbanceBounds
 from vcbf_drake.errors import ScenarioError
-from vcbf_drake.hil import Bus, InProcess, SimulatedClock, make_vehicle
-from vcbf_drake.hil.timeline import Timeline
+from vcbf_drake.hil import (
+    Bus,
+    InProcess,
+    SimulatedClock,
+    make_hardware_loop,
+    make_vehicle,
+)
+from vcbf_drake.hil.timing import Timeline
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.simulation import barriers
 from vcbf_drake.simulation.loop import add_simulated_plant
@@ -76,7 +81,7 @@ def both_halves_in_one_diagram(name: str, duration: float) -> np.ndarray:
     loaded, clock, lcm = scenario(name), SimulatedClock(), DrakeLcm("memq://")
     builder, timeline = DiagramBuilder(), Timeline(clock)
     bus = Bus(lcm, clock)
-    builder.AddNamedSystem("controller", make_loop(loaded, hardware=True, bus=bus))
+    builder.AddNamedSystem("controller", make_hardware_loop(loaded, bus))
     vehicle = builder.AddNamedSystem("vehicle", make_vehicle(loaded, bus, timeline))
     simulator = Simulator(builder.Build())
     context = simulator.get_mutable_context()

@@ -15,8 +15,8 @@ from vcbf_drake.hil import (
     PlantProcess,
     VehicleMode,
 )
-from vcbf_drake.hil.fallback import fallback_input
 from vcbf_drake.hil.messages import vcbf_command, vcbf_status
+from vcbf_drake.hil.vehicle_side import fallback_input
 
 CAR = ControlAffineModel.from_system(Car())
 BLIMP = ControlAffineModel.from_system(Blimp())

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from enum import Enum
+from enum import Enum, IntEnum
 import math
 import struct
 from typing import Any
@@ -19,8 +19,34 @@ from vcbf_drake.hil.messages import (
     vcbf_state,
     vcbf_status,
 )
-from vcbf_drake.hil.modes import CommandMode, VehicleMode
 from vcbf_drake.safety import FilterStatus
+
+
+class CommandMode(IntEnum):
+    """What a command asks of the vehicle."""
+
+    APPLY = 0
+    """Apply the input."""
+    HOLD = 1
+    """Apply the input; it is held, because the state it rests on is old."""
+    FALLBACK = 2
+    """Use the vehicle's own fallback; the status says why."""
+    END = 3
+    """The same, because the controller ends."""
+
+
+class VehicleMode(IntEnum):
+    """What a vehicle does."""
+
+    WAITING = 0
+    """It stands, until a first command comes."""
+    FOLLOWING = 1
+    """It applies the commands that come."""
+    FALLBACK = 2
+    """It zeroes its input or brakes, for no command came or one asked for it."""
+    ENDED = 3
+    """Nothing more: this is its last message."""
+
 
 VERSION = 1
 

@@ -3,35 +3,244 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydrake.lcm import DrakeLcm
 from pydrake.systems.framework import Context
 
 from vcbf_drake.checks import Array
-from vcbf_drake.hil.bus import Bus
-from vcbf_drake.hil.controller_process import ControllerProcess
-from vcbf_drake.hil.decoding import state_format
+from vcbf_drake.disturbances import DisturbanceObserver
+from vcbf_drake.hil.bus import Bus, SimulatedClock
+from vcbf_drake.hil.decoding import (
+    CommandMode,
+    Rejection,
+    VehicleMode,
+    command_format,
+    obstacles_format,
+    state_format,
+)
 from vcbf_drake.hil.event_log import (
     Event,
     EventLogError,
     EventLogWriter,
     read_event_log,
 )
-from vcbf_drake.hil.logged_controller import LoggedController
-from vcbf_drake.hil.modes import VehicleMode
-from vcbf_drake.hil.tick_recorder import TickRecorder
+from vcbf_drake.hil.mailbox import Inbox
+from vcbf_drake.hil.messages import vcbf_command
+from vcbf_drake.hil.processes import ControllerProcess
 from vcbf_drake.safety import Assumption, SafetyFilter
-from vcbf_drake.simulation.loop import COLLISION_MONITOR
+from vcbf_drake.simulation.loop import COLLISION_MONITOR, logged_ports
 from vcbf_drake.simulation.result import Result
 from vcbf_drake.simulation.run import loop_assumptions
+from vcbf_drake.simulation.run_log import finish_log
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.scenario_file import dump_scenario, parse_scenario
 from vcbf_drake.simulation.step_time import step_cpu_time
 from vcbf_drake.simulation.summary import Ending, summarise
+
+# Session and sequence of a message.
+_Key = tuple[int, int]
+
+
+class LoggedController:
+    """Feeds what a vehicle said, as logged, to a controller, over ``memq://``.
+
+    The clock is the log's. The controller acts on the states that the log has commands
+    for, when those were sent, and on every state if the log has no commands at all. A
+    controller that started again in the log starts again here. So the log of a
+    controller makes the same commands again, bit for bit; the log of a vehicle does so
+    as far as all messages arrived.
+
+    Args:
+        scenario: A validated scenario.
+        events: The log's events.
+
+    Attributes:
+        controllers: The controllers, one after the other.
+        logged: The log's commands by the state they answer first: session, sequence.
+        sent: The commands that were made, likewise.
+        on_start: Called with every controller before it is driven.
+        on_state: Called with every state that is accepted.
+    """
+
+    def __init__(self, scenario: Scenario, events: Iterable[Event]) -> None:
+        self.on_start: Callable[[ControllerProcess], None] = lambda controller: None
+        self.on_state: Callable[[Any], None] = lambda state: None
+        self.controllers: list[ControllerProcess] = []
+        self.sent: dict[_Key, vcbf_command] = {}
+        self._scenario, self._events = scenario, list(events)
+        m = len(scenario.input_set.lower)
+        self._states = state_format(len(scenario.initial_state), m).channel
+        sizes = len(scenario.obstacles), len(scenario.target)
+        self._obstacles = obstacles_format(*sizes).channel
+        self._commands = command_format(m)
+        self.logged: dict[_Key, vcbf_command] = {}
+        self._repeated: dict[_Key, vcbf_command] = {}
+        for command in self._logged_commands():
+            if command.mode == CommandMode.END:
+                continue  # Somebody's decision, not the controller's.
+            state = command.state_session, command.state_sequence
+            if self.logged.setdefault(state, command) is not command:
+                self._repeated[_key(command)] = command
+
+    def run(self) -> None:
+        """Drives the controller through the whole log."""
+        first = min(self.logged.values(), key=lambda c: c.session, default=None)
+        self._start(first.session if first else self._events[0].utime)
+        for event in self._events:
+            if event.channel == self._states:
+                self._take_state(event)
+            elif event.channel == self._obstacles:
+                self._hear(event)
+            elif event.channel == self._commands.channel:
+                self._repeat(event)
+
+    def differences(self) -> list[float]:
+        """Returns how far the commands made are from those logged, state by state.
+
+        In the inputs' units; infinite where mode or size differ.
+        """
+        return [
+            _difference(command, self.sent[state])
+            for state, command in self.logged.items()
+            if state in self.sent
+        ]
+
+    def _logged_commands(self) -> Iterator[vcbf_command]:
+        for event in self._events:
+            if event.channel == self._commands.channel:
+                message = self._commands.decode(event.data, event.utime)
+                if not isinstance(message, Rejection):
+                    yield message
+
+    def _start(self, session: int) -> None:
+        self._clock = SimulatedClock(session)
+        self._bus = Bus(DrakeLcm("memq://"), self._clock)
+        self._bus.taps.append(self._take_command)
+        controller = ControllerProcess(self._scenario, self._bus)
+        receiver = controller.diagram.GetSubsystemByName("state_receiver")
+        self._inbox: Inbox = receiver.inbox
+        self.controllers.append(controller)
+        self.on_start(controller)
+
+    def _take_state(self, event: Event) -> None:
+        before = self._inbox.newest
+        self._hear(event)
+        newest = self._inbox.newest
+        if newest is before:
+            return
+        self.on_state(newest)
+        answer = self.logged.get(_key(newest))
+        if answer is not None and answer.session > self._bus.session:
+            self._start(answer.session)
+            self._hear(event)
+        if answer is not None:
+            self._clock.now = answer.utime
+        if answer is not None or not self.logged:
+            self.controllers[-1].step()
+
+    def _hear(self, event: Event) -> None:
+        self._clock.now = event.utime
+        self._bus.lcm.Publish(event.channel, event.data)
+        self._bus.poll()
+
+    def _repeat(self, event: Event) -> None:
+        """Has a command sent again that was sent without a new state."""
+        message = self._commands.decode(event.data, event.utime)
+        if not isinstance(message, Rejection) and _key(message) in self._repeated:
+            self._clock.now = message.utime
+            self.controllers[-1].step()
+
+    def _take_command(self, utime: int, channel: str, data: bytes) -> None:
+        if channel == self._commands.channel:
+            command = vcbf_command.decode(data)
+            state = command.state_session, command.state_sequence
+            self.sent.setdefault(state, command)
+
+
+def _key(message: Any) -> _Key:
+    return message.session, message.sequence
+
+
+def _difference(logged: vcbf_command, made: vcbf_command) -> float:
+    if logged.mode != made.mode or logged.num_inputs != made.num_inputs:
+        return np.inf
+    return float(np.max(np.abs(np.subtract(logged.input, made.input)), initial=0.0))
+
+
+class TickRecorder:
+    """Records what a hardware loop's ports say at every tick.
+
+    Of several ticks at one time, as while a vehicle waits, the last one is kept; when
+    time goes back, because a vehicle has started again, everything before is dropped.
+    """
+
+    def __init__(self) -> None:
+        self._rows: list[tuple[float, dict[str, Array]]] = []
+
+    def watch(self, controller: ControllerProcess) -> None:
+        """Records a controller from now on, after those that were watched before."""
+        named = controller.diagram.GetSubsystemByName
+        self._filter: SafetyFilter = named("filter")
+        self._observer: DisturbanceObserver = named("filter_observer")
+        receiver = named("state_receiver")
+        self._ports = {
+            "state": receiver.GetOutputPort("state"),
+            "applied_input": receiver.GetOutputPort("applied_input"),
+            **logged_ports(named("controller"), self._filter, self._observer),
+        }
+        controller.tick_taps.append(self._record)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there was no tick yet."""
+        return not self._rows
+
+    def _record(self, context: Context) -> None:
+        now = context.get_time()
+        while self._rows and self._rows[-1][0] >= now:
+            self._rows.pop()
+        row = {
+            name: port.Eval(port.get_system().GetMyContextFromRoot(context)).copy()
+            for name, port in self._ports.items()
+        }
+        self._rows.append((now, row))
+
+    def log(self) -> dict[str, Array]:
+        """Returns the arrays of a `Result`, one row a tick.
+
+        Nobody tells what the disturbance was: `disturbance` is what the states tell
+        with hindsight, from the intervals before and after a tick.
+        """
+        log = {
+            name: np.array([row[name] for _, row in self._rows]) for name in self._ports
+        }
+        log["time"] = np.array([time for time, _ in self._rows])
+        applied = log.pop("applied_input")
+        log["disturbance"] = self._disturbances(log["time"], log["state"], applied)
+        return finish_log(log, self._filter)
+
+    def _disturbances(self, times: Array, states: Array, applied: Array) -> Array:
+        """The disturbance at the ticks, (T, q): between the means of d over intervals.
+
+        A mean (E46) is what d is in the middle of its interval, but for its curvature.
+        """
+        means = [
+            self._observer.mean_disturbance(
+                states[k - 1], states[k], applied[k], times[k] - times[k - 1]
+            )
+            for k in range(1, len(times))
+        ]
+        if not means:
+            return np.zeros((len(times), self._filter.model.num_disturbances))
+        middles = (times[1:] + times[:-1]) / 2
+        channels = np.transpose(means)
+        return np.transpose([np.interp(times, middles, mean) for mean in channels])
+
 
 # In a log only: nobody sends on it. Its one event is the scenario as YAML text.
 SCENARIO_CHANNEL = "VCBF_SCENARIO"

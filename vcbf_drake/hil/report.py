@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Collection
 from typing import Any, TypedDict
 
 import numpy as np
 from pydrake.systems.framework import Context, Diagram
 
 from vcbf_drake.checks import Array
-from vcbf_drake.hil.command_receiver import CommandReceiver
-from vcbf_drake.hil.inbox import Inbox
+from vcbf_drake.hil.controller_side import StateReceiver
+from vcbf_drake.hil.decoding import CommandMode, VehicleMode
+from vcbf_drake.hil.mailbox import Inbox
 from vcbf_drake.hil.messages import vcbf_status
-from vcbf_drake.hil.modes import CommandMode, VehicleMode
-from vcbf_drake.hil.state_receiver import StateReceiver
+from vcbf_drake.hil.timing import median_and_p99
+from vcbf_drake.hil.vehicle_side import CommandReceiver
 from vcbf_drake.safety import FilterStatus
 from vcbf_drake.simulation.collision_monitor import CollisionMonitor
 from vcbf_drake.simulation.loop import COLLISION_MONITOR, LOG_PREFIX
@@ -166,11 +166,3 @@ def _vehicle_changes(times: Array, modes: Array) -> list[ModeChange]:
 def _log(diagram: Diagram, context: Context, name: str) -> tuple[Array, Array]:
     log = diagram.GetSubsystemByName(LOG_PREFIX + name).FindLog(context)
     return log.sample_times().copy(), log.data().T.copy()
-
-
-def median_and_p99(values: Collection[float] | Array) -> dict[str, float | None]:
-    """Returns both percentiles of the values, None where there are none."""
-    if not len(values):
-        return {"median": None, "p99": None}
-    median, p99 = np.percentile(list(values), [50.0, 99.0])
-    return {"median": float(median), "p99": float(p99)}

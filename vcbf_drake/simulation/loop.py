@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from pydrake.systems.framework import (
@@ -55,17 +55,12 @@ from vcbf_drake.simulation.parts import (
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.sensor_faults import ObstaclesInSight
 
-if TYPE_CHECKING:
-    from vcbf_drake.hil import Bus
-
 LOG_PREFIX = "log_"
 COLLISION_MONITOR = "collision_monitor"
 AUDIT = "audit"
 
 
-def make_loop(
-    scenario: Scenario, *, hardware: bool = False, bus: Bus | None = None
-) -> Diagram:
+def make_loop(scenario: Scenario) -> Diagram:
     """Returns the whole closed loop of a scenario as a Drake diagram.
 
     The systems are named plant, disturbance, controller, filter, filter_hold and
@@ -78,15 +73,7 @@ def make_loop(
 
     Args:
         scenario: A validated scenario.
-        hardware: Whether a vehicle on an LCM bus takes the place of plant and
-            disturbance; see `vcbf_drake.hil.make_hardware_loop`.
-        bus: That bus; LCM's default one if None.
     """
-    if hardware:
-        # This one import goes upwards: hardware in the loop knows simulations.
-        from vcbf_drake.hil.hardware_loop import make_hardware_loop
-
-        return make_hardware_loop(scenario, bus)
     builder = DiagramBuilder()
     simulated = add_simulated_plant(builder, scenario)
     plant, source = simulated.plant, simulated.source

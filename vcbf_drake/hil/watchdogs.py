@@ -1,15 +1,57 @@
-"""ObstacleWatch: whether vehicle and controller know of the same obstacles."""
+"""What the controller's side watches: the age of states, the obstacles."""
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from vcbf_drake.hil.bus import Bus
-from vcbf_drake.hil.decoding import Reason, obstacles_format
-from vcbf_drake.hil.inbox import Inbox
-from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.hil.bus import Bus, Clock
+from vcbf_drake.hil.decoding import CommandMode, Reason, obstacles_format
+from vcbf_drake.hil.mailbox import Inbox
+from vcbf_drake.simulation.scenario import Hardware, Scenario
+
+
+class Verdict(NamedTuple):
+    """What to ask of the vehicle, and why; the reason is empty with APPLY."""
+
+    mode: CommandMode
+    reason: str
+
+
+class StateWatchdog:
+    """Looks at the age of the newest state.
+
+    A state older than `Hardware.max_state_age` is not acted on: the last command is
+    held for `Hardware.hold_time`, then the vehicle has to use its own fallback, until a
+    state comes again.
+
+    Args:
+        states: The states that came.
+        clock: Tells the time.
+        settings: How old is too old.
+    """
+
+    def __init__(self, states: Inbox, clock: Clock, settings: Hardware) -> None:
+        self._states, self._clock, self._settings = states, clock, settings
+
+    def state_age(self) -> float:
+        """Returns the age of the newest state [s], infinite before the first."""
+        if self._states.newest is None:
+            return math.inf
+        return 1e-6 * (self._clock.utime() - self._states.newest.utime_measured)
+
+    def verdict(self) -> Verdict:
+        """Returns what to ask of the vehicle now."""
+        age, limit = self.state_age(), self._settings.max_state_age
+        if age <= limit:
+            return Verdict(CommandMode.APPLY, "")
+        if age <= limit + self._settings.hold_time:
+            reason = f"the state is {age:.2f} s old; the input is held"
+            return Verdict(CommandMode.HOLD, reason)
+        return Verdict(CommandMode.FALLBACK, f"no new state for {age:.2f} s")
+
 
 _TOLERANCE = 0.01  # [m]
 _MAX_AGE = 1.0  # [s]
