@@ -3,12 +3,11 @@ import dataclasses
 import html
 import json
 import re
-import shutil
-import subprocess
 
 import numpy as np
 import pytest
 
+from tests.helpers.browser import browser, served
 from tests.helpers.synthetic_results import blimp_result, blimp_results, car_result
 from vcbf_drake.safety.methods import METHODS
 from vcbf_drake.viz import write_replay
@@ -265,98 +264,163 @@ def test_the_blimp_has_its_true_size_and_the_car_stands_on_the_ground():
     assert lowest == pytest.approx(0.0, abs=1e-9)
 
 
-def in_browser(page, tmp_path, fragment):
-    """The page as headless Chromium leaves it, and what it wrote to its console."""
-    chromium = shutil.which("chromium") or shutil.which("google-chrome")
-    if chromium is None:
-        pytest.skip("no chromium on PATH")
-    options = (
-        "--headless --no-sandbox --disable-gpu --use-gl=angle --use-angle=swiftshader"
-        " --enable-unsafe-swiftshader --no-first-run --disable-background-networking"
-        " --enable-logging=stderr --v=0 --window-size=900,700"
-        " --virtual-time-budget=4000 --dump-dom"
-    )
-    for attempt in range(3):  # Chromium's own start fails now and then under load.
-        profile = f"--user-data-dir={tmp_path / f'profile{attempt}'}"
-        address = page.resolve().as_uri() + fragment
-        run = subprocess.run(
-            [chromium, *options.split(), profile, address],
-            capture_output=True,
-            text=True,
-            timeout=120,
-        )
-        if run.returncode == 0 and "</html>" in run.stdout:
-            return run.stdout, run.stderr
-    pytest.skip(f"chromium does not run here: {run.stderr[-200:]}")
-
-
-def console_errors(console):
-    lines = [line for line in console.splitlines() if "CONSOLE" in line]
-    return [line for line in lines if re.search("rror|xception", line)]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("fragment", "clock", "words"),
     [("#t=5", "5.00 s", "under way"), ("#t=9", "9.00 s", "infeasible since 7.6 s")],
 )
-def test_a_real_browser_shows_it(page_path, tmp_path, fragment, clock, words):
-    dom, console = in_browser(page_path, tmp_path, fragment)
-    assert not console_errors(console)
-    shown = re.sub("<script.*?</script>", "", dom, flags=re.DOTALL)
-    legend = re.search('<ul id="legend">(.*?)</ul>', shown, re.DOTALL)[1]
-    assert re.search(f"DOB-CBF-QP</span><span[^>]*>{words}", legend)
-    assert re.search(f'<output id="clock">{clock}', shown)
-    assert shown.count("<figure>") == 3
-    assert shown.count('class="curve"') == 18  # 3 plots, 3 runs, pale and strong.
-    assert re.search(r"<canvas[^>]+(width|height)", shown)
+def test_a_real_browser_shows_it(page_path, fragment, clock, words):
+    with browser() as tab:
+        tab.open(page_path.as_uri() + fragment)
+        text = "document.getElementById('{}')?.innerText ?? null".format
+        assert tab.settle(text("clock")).startswith(clock)
+        assert re.search(rf"DOB-CBF-QP\s+{words}", tab.settle(text("legend")))
+        count = "document.querySelectorAll('{}').length".format
+        assert tab.evaluate(count("#plots figure")) == 3
+        curves = tab.evaluate(count("#plots .curve"))
+        assert curves == 18  # 3 plots, 3 runs, pale and strong.
+        assert tab.evaluate("document.querySelector('canvas').width > 100")
+        assert not tab.errors
 
 
-# Waits for Meshcat to load its scene, acts, and leaves what it saw in the page.
-PROBE = """
-<pre id="probe"></pre>
+# Where the camera and the labels are. Meshcat's scene is z up, Three.js' y up.
+VIEW = """(() => {
+  const page = %s;
+  const label = (text) => {
+    const spans = [...page.document.querySelectorAll("#labels .place")];
+    const box = spans.find((span) => span.textContent === text).getBoundingClientRect();
+    return [box.left, box.top, box.right, box.bottom].map(Math.round);
+  };
+  const camera = page.viewer?.camera;
+  if (!camera || camera.fov !== 32) return null;  // Not all of it has been read yet.
+  const seen = page.document.getElementById("meshcat-pane");
+  const plain = ({ x, y, z }) => [x, -z, y].map((value) => Number(value.toFixed(5)));
+  return {
+    camera: plain(camera.position),
+    target: plain(page.viewer.controls.target),
+    labels: { start: label("start"), target: label("target") },
+    pane: [seen.clientWidth, seen.clientHeight],
+    vehicle: page.viewer.scene_tree.find(["drake", "vehicle", "2"]).object.position.x,
+    time: Math.max(...page.viewer.animator.actions.map((action) => action.time)),
+  };
+})()"""
+LATE = """<script>
+  const fetchNow = window.fetch;
+  let position = 0;
+  window.fetch = async (...what) => {
+    position += 1;  // The last command first, the whole seconds after the page began.
+    await new Promise((done) => setTimeout(done, 4000 - 20 * position));
+    return fetchNow(...what);
+  };
+</script>"""
+FRAME = """<!doctype html><body><div style="display: none">
+<iframe src="page.html#t=5" style="width: 900px; height: 600px"></iframe></div>
 <script>
-function seen() {
+  setTimeout(() => { document.querySelector("div").style.display = ""; }, 1500);
+</script>
+"""
+
+
+def on_the_pane(point, view):
+    """The pixels that a pinhole camera with Meshcat's lens has for a point."""
+    camera, target = np.array(view["camera"]), np.array(view["target"])
+    toward = (target - camera) / np.linalg.norm(target - camera)
+    right = np.cross(toward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    offset = np.asarray(point) - camera
+    width, height = view["pane"]
+    scale = 0.5 * height / np.tan(np.deg2rad(16.0)) / (offset @ toward)
+    up = np.cross(right, toward)
+    return [
+        0.5 * width + scale * (offset @ right),
+        0.5 * height - scale * (offset @ up),
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("how", "size"),
+    [("plain", (1280, 800)), ("frame", (1280, 800)), ("late", (1920, 1080))],
+)
+def test_it_opens_with_everything_in_view(page, tmp_path, how, size):
+    (tmp_path / "page.html").write_text(page, encoding="utf-8")
+    late = page.replace("<head>", "<head>" + LATE, 1)
+    (tmp_path / "late.html").write_text(late, encoding="utf-8")
+
+    (tmp_path / "frame.html").write_text(FRAME, encoding="utf-8")
+    address = {"plain": "page.html#t=5", "frame": "frame.html", "late": "late.html#t=5"}
+    with browser(*size) as tab, served(tmp_path) as root:
+        tab.open(f"{root}/{address[how]}")
+        page_seen = "window.frames[0]" if how == "frame" else "window"
+        view = tab.settle(VIEW % page_seen)
+        # The button that a person would press when lost changes nothing.
+        tab.evaluate(f"{page_seen}.document.getElementById('reset').click()")
+        assert tab.settle(VIEW % page_seen) == view
+        assert not tab.errors
+    width, height = view["pane"]
+    for left, top, right, bottom in view["labels"].values():
+        assert 0 <= left < right <= width and 0 <= top < bottom <= height
+    log = blimp_results()[2].log
+    target = blimp_results()[2].scenario.target[:3]
+    for name, place in (("start", log["state"][0, :3]), ("target", target)):
+        left, top, right, _ = view["labels"][name]
+        x, y = on_the_pane(place, view)
+        assert x == pytest.approx(0.5 * (left + right), abs=3.0)
+        assert 0.0 < top - y < 60.0  # Below its place by the marker's size.
+    assert view["time"] == pytest.approx(5.0)
+    x = np.interp(5.0, log["time"], log["state"][:, 0])
+    assert view["vehicle"] == pytest.approx(x, abs=0.03)
+
+
+@pytest.mark.slow
+def test_it_plays_in_view_from_the_first_second(page_path):
+    with browser() as tab:
+        tab.open(page_path.as_uri())
+        camera = f"({VIEW % 'window'})?.camera"
+        playing = tab.settle(f"{camera} ?? null")
+        assert tab.evaluate(
+            "Number.parseFloat(document.getElementById('clock').innerText)"
+        )
+        tab.evaluate("document.getElementById('reset').click()")
+        assert tab.settle(camera) == playing
+
+
+# The scene, and the shares of the trail that are drawn.
+SCENE = """(() => {
   const find = (path) => viewer.scene_tree.find(path.split("/")).object;
-  let drawn = 0;
+  let drawn = null;
   find("drake/trail/2").traverse((mesh) => {
     if (mesh.isMesh) drawn = mesh.geometry.drawRange.count / mesh.geometry.index.count;
   });
-  return {
+  return drawn === null || !viewer.animator.actions.length ? null : {
     time: Math.max(...viewer.animator.actions.map((action) => action.time)),
     playing: viewer.animator.playing,
     failure: find("drake/failure/1").visible,
     x: find("drake/vehicle/2").position.x,
     drawn,
   };
-}
-setTimeout(() => {
-  const report = [seen()];
-  const press = (key) => window.dispatchEvent(new KeyboardEvent("keydown", { key }));
-  press("ArrowRight");
-  report.push(seen());
-  const box = document.querySelector("#plots svg").getBoundingClientRect();
+})()"""
+DRAG = """(() => {
+  const plot = document.querySelector("#plots svg");
+  const box = plot.getBoundingClientRect();
   const middle = box.left + (42 + box.width - 10) / 2;  // Between the margins.
   const drag = { clientX: middle, clientY: box.top + 5, buttons: 1 };
-  const plot = document.querySelector("#plots svg");
   plot.dispatchEvent(new PointerEvent("pointermove", drag));
-  report.push(seen());
-  document.getElementById("probe").textContent = JSON.stringify(report);
-}, 2500);
-</script>
-"""
+})()"""
 
 
 @pytest.mark.slow
-def test_seeking_moves_the_scene(page, tmp_path):
-    path = tmp_path / "probe.html"
-    path.write_text(page.replace("</body>", PROBE + "</body>"), encoding="utf-8")
-    dom, console = in_browser(path, tmp_path, "#t=5")
-    assert not console_errors(console)
-    probe = re.search('<pre id="probe">(.*?)</pre>', dom, re.DOTALL)[1]
-    opened, stepped, dragged = json.loads(html.unescape(probe))
+def test_seeking_moves_the_scene(page_path):
+    press = "window.dispatchEvent(new KeyboardEvent('keydown', {key: 'ArrowRight'}))"
+    with browser() as tab:
+        tab.open(page_path.as_uri() + "#t=5")
+        report = [tab.settle(SCENE)]
+        for action in (press, DRAG):
+            tab.evaluate(action)
+            report.append(tab.settle(SCENE))
+        assert not tab.errors
     log = blimp_results()[2].log
-    for seen, time in ((opened, 5.0), (stepped, 5.5), (dragged, 19.5 / 2.0)):
+    for seen, time in zip(report, (5.0, 5.5, 19.5 / 2.0), strict=True):
         assert seen["time"] == pytest.approx(time, abs=0.02)
         assert not seen["playing"]  # The page's own clock leads.
         assert seen["drawn"] == pytest.approx(time / 19.5, abs=0.01)

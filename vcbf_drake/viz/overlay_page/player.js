@@ -78,8 +78,9 @@ function seekToAddress() {
 }
 
 function layOut() {
+  if (!pane.clientWidth || !pane.clientHeight) return; // In a frame that is not shown yet.
   viewer.set_3d_pane_size();
-  if (scene.fitted) scene.fit();
+  scene.keepFitted();
   plots.forEach((plot) => plot.draw());
   show();
 }
@@ -92,16 +93,24 @@ function onFrame(now) {
   if (playing) {
     time = Math.min(time + Number(byId("speed").value) * elapsed, data.duration);
     if (time >= data.duration) setPlaying(false);
+    stale = true;
+  }
+  scene.keepFitted();
+  if (stale) {
     show();
-  } else if (settling > 0) {
-    settling -= 1;
-    show();
+    stale = false;
   }
   scene.placeLabels(time);
 }
 
-// Meshcat's objects and its recording arrive after this script has run.
-let settling = 120;
+// Meshcat's objects, recording and camera arrive after this script has run, in any order
+// and as late as they like: whatever changes the picture has the page show its time again.
+let stale = true;
+const setDirty = viewer.set_dirty.bind(viewer);
+viewer.set_dirty = () => {
+  stale = true;
+  setDirty();
+};
 
 const KEYS = {
   " ": () => setPlaying(!playing),
@@ -122,7 +131,7 @@ window.addEventListener("keydown", (event) => {
   event.preventDefault();
   KEYS[event.key]();
 });
-window.addEventListener("resize", layOut);
+new ResizeObserver(layOut).observe(pane);
 window.addEventListener("hashchange", seekToAddress);
 layOut();
 const calm = window.matchMedia("(prefers-reduced-motion: reduce)").matches;

@@ -130,6 +130,7 @@ class Plot {
 
   /** Moves the cursor. */
   show(time) {
+    if (!this.cursor) return; // A page in a frame that is not shown has no size yet.
     const x = this.x(time);
     this.cursor.setAttribute("x1", x);
     this.cursor.setAttribute("x2", x);

@@ -24,7 +24,6 @@ class ReplayScene {
     this.fitted = true;
     // The colours on the screen are those of the legend.
     viewer.renderer.toneMapping = THREE.NoToneMapping;
-    viewer.controls.addEventListener("start", () => { this.fitted = false; });
     this.labels = data.labels.map((label) => this.makeLabel(label, labels));
     this.runLabels = data.runs.map((run) => {
       const node = this.makeLabel({ text: run.label, kind: "run" }, labels);
@@ -127,8 +126,30 @@ class ReplayScene {
     return { x: (0.5 + 0.5 * x) * width, y: (0.5 - 0.5 * y) * height, depth: z };
   }
 
+  /**
+   * Fits again when what the view was fitted to is no more. Meshcat's camera gets its
+   * field of view, and the pane its size, at any time after this script has run.
+   */
+  keepFitted() {
+    if (this.controls !== viewer.controls) {
+      this.controls = viewer.controls;
+      this.controls.addEventListener("start", () => { this.fitted = false; });
+    }
+    const moved = () => viewer.camera.position.distanceTo(this.place) > 1e-6 * this.data.camera.span;
+    if (this.fitted && (this.lens() !== this.fittedLens || moved())) this.fit();
+  }
+
+  /** What decides how far away the camera has to be, as text to compare. */
+  lens() {
+    const { uuid, fov } = viewer.camera;
+    return [uuid, fov, this.pane.clientWidth, this.pane.clientHeight].join();
+  }
+
   /** Brings everything into view, from the side the page was made for. */
   fit() {
+    this.fitted = true;
+    this.follows = false;
+    if (!this.pane.clientWidth || !this.pane.clientHeight) return; // Not in sight yet.
     const points = this.data.camera.points.map(toThree);
     const toward = toThree(this.data.camera.direction).normalize();
     const right = new THREE.Vector3(0, 1, 0).cross(toward).normalize();
@@ -158,8 +179,8 @@ class ReplayScene {
     target.addScaledVector(right, -0.45 * Math.max(0, FILLED - width) * half * aspect);
     target.addScaledVector(up, 0.6 * Math.max(0, FILLED - height) * half);
     this.look(target, toward.multiplyScalar(distance));
-    this.fitted = true;
-    this.follows = false;
+    this.fittedLens = this.lens();
+    this.place = viewer.camera.position.clone();
   }
 
   look(target, offset) {
@@ -167,6 +188,7 @@ class ReplayScene {
     viewer.camera.position.copy(target).add(offset);
     viewer.camera.lookAt(target);
     viewer.camera.updateMatrixWorld();
+    viewer.camera.updateProjectionMatrix(); // The labels use it before Meshcat draws.
     viewer.set_dirty();
   }
 
