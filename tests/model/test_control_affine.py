@@ -403,3 +403,28 @@ def test_values_are_the_same_in_every_process() -> None:
         for seed in ("1", "2")
     }
     assert len(outputs) == 1
+
+
+def test_wrapped_states_are_subtracted_the_short_way_round():
+    blimp = ControlAffineModel.from_system(Blimp())
+    assert np.flatnonzero(np.isfinite(blimp.wrapping_periods)).tolist() == [3]
+    before, after = np.zeros(8), np.ones(8)
+    before[3], after[3] = 3.1, -3.1
+    turned = blimp.difference(np.array([after, before]), before)
+    np.testing.assert_allclose(turned[0, 3], 2.0 * np.pi - 6.2)
+    np.testing.assert_array_equal(np.delete(turned[0], 3), np.ones(7))
+    np.testing.assert_array_equal(turned[1], np.zeros(8))
+
+
+def test_a_plant_names_its_wrapped_states_in_any_unit():
+    plant = PendulumPlant()
+    assert np.isinf(ControlAffineModel.from_system(plant).wrapping_periods).all()
+    plant.wrapped_states = {"x0": 360.0}
+    model = ControlAffineModel.from_system(plant)
+    assert model.difference(np.array([1.0, 0.0]), np.array([359.0, 7.0])).tolist() == [
+        2.0,
+        -7.0,
+    ]
+    plant.wrapped_states = ["theta"]
+    with pytest.raises(ModelError, match="wrapped_states has 'theta'.*one of x0, x1"):
+        ControlAffineModel.from_system(plant)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from functools import cached_property
+import math
 
 import numpy as np
 from pydrake.symbolic import Expression, Jacobian, MakeVectorVariable
@@ -41,6 +42,8 @@ class ControlAffineModel:
         state_names: What the states are called; None for x0, x1, ...
         name: What the model is called in messages.
         effort_limits: Where the plant itself clamps its inputs; None for nowhere.
+        wrapped_states: The names of angles that may jump by 2 pi; or of states that
+            jump by other periods, with these.
 
     Attributes:
         num_states: n.
@@ -54,6 +57,8 @@ class ControlAffineModel:
         name: What the model is called in messages.
         effort_limits: How large |u_j| may be, shape (m,): beyond it the plant clamps
             its input (a MultibodyPlant does) and is not this model. Infinite for most.
+        wrapping_periods: After how much a state is the same again, shape (n,); infinite
+            for most.
 
     Raises:
         ModelError: E does not have full column rank.
@@ -69,6 +74,7 @@ class ControlAffineModel:
         state_names: Sequence[str] | None = None,
         name: str = "model",
         effort_limits: Array | None = None,
+        wrapped_states: Sequence[str] | Mapping[str, float] = (),
     ) -> None:
         n, m, q = len(state), input_matrix.shape[-1], disturbance_matrix.shape[-1]
         shapes = drift.shape, input_matrix.shape, disturbance_matrix.shape
@@ -92,6 +98,7 @@ class ControlAffineModel:
         self.effort_limits = (
             np.full(m, np.inf) if effort_limits is None else effort_limits
         )
+        self.wrapping_periods = self._periods(wrapped_states)
         self._f_and_g = compile_expressions(
             state, [*drift, *input_matrix.flat], name=f"{name}, f and g"
         )
@@ -134,6 +141,7 @@ class ControlAffineModel:
             state_names=dynamics.state_names,
             name=dynamics.name,
             effort_limits=dynamics.effort_limits,
+            wrapped_states=getattr(system, "wrapped_states", ()),
         )
         _require_same_rates(model, dynamics)
         return model
@@ -144,6 +152,29 @@ class ControlAffineModel:
         f, g = self.drift_expressions, self.input_matrix_expressions
         E = self.disturbance_matrix
         return tuple(str(e) for e in (*f, *g.flat)), E.shape, E.tobytes()
+
+    def difference(self, x_1: Array, x_0: Array) -> Array:
+        """Returns x_1 - x_0, shape (..., n), the short way round in wrapped states."""
+        difference: Array = np.subtract(x_1, x_0)
+        wraps = np.isfinite(self.wrapping_periods)
+        if wraps.any():
+            periods = self.wrapping_periods[wraps]
+            turns = np.round(difference[..., wraps] / periods)
+            difference[..., wraps] -= periods * turns
+        return difference
+
+    def _periods(self, wrapped_states: Sequence[str] | Mapping[str, float]) -> Array:
+        if not isinstance(wrapped_states, Mapping):
+            wrapped_states = dict.fromkeys(wrapped_states, 2.0 * math.pi)
+        periods = np.full(self.num_states, np.inf)
+        for state, period in wrapped_states.items():
+            if state not in self.state_names or not period > 0.0:
+                raise ModelError(
+                    f"{self.name}: wrapped_states has {state!r}, period {period!r}; it"
+                    f" must be one of {', '.join(self.state_names)}, and above 0"
+                )
+            periods[self.state_names.index(state)] = period
+        return periods
 
     def drift(self, x: Array) -> Array:
         """Evaluates f(x), shape (n,), in state units per second."""

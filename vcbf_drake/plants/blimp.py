@@ -127,6 +127,7 @@ def Blimp_(T: type) -> type:
         """
 
         state_names = BlimpState.get_fields()
+        wrapped_states = ("yaw",)
         state_units = (*3 * ("m",), "rad", *3 * ("m/s",), "rad/s")
         input_names = BlimpInput.get_fields()
         input_units = ("N", "N", "N m")

@@ -55,6 +55,7 @@ def Car_(T: type) -> type:
         """
 
         state_names = CarState.get_fields()
+        wrapped_states = ("heading",)
         state_units = ("m", "m", "m/s", "rad")
         input_names = CarInput.get_fields()
         input_units = ("N", "rad/s")
