@@ -426,5 +426,5 @@ def test_a_plant_names_its_wrapped_states_in_any_unit():
         -7.0,
     ]
     plant.wrapped_states = ["theta"]
-    with pytest.raises(ModelError, match="wrapped_states has 'theta'.*one of x0, x1"):
+    with pytest.raises(ModelError, match=r"has 'theta'.*one of x0, x1"):
         ControlAffineModel.from_system(plant)
