@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.symbolic import Expression, if_then_else
 from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 import pytest
@@ -339,9 +340,12 @@ def _model(rate):
 
 
 def test_what_has_no_enclosure_is_said_in_one_line():
-    from pydrake.symbolic import if_then_else
+    def kinked(x):
+        if isinstance(x, Expression):
+            return if_then_else(x > 0.0, x, 2.0 * x)
+        return x if x > 0.0 else 2.0 * x
 
-    model = _model(lambda x: if_then_else(x > 0.0, x, 2.0 * x))
+    model = _model(kinked)
     barriers = [Barrier(lambda x, t, p: x[0], [1.0], name="floor")]
     inputs = InputSet.box([-1.0], [1.0])
     SafetyFilter(model, barriers, inputs, method="cbf-qp")

@@ -17,7 +17,7 @@ from vcbf_drake.model.agreement import require_agreement, sample_points
 from vcbf_drake.model.control_affine import ControlAffineModel
 
 # How many pairs of points a formula is compared at: once, and for other parameters.
-_MANY, _FEW = 32, 3
+_MANY, _FEW = 36, 4
 
 
 def require_same_numbers(

@@ -36,7 +36,7 @@ _WAY_OUT = (
 
 
 def sample_points(
-    size: int, places: Sequence[float] | Array = (), pairs: int = 32
+    size: int, places: Sequence[float] | Array = (), pairs: int = 36
 ) -> Iterator[Array]:
     """Yields arguments to compare at, shape (size,); the same ones every time.
 
@@ -51,7 +51,7 @@ def sample_points(
     """
     random = np.random.default_rng(0)
     around = np.concatenate([[0.0], places, np.negative(places)])
-    for i, scale in enumerate(np.geomspace(1e-2, 1e3, pairs)):
+    for i, scale in enumerate(np.geomspace(1e-2, 1e7, pairs)):
         center = random.choice(around, size) if i % 2 else np.zeros(size)
         offset = scale * random.normal(size=size)
         yield center + offset
