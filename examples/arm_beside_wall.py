@@ -24,7 +24,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from vcbf_drake import AddSafetyFilter, InputSet
+from vcbf_drake import AddSafetyFilter, FilterSettings, InputSet
 from vcbf_drake.barriers import HalfSpace, StateLimit
 from vcbf_drake.disturbances import DisturbanceBounds
 from vcbf_drake.model import point_position
@@ -74,8 +74,7 @@ def main() -> None:
     torque, (shoulder, elbow) = arm.GetEffortUpperLimits(), FASTEST
     safety = AddSafetyFilter(
         builder,
-        plant=arm,
-        input_port="actuation",
+        plant=arm.get_actuation_input_port(),
         reference=nominal.get_output_port_control(),
         barriers=[
             wall.barrier([14.0, 48.0], position=hand, name="wall"),
@@ -83,10 +82,10 @@ def main() -> None:
             *StateLimit(3, -elbow, elbow).barriers([15.0], "elbow speed"),
         ],
         input_set=InputSet.box(-torque, torque),
-        period=PERIOD,
         bounds=DisturbanceBounds(0.0, 0.0, 0.0),
-        method="vcbf-qp",
-        between_ticks="certified",
+        settings=FilterSettings(
+            period=PERIOD, method="vcbf-qp", between_ticks="certified"
+        ),
     )
     meshcat = Meshcat(MeshcatParams(host="127.0.0.1", port=0))
     meshcat.SetCameraPose([0.0, -4.0, 1.7], [0.4, 0.0, 1.1])

@@ -21,6 +21,7 @@ from vcbf_drake import (
     Car,
     CarController,
     DisturbanceSource,
+    FilterSettings,
     InputSet,
 )
 from vcbf_drake.disturbances import Sinusoid
@@ -65,8 +66,8 @@ def main() -> None:
         reference=driver.GetOutputPort("reference"),
         barriers=[Barrier(inside, gains=[3.0, 2.0], parameters=RING, name="ring")],
         input_set=InputSet.box([-6.0, -2.0], [6.0, 2.0]),
-        period=PERIOD,
         bounds=slope.bounds,
+        settings=FilterSettings(period=PERIOD),
     )
     state = LogVectorOutput(car.get_output_port(), builder)
     status = LogVectorOutput(safety.filter.GetOutputPort("status"), builder, PERIOD)

@@ -16,7 +16,13 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem_
 from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from vcbf_drake import AddSafetyFilter, DisturbanceSource, InputSet, SphereObstacle
+from vcbf_drake import (
+    AddSafetyFilter,
+    ControlAffineModel,
+    DisturbanceSource,
+    InputSet,
+    SphereObstacle,
+)
 from vcbf_drake.disturbances import Sinusoid, SmoothStep
 from vcbf_drake.safety import FilterStatus
 
@@ -77,13 +83,11 @@ def main() -> None:
     builder.Connect(wind.get_output_port(), boat.GetInputPort("gust"))
     safety = AddSafetyFilter(
         builder,
-        plant=boat,
-        input_port="thrust",
-        disturbance_port="gust",
+        plant=boat.GetInputPort("thrust"),
+        model=ControlAffineModel.from_system(boat, "thrust", "gust"),
         reference=pilot.get_output_port_control(),
         barriers=[buoy.barrier(gains=[3.0, 2.0]) for buoy in BUOYS],
         input_set=InputSet.box([-4.0, -4.0], [4.0, 4.0]),
-        period=0.02,
         bounds=wind.bounds,
     )
     motion = LogVectorOutput(boat.get_output_port(), builder)

@@ -31,9 +31,15 @@ from pydrake.systems.primitives import (
 )
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from vcbf_drake import AddSafetyFilter, DisturbanceSource, InputSet, SphereObstacle
+from vcbf_drake import (
+    AddSafetyFilter,
+    DisturbanceSource,
+    FilterSettings,
+    InputSet,
+    SphereObstacle,
+)
 from vcbf_drake.barriers import StateLimit
-from vcbf_drake.disturbances import Sinusoid, observer_ports
+from vcbf_drake.disturbances import DisturbanceEstimate, Sinusoid
 from vcbf_drake.safety import FilterStatus
 from vcbf_drake.simulation.step_time import step_cpu_time
 
@@ -172,15 +178,14 @@ def main() -> None:
             *thrust.barriers([40.0, 400.0]),
         ],
         input_set=InputSet.box(-LIMITS, LIMITS),
-        period=PERIOD,
         bounds=wind.bounds,
+        settings=FilterSettings(period=PERIOD),
     )
     state, rotors = map(plant.GetOutputPort, ("state", "rotor_force"))
     path, forces = (LogVectorOutput(port, builder) for port in (state, rotors))
     ports = {"state": state, "reference": controller.get_output_port()}
     ports["status"] = safety.filter.GetOutputPort("status")
-    for name, _ in observer_ports(3):
-        ports[name] = safety.observer.GetOutputPort(name)
+    ports["estimate"] = safety.observer.GetOutputPort("estimate")
     ticks = {n: LogVectorOutput(port, builder, PERIOD) for n, port in ports.items()}
     simulator = Simulator(builder.Build())
     context = simulator.get_mutable_context()
@@ -192,6 +197,7 @@ def main() -> None:
     h = np.column_stack(gaps)
     log = {name: each.FindLog(context).data().T for name, each in ticks.items()}
     log["time"] = ticks["state"].FindLog(context).sample_times()
+    log |= DisturbanceEstimate.unpack(log["estimate"]).log_arrays()
     cpu = step_cpu_time(safety.filter, log)
     solid, dotted = {"color": "#9aa5b4"}, {"fill": False, "ls": ":"}
     discs = [(s.center, s.radius, solid) for s in SPHERES]

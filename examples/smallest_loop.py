@@ -44,7 +44,6 @@ def main() -> None:
         reference=controller.GetOutputPort("reference"),
         barriers=[SphereObstacle([2.0, 0.1, 0.5], 0.5).barrier(gains=[4.0, 3.0])],
         input_set=InputSet.box([-0.1, -0.1, -0.01], [0.1, 0.1, 0.01]),
-        period=0.02,
         bounds=wind.bounds,
     )
     barriers = LogVectorOutput(safety.filter.GetOutputPort("barriers"), builder, 0.02)

@@ -22,6 +22,7 @@ from vcbf_drake import (
     AddSafetyFilter,
     Car,
     DisturbanceSource,
+    FilterSettings,
     InputSet,
     SphereObstacle,
 )
@@ -84,9 +85,8 @@ def main() -> None:
             *YARD.barriers([5.0, 4.0]),
         ],
         input_set=InputSet.box(-MOST, MOST),
-        period=PERIOD,
         bounds=slope.bounds,
-        infeasible="least_violation",  # A person is driving: never just stop.
+        settings=FilterSettings(period=PERIOD),
     )
     CarGeometry.AddToBuilder(builder, car.get_output_port(), scene_graph, "car")
     ObstacleGeometry.AddToBuilder(builder, PILLARS, scene_graph)

@@ -20,6 +20,7 @@ from vcbf_drake import (
     Blimp,
     BlimpController,
     DisturbanceSource,
+    FilterSettings,
     InputSet,
 )
 from vcbf_drake.barriers import PairDistance, PerceivedSpheres
@@ -113,8 +114,8 @@ def main() -> None:
         ],
         obstacles=perception.get_output_port(),
         input_set=InputSet.box(-most, most),
-        period=PERIOD,
         bounds=wind.bounds,
+        settings=FilterSettings(period=PERIOD),
     )
     log = LogVectorOutput(plant.get_output_port(), builder)
     status = LogVectorOutput(safety.filter.GetOutputPort("status"), builder, PERIOD)

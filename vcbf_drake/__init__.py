@@ -1,102 +1,33 @@
 """Drake systems for robust safety filters whose QP stays feasible.
 
-The names below are the public surface. They are loaded when first used, so that
-importing the package costs nothing.
+The public names stand in ``__init__.pyi``, each with the module it comes from. Type
+checkers read them there; here a name is loaded when it is first used, so that importing
+the package costs nothing.
 """
 
-from __future__ import annotations
-
+import ast
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
-if TYPE_CHECKING:
-    from vcbf_drake.barriers import Barrier, SphereObstacle
-    from vcbf_drake.disturbances import (
-        DisturbanceSource,
-        LinearDisturbanceObserver,
-        RiseObserver,
-    )
-    from vcbf_drake.errors import (
-        EmptySetError,
-        ModelError,
-        ScenarioError,
-        SolverError,
-        UnboundedSetError,
-        VcbfError,
-    )
-    from vcbf_drake.model import ControlAffineModel
-    from vcbf_drake.plants import Blimp, BlimpController, Car, CarController
-    from vcbf_drake.safety import (
-        AddSafetyFilter,
-        InputSet,
-        SafetyFilter,
-        chebyshev_ball,
-        inscribed_ellipsoid,
-    )
-    from vcbf_drake.simulation import load_scenario, make_loop, simulate
+__version__ = "0.1.0"
 
+_STUB = Path(__file__).with_suffix(".pyi")
 _HOME = {
-    "AddSafetyFilter": "safety",
-    "Barrier": "barriers",
-    "Blimp": "plants",
-    "BlimpController": "plants",
-    "Car": "plants",
-    "CarController": "plants",
-    "ControlAffineModel": "model",
-    "DisturbanceSource": "disturbances",
-    "EmptySetError": "errors",
-    "InputSet": "safety",
-    "LinearDisturbanceObserver": "disturbances",
-    "ModelError": "errors",
-    "RiseObserver": "disturbances",
-    "SafetyFilter": "safety",
-    "ScenarioError": "errors",
-    "SolverError": "errors",
-    "SphereObstacle": "barriers",
-    "UnboundedSetError": "errors",
-    "VcbfError": "errors",
-    "chebyshev_ball": "safety",
-    "inscribed_ellipsoid": "safety",
-    "load_scenario": "simulation",
-    "make_loop": "simulation",
-    "simulate": "simulation",
+    alias.name: f"{__name__}.{node.module}"
+    for node in ast.parse(_STUB.read_text(encoding="utf-8")).body
+    if isinstance(node, ast.ImportFrom)
+    for alias in node.names
 }
-
-__all__ = [
-    "AddSafetyFilter",
-    "Barrier",
-    "Blimp",
-    "BlimpController",
-    "Car",
-    "CarController",
-    "ControlAffineModel",
-    "DisturbanceSource",
-    "EmptySetError",
-    "InputSet",
-    "LinearDisturbanceObserver",
-    "ModelError",
-    "RiseObserver",
-    "SafetyFilter",
-    "ScenarioError",
-    "SolverError",
-    "SphereObstacle",
-    "UnboundedSetError",
-    "VcbfError",
-    "chebyshev_ball",
-    "inscribed_ellipsoid",
-    "load_scenario",
-    "make_loop",
-    "simulate",
-]
+__all__ = sorted(_HOME)
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
-    globals()[name] = value
+    value = globals()[name] = getattr(import_module(_HOME[name]), name)
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+    return sorted({*globals(), *__all__})

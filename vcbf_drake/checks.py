@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 import math
 from typing import Any
 
@@ -45,3 +46,34 @@ def check_parameter(
     if not valid:
         what = "one number" if size is None else f"a list of {size} numbers, each"
         raise ValueError(f"{name} is {value!r}; it must be {what} {allowed}")
+
+
+def require(allowed: bool, name: str, value: object, rule: str) -> None:
+    """Refuses a value that is not allowed.
+
+    Args:
+        allowed: Whether it is.
+        name: What it is called.
+        value: What was given.
+        rule: What it must be.
+
+    Raises:
+        ValueError: It is not allowed.
+    """
+    if not allowed:
+        shown = f"{value:g}" if isinstance(value, float) else repr(value)
+        raise ValueError(f"{name}: {shown}; it must be {rule}")
+
+
+def require_choice(name: str, value: object, allowed: Collection[str]) -> None:
+    """Refuses a word that is not among those allowed.
+
+    Args:
+        name: What it is called.
+        value: What was given.
+        allowed: The words.
+
+    Raises:
+        ValueError: It is not allowed.
+    """
+    require(value in allowed, name, value, f"one of {', '.join(allowed)}")

@@ -15,7 +15,7 @@ from vcbf_drake import (
 )
 from vcbf_drake.barriers import BarrierSet, HalfSpace, PerceivedSpheres
 from vcbf_drake.disturbances import DisturbanceBounds
-from vcbf_drake.safety import FilterStatus, VolumeBarrier
+from vcbf_drake.safety import FilterSettings, FilterStatus, VolumeBarrier
 from vcbf_drake.safety.feasibility_measure import MEASURES
 
 GAINS = [3.0, 2.0]
@@ -101,9 +101,10 @@ def outputs(safety_filter, context, *names):
 
 
 def perceiving(model, **options):
+    settings = FilterSettings(method="vcbf-qp", **options)
     spheres = PerceivedSpheres(capacity=4, dimensions=2)
     barriers = spheres.barriers(GAINS)
-    return spheres, SafetyFilter(model, barriers, LIMITS, method="vcbf-qp", **options)
+    return spheres, SafetyFilter(model, barriers, LIMITS, settings)
 
 
 @pytest.mark.parametrize("measure", MEASURES)
@@ -111,15 +112,13 @@ def perceiving(model, **options):
 def test_empty_slots_drop_out_exactly(model, measure, widening):
     """Bit for bit the filter that was built with these obstacles and no slots."""
     barrier = VolumeBarrier(measure=measure, widening=widening, guard="inradius")
-    spheres, safety_filter = perceiving(model, volume_barrier=barrier)
+    spheres, safety_filter = perceiving(model, volume=barrier)
     standing = [
         SphereObstacle(c, r, v).barrier(GAINS)
         for c, v, r in zip(*SEEN.values(), strict=True)
     ]
-    built = SafetyFilter(
-        model, standing, LIMITS, method="vcbf-qp", volume_barrier=barrier
-    )
-    names = ("input", "volume", "slack", "status")
+    built = SafetyFilter(model, standing, LIMITS, safety_filter.settings)
+    names = ("command", "volume", "slack", "status")
     expected = outputs(built, fixed(built), *names)
     slots = spheres.pack(**SEEN).reshape(4, -1)
     empty = np.array([[np.nan] * 5 + [0.0], [0.0, 0.1, 0.0, 0.0, 9.0, 0.0]])
@@ -139,7 +138,7 @@ def test_empty_slots_drop_out_exactly(model, measure, widening):
 def test_nothing_in_sight_leaves_the_reference_alone(model):
     spheres, safety_filter = perceiving(model)
     context = fixed(safety_filter, np.zeros(spheres.size))
-    u, volume, status = outputs(safety_filter, context, "input", "volume", "status")
+    u, volume, status = outputs(safety_filter, context, "command", "volume", "status")
     assert u.tolist() == [1.0, 0.0]
     assert volume[0] == pytest.approx(0.98)
     assert status[0] == FilterStatus.REFERENCE
@@ -178,7 +177,7 @@ def test_a_malformed_slot_fails_and_holds_and_is_forgotten(model, entry, value):
     bad = good.copy()
     bad[entry] = value
     context = fixed(safety_filter, bad)
-    u, status = outputs(safety_filter, context, "input", "status")
+    u, status = outputs(safety_filter, context, "command", "status")
     assert status[0] == FilterStatus.FAILED
     assert u.tolist() == [0.5, 0.25]
     safety_filter.GetInputPort("obstacles").FixValue(context, good)
@@ -218,7 +217,6 @@ def loop(barriers, port=True):
         reference=wish.get_output_port(),
         barriers=barriers,
         input_set=LIMITS,
-        period=0.02,
         bounds=DisturbanceBounds(0.0, 0.0, 0.0),
         obstacles=seen.get_output_port() if port else None,
     )

@@ -17,7 +17,7 @@ from vcbf_drake import (
 )
 from vcbf_drake.barriers import BarrierSet, HalfSpace, PerceivedSpheres
 from vcbf_drake.disturbances import Sinusoid
-from vcbf_drake.safety import FilterStatus
+from vcbf_drake.safety import FilterSettings, FilterStatus
 
 RATES = np.array([4.0, 3.0, 2.0])  # Decay rates, the largest first [1/s].
 GAINS = np.poly(-RATES)[1:]
@@ -137,8 +137,8 @@ def test_a_slow_actuator_keeps_off_a_wall_in_the_worst_wind():
         reference=wish.get_output_port(),
         barriers=[wall.robust_to(wind.bounds.delta1)],
         input_set=InputSet.box([-40.0, -40.0], [40.0, 40.0]),
-        period=0.01,
         bounds=wind.bounds,
+        settings=FilterSettings(period=0.01),
     )
     log = LogVectorOutput(plant.get_output_port(), builder)
     status = LogVectorOutput(safety.filter.GetOutputPort("status"), builder, 0.01)

@@ -30,7 +30,13 @@ from tests.benchmarks.problem import (
 from vcbf_drake.barriers import SphereObstacle
 from vcbf_drake.checks import Array
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety import FilterStatus, InputSet, SafetyFilter, VolumeBarrier
+from vcbf_drake.safety import (
+    FilterSettings,
+    FilterStatus,
+    InputSet,
+    SafetyFilter,
+    VolumeBarrier,
+)
 
 OURS = "vcbf_drake"
 # What is built or compiled at first use is not a tick's cost.
@@ -106,8 +112,7 @@ def safety_filter(method: str) -> SafetyFilter:
             for center, radius in zip(CENTERS, RADII, strict=True)
         ],
         InputSet.box(-LIMIT * np.ones(NUM_INPUTS), LIMIT * np.ones(NUM_INPUTS)),
-        method=method,
-        volume_barrier=VolumeBarrier(THRESHOLD, VOLUME_GAIN),
+        FilterSettings(method=method, volume=VolumeBarrier(THRESHOLD, VOLUME_GAIN)),
     )
 
 

@@ -13,7 +13,7 @@ from vcbf_drake.barriers import Barrier
 from vcbf_drake.barriers.formula import as_expressions
 from vcbf_drake.checks import Array
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety import InputSet, SafetyFilter
+from vcbf_drake.safety import FilterSettings, InputSet, SafetyFilter
 
 STAGES = ("rows", "feasible set", "volume", "QP", "tick")
 Times = Mapping[str, tuple[float, float]]
@@ -113,7 +113,7 @@ def filter_among_balls(
         point_mass(num_inputs, num_states),
         _balls(num_inputs, num_obstacles, num_cutting, room),
         InputSet.box(-np.ones(num_inputs), np.ones(num_inputs)),
-        method=method,
+        FilterSettings(method=method),
         estimate_gain=4.0,
     )
 

@@ -9,8 +9,9 @@ from vcbf_drake import ControlAffineModel, InputSet, SafetyFilter, SphereObstacl
 from vcbf_drake.between_ticks import certified_heights
 from vcbf_drake.between_ticks.certified_heights import certified_least_barrier
 from vcbf_drake.between_ticks.interval import hull
+from vcbf_drake.disturbances import DisturbanceBounds
 from vcbf_drake.plants import Car
-from vcbf_drake.safety import DisturbanceKnowledge, HeldRows
+from vcbf_drake.safety import DisturbanceKnowledge, FilterSettings, HeldRows
 
 PERIOD, DELTA_1, HOLD_MARGIN = 0.02, 0.8, 0.01
 
@@ -23,8 +24,8 @@ def parked_car(method):
         ControlAffineModel.from_system(Car()),
         [sphere],
         InputSet.box([-1.0, -1.0], [1.0, 1.0]),
-        method=method,
-        hold_margin=HOLD_MARGIN,
+        FilterSettings(period=PERIOD, method=method),
+        bounds=DisturbanceBounds(DELTA_1, HOLD_MARGIN / PERIOD, 0.0),
     )
 
 

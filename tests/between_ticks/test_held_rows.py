@@ -46,6 +46,7 @@ from vcbf_drake.disturbances import DisturbanceBounds
 from vcbf_drake.plants import BlimpParameters, CarParameters
 from vcbf_drake.safety import (
     DisturbanceKnowledge,
+    FilterSettings,
     HeldRows,
     Tick,
     least_height,
@@ -348,9 +349,11 @@ def test_what_has_no_enclosure_is_said_in_one_line():
     model = _model(kinked)
     barriers = [Barrier(lambda x, t, p: x[0], [1.0], name="floor")]
     inputs = InputSet.box([-1.0], [1.0])
-    SafetyFilter(model, barriers, inputs, method="cbf-qp")
+    settings = FilterSettings(method="cbf-qp")
+    SafetyFilter(model, barriers, inputs, settings)
+    settings = FilterSettings(period=0.01, method="cbf-qp", between_ticks="certified")
     with pytest.raises(ModelError, match=r"no enclosure on intervals.*cases") as error:
-        SafetyFilter(model, barriers, inputs, method="cbf-qp", certified_hold=0.01)
+        SafetyFilter(model, barriers, inputs, settings)
     assert "\n" not in str(error.value)
 
 
@@ -498,12 +501,12 @@ def test_the_margin_gives_way_before_the_rows_do():
 
     decision = held.lasting_decision(tick, plain, choose)
     assert decision.input is plain.input and decision.status is plain.status
-    assert decision.least_chi < -0.15
+    assert decision.row_margin < -0.15
     assert len(asked) == 1
     assert asked[0] >= 0.35
 
 
-def test_a_tick_without_a_decision_has_no_least_chi():
+def test_a_tick_without_a_decision_has_no_row_margin():
     model = ControlAffineModel.from_system(Car())
     wall = Barrier(lambda x, t, p: x[0], [2.0, 1.0], name="wall")
     barriers = BarrierSet(model, [wall])
@@ -512,17 +515,16 @@ def test_a_tick_without_a_decision_has_no_least_chi():
     tick = Tick(barriers.rows(x, 0.0), x, 0.0, DisturbanceKnowledge.constant(1, 0.0))
     lost = FilterDecision(np.zeros(2), FilterStatus.INFEASIBLE)
     assert held.lasting_decision(tick, lost, lambda margin: None) is lost
-    assert np.isnan(lost.least_chi)
+    assert np.isnan(lost.row_margin)
 
 
-def drive_away_from_a_wall(slowest, certified_hold=0.5):
+def drive_away_from_a_wall(slowest, between_ticks="certified"):
     """The outputs for a car that would brake with 0.5 m/s^2, or as little as it can."""
     safety_filter = SafetyFilter(
         ControlAffineModel.from_system(Car(CarParameters(mass=1.0))),
         [Barrier(lambda x, t, p: x[0], [2.0, 1.0], name="wall")],
         InputSet.box([-0.6, -1.0], [slowest, 1.0]),
-        method="cbf-qp",
-        certified_hold=certified_hold,
+        FilterSettings(period=0.5, method="cbf-qp", between_ticks=between_ticks),
     )
     context = safety_filter.CreateDefaultContext()
     for name, value in {
@@ -534,7 +536,7 @@ def drive_away_from_a_wall(slowest, certified_hold=0.5):
     def output(name):
         return safety_filter.GetOutputPort(name).Eval(context)
 
-    return output("input")[0], output("status")[0], output("least_chi")[0]
+    return output("command")[0], output("status")[0], output("row_margin")[0]
 
 
 def chi_after(a, t):
@@ -551,7 +553,7 @@ def test_the_filter_says_what_its_rows_are_worth_until_the_next_tick():
     assert a == -0.5 and status == FilterStatus.REFERENCE
     assert chi_after(a, 0.5) - 0.1 < least <= chi_after(a, 0.5)
     # Nobody asked.
-    assert np.isnan(drive_away_from_a_wall(slowest=0.6, certified_hold=0.0)[2])
+    assert np.isnan(drive_away_from_a_wall(slowest=0.6, between_ticks="none")[2])
 
 
 @pytest.mark.parametrize("period", [0.1, 0.3])
@@ -588,16 +590,13 @@ def test_wrong_choices_are_named():
             reference=None,
             barriers=[],
             input_set=InputSet.box([-1.0, -1.0], [1.0, 1.0]),
-            period=0.02,
             bounds=DisturbanceBounds(0.1, 0.1, 0.1),
-            **options,
+            settings=FilterSettings(**options),
         )
 
-    with pytest.raises(ValueError, match="between_ticks: got 'always'; allowed: none,"):
+    with pytest.raises(ValueError, match="'always'; it must be one of none,"):
         add(between_ticks="always")
-    with pytest.raises(
-        ValueError, match=r"between_ticks: certified needs .*error_floor"
-    ):
+    with pytest.raises(ValueError, match=r"between_ticks: certified; .*error_floor"):
         add(between_ticks="certified", fidelity="paper")
     add(between_ticks="certified", fidelity="paper", method="robust-cbf-qp")
 

@@ -45,7 +45,7 @@ def test_bound_is_exact_for_a_ramp(period, rate):
         t = k * period
         bench.measure(t, np.array([0.0, 0.5 * t + 0.8 * t**2 / 2]))
         error = 0.5 + 0.8 * t - bench.output("disturbance_estimate")[0]
-        assert error == pytest.approx(bench.output("error_bound")[0], rel=1e-9)
+        assert error == pytest.approx(bench.estimate().error_bound, rel=1e-9)
         bench.update()
 
 
@@ -97,7 +97,7 @@ def test_bound_rate_is_the_derivative_of_the_bound():
     for t in (0.1, 0.7, 2.0):
         bench.measure(t, np.zeros(4))
         numeric = (observer.error_bound(t + h) - observer.error_bound(t - h)) / (2 * h)
-        assert bench.output("error_bound_rate")[0] == pytest.approx(numeric, rel=1e-6)
+        assert bench.estimate().error_bound_rate == pytest.approx(numeric, rel=1e-6)
 
 
 @pytest.mark.parametrize("name", ["rate", "period"])

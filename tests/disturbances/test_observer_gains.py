@@ -15,6 +15,7 @@ from vcbf_drake import AddSafetyFilter, load_scenario
 from vcbf_drake.barriers import StateLimit
 from vcbf_drake.disturbances import (
     DisturbanceBounds,
+    DisturbanceEstimate,
     DisturbanceSource,
     LinearDisturbanceObserver,
     RiseGains,
@@ -23,7 +24,7 @@ from vcbf_drake.disturbances import (
 )
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.plants import Car, CarParameters
-from vcbf_drake.safety import InputSet
+from vcbf_drake.safety import FilterSettings, InputSet
 from vcbf_drake.simulation import check_assumptions
 
 PAPER = RiseGains(5.0, 6.0, 4.0)
@@ -163,25 +164,23 @@ def test_a_heavy_cart_s_filter_computes_its_gains():
         reference=reference.get_output_port(),
         barriers=speed_limit,
         input_set=InputSet.box([-6000.0, -1.0], [6000.0, 1.0]),
-        period=0.02,
         bounds=wind.bounds,
-        method="dob-cbf-qp",
+        settings=FilterSettings(method="dob-cbf-qp"),
     )
     builder.Connect(wind.get_output_port(), plant.GetInputPort("disturbance"))
     ports = (
         wind.get_output_port(),
-        safety.observer.GetOutputPort("disturbance_estimate"),
-        safety.observer.GetOutputPort("error_bound"),
+        safety.observer.GetOutputPort("estimate"),
         plant.GetOutputPort("state"),
     )
     logs = [LogVectorOutput(port, builder, 0.02) for port in ports]
     simulator = Simulator(builder.Build())
     simulator.AdvanceTo(8.0)
     assert simulator.get_context().get_time() == 8.0
-    truth, estimate, bound, state = (
-        log.FindLog(simulator.get_context()).data() for log in logs
-    )
-    assert np.all(np.linalg.norm(truth - estimate, axis=0) <= bound[0] + 1e-6)
+    truth, packed, state = (log.FindLog(simulator.get_context()).data() for log in logs)
+    estimate = DisturbanceEstimate.unpack(packed.T)
+    error = np.linalg.norm(truth.T - estimate.disturbance, axis=1)
+    assert np.all(error <= estimate.error_bound + 1e-6)
     assert 0.9 < state[2].max() <= 1.0
 
 

@@ -49,11 +49,11 @@ def test_the_bound_holds_over_unequal_intervals(kind, seed: int) -> None:
     generator, t = np.random.default_rng(seed), 0.0
     while t < 8.0:
         bench.measure(t, state(t))
-        assert error(bench, t) <= bench.output("error_bound")[0]
+        assert error(bench, t) <= bench.estimate().error_bound
         bench.update()
         # Some intervals are ten times as long as others.
         t += generator.choice([0.8 * PERIOD, PERIOD, 0.99 * LONGEST])
-    assert bench.output("error_bound")[0] < 0.25 * BOUNDS.delta1
+    assert bench.estimate().error_bound < 0.25 * BOUNDS.delta1
 
 
 @pytest.mark.parametrize("kind", OBSERVERS)
@@ -61,22 +61,22 @@ def test_the_bound_holds_over_unequal_intervals(kind, seed: int) -> None:
 def test_after_a_gap_or_back_in_time_it_begins_anew(kind, later: float) -> None:
     observer = kind(MODEL, PERIOD, BOUNDS, longest_interval=LONGEST)
     bench = settled(observer)
-    calm = bench.output("error_bound")[0]
+    calm = bench.estimate().error_bound
     t = 2.99 + later
     bench.measure(t, state(t))
     for _ in range(2):  # Before the update and after it.
         assert bench.output("disturbance_estimate").tolist() == [0.0, 0.0]
-        assert bench.output("estimate_rate").tolist() == [0.0, 0.0]
-        assert bench.output("error_bound")[0] == observer.error_bound(0.0)
-        assert error(bench, t) <= bench.output("error_bound")[0]
+        assert bench.estimate().rate.tolist() == [0.0, 0.0]
+        assert bench.estimate().error_bound == observer.error_bound(0.0)
+        assert error(bench, t) <= bench.estimate().error_bound
         bench.update()
     assert observer.error_bound(0.0) > 3.0 * calm
     for later_tick in np.arange(1, 400):
         moment = t + later_tick * PERIOD
         bench.measure(moment, state(moment))
-        assert error(bench, moment) <= bench.output("error_bound")[0]
+        assert error(bench, moment) <= bench.estimate().error_bound
         bench.update()
-    assert bench.output("error_bound")[0] == pytest.approx(
+    assert bench.estimate().error_bound == pytest.approx(
         observer.error_bound(399 * PERIOD)
     )
 
@@ -86,7 +86,7 @@ def test_a_gap_is_bridged_unless_a_longest_interval_is_given(kind) -> None:
     bench = settled(kind(MODEL, PERIOD, BOUNDS))
     bench.measure(3.2, state(3.2))
     assert np.any(bench.output("disturbance_estimate"))
-    assert bench.output("error_bound")[0] == bench.observer.error_bound(3.2)
+    assert bench.estimate().error_bound == bench.observer.error_bound(3.2)
 
 
 @pytest.mark.parametrize("kind", OBSERVERS)

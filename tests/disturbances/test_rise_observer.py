@@ -17,6 +17,7 @@ from vcbf_drake.disturbances import (
     BandLimitedNoise,
     Constant,
     DisturbanceBounds,
+    DisturbanceEstimate,
     DisturbanceSource,
     Recorded,
     RiseGains,
@@ -88,7 +89,7 @@ def worst_error(step, gains, bounds, period, layer, direction):
         bench.measure(k * period, np.concatenate((np.zeros(q), v)))
         estimate = bench.output("disturbance_estimate")
         error = d - estimate
-        worst = max(worst, np.linalg.norm(error) / bench.output("error_bound")[0])
+        worst = max(worst, np.linalg.norm(error) / bench.estimate().error_bound)
         bench.update()
         push = {"with": error, "against": -error, "out": unit, "back": -unit}[direction]
         bend = bounds.delta3 * push / max(np.linalg.norm(push), 1e-9)
@@ -193,8 +194,8 @@ def test_bound_rate_is_the_derivative_of_the_bound(step, floor):
     for t in (0.1, 0.7, 2.0):
         bench.measure(t, np.zeros(4))
         numeric = (observer.error_bound(t + h) - observer.error_bound(t - h)) / (2 * h)
-        assert bench.output("error_bound_rate")[0] == pytest.approx(numeric, rel=1e-6)
-        assert bench.output("error_bound")[0] == observer.error_bound(t)
+        assert bench.estimate().error_bound_rate == pytest.approx(numeric, rel=1e-6)
+        assert bench.estimate().error_bound == observer.error_bound(t)
 
 
 def test_certified_bound_in_numbers():
@@ -273,10 +274,10 @@ def test_first_tick_takes_the_state_and_starts_the_clock():
     bench.measure(7.0, np.array([5.0, -3.0, 2.0, 1.0]))
     bench.update()
     np.testing.assert_array_equal(bench.output("disturbance_estimate"), np.zeros(2))
-    np.testing.assert_array_equal(bench.output("estimate_rate"), np.zeros(2))
-    assert bench.output("error_bound")[0] == observer.error_bound(0.0)
+    np.testing.assert_array_equal(bench.estimate().rate, np.zeros(2))
+    assert bench.estimate().error_bound == observer.error_bound(0.0)
     bench.measure(7.3, np.array([5.0, -3.0, 2.0, 1.0]))
-    assert bench.output("error_bound")[0] == pytest.approx(observer.error_bound(0.3))
+    assert bench.estimate().error_bound == pytest.approx(observer.error_bound(0.3))
 
 
 def test_wrong_start_time_does_not_matter():
@@ -294,7 +295,7 @@ def test_wrong_start_time_does_not_matter():
 
 
 def outputs(bench):
-    names = ("disturbance_estimate", "estimate_rate", "error_bound", "error_bound_rate")
+    names = ("estimate", "disturbance_estimate")
     return np.concatenate([bench.output(name) for name in names])
 
 
@@ -317,9 +318,9 @@ def test_clone_gives_the_same_outputs_in_any_order():
     bench.measure(0.027, np.full(4, 0.027))
     clone = Bench(bench.observer)
     clone.context = bench.context.Clone()
-    rate = clone.output("estimate_rate")
+    rate = clone.estimate().rate
     np.testing.assert_array_equal(outputs(bench), outputs(clone))
-    np.testing.assert_array_equal(bench.output("estimate_rate"), rate)
+    np.testing.assert_array_equal(bench.estimate().rate, rate)
 
 
 def test_outputs_between_ticks_are_continuous():
@@ -359,7 +360,7 @@ def test_outputs_stay_finite_and_recover_when_measurements_fail(bad):
     assert errors[63] == errors[60]  # The interval that began badly tells nothing.
     assert errors[199] < 1e-9
     # The clock starts with the first measurement, not with the failed one.
-    assert bench.output("error_bound")[0] == pytest.approx(
+    assert bench.estimate().error_bound == pytest.approx(
         bench.observer.error_bound(1.98)
     )
 
@@ -427,17 +428,18 @@ def test_blimp_in_a_drake_simulation():
         LogVectorOutput(port, builder, period)
         for port in (
             d.get_output_port(),
-            observer.GetOutputPort("disturbance_estimate"),
-            observer.GetOutputPort("error_bound"),
+            observer.GetOutputPort("estimate"),
         )
     ]
     simulator = Simulator(builder.Build())
     ResetIntegratorFromFlags(simulator, "runge_kutta3", period / 4)
     simulator.AdvanceTo(4.0)
     context = simulator.get_context()
-    truth, estimate, bound = (log.FindLog(context).data() for log in logs)
+    truth, packed = (log.FindLog(context).data() for log in logs)
+    estimate, _, bound, _ = DisturbanceEstimate.unpack(packed.T)
+    estimate = estimate.T
     error = np.linalg.norm(truth - estimate, axis=0)
     assert error.shape == (401,)
     np.testing.assert_array_equal(estimate[:, 0], np.zeros(3))
-    assert np.all(error <= bound[0] + 1e-6)
+    assert np.all(error <= bound + 1e-6)
     assert error[-50:].max() < d.bounds.delta2 * period / 2 + 1e-6

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vcbf_drake.checks import Array
-from vcbf_drake.disturbances import DisturbanceObserver
+from vcbf_drake.disturbances import DisturbanceEstimate, DisturbanceObserver
 
 
 class DragModel:
@@ -66,6 +66,9 @@ class Bench:
     def output(self, name: str) -> Array:
         return self.observer.GetOutputPort(name).Eval(self.context)
 
+    def estimate(self) -> DisturbanceEstimate:
+        return DisturbanceEstimate.unpack(self.output("estimate"))
+
     def update(self) -> None:
         self.context.SetDiscreteState(
             self.observer.EvalUniquePeriodicDiscreteUpdate(self.context)
@@ -89,16 +92,13 @@ def run(
     for k in range(round(duration / dt) + 1):
         t = start + k * dt
         bench.measure(t, x + noise * generator.normal(size=x.shape))
-        logs.append((t, disturbance(t), *map(bench.output, _PORTS)))
+        logs.append((t, disturbance(t), *bench.estimate()))
         bench.update()
         u = np.clip(u + 0.3 * generator.normal(size=u.shape), -1.0, 1.0)
         bench.hold(u)
         x = _rk4(model, disturbance, x, u, t, dt)
     time, d, estimate, rate, bound, bound_rate = map(np.array, zip(*logs, strict=True))
-    return Run(time, d, estimate, rate, bound[:, 0], bound_rate[:, 0])
-
-
-_PORTS = ("disturbance_estimate", "estimate_rate", "error_bound", "error_bound_rate")
+    return Run(time, d, estimate, rate, bound, bound_rate)
 
 
 def _rk4(

@@ -121,10 +121,8 @@ def simulation_with_a_second_hold(name: str, duration: float) -> np.ndarray:
         reference=pilot.GetOutputPort("reference"),
         barriers=barriers(loaded),
         input_set=loaded.input_set.input_set(),
-        period=loaded.period,
         bounds=bounds,
-        method=loaded.method,
-        volume_barrier=loaded.volume,
+        settings=loaded,
         observer=make_observer(loaded, model, bounds, period=loaded.period),
     )
     builder.Connect(added.hold.get_output_port(), late.get_input_port())
@@ -167,6 +165,5 @@ def test_a_plant_elsewhere_needs_its_model_and_a_state() -> None:
             reference=pilot.GetOutputPort("reference"),
             barriers=[],
             input_set=InputSet.box([-1.0] * 3, [1.0] * 3),
-            period=0.02,
             bounds=DisturbanceBounds(0.0, 0.0, 0.0),
         )

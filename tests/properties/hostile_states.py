@@ -11,11 +11,13 @@ from pydrake.systems.framework import Context
 from tests.properties.decision_check import Tick
 from vcbf_drake.barriers import PerceivedSpheres, StateInputLimit, ackermann_limit
 from vcbf_drake.checks import Array
+from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.plants import Blimp, Car
 from vcbf_drake.safety import (
     METHODS,
     FilterDecision,
+    FilterSettings,
     InfeasiblePolicy,
     InputSet,
     SafetyFilter,
@@ -93,9 +95,8 @@ def _filter(plant: str, method: str, policy: InfeasiblePolicy) -> _Filter:
         model,
         [*obstacles, *limits],
         inputs,
-        method=method,
-        infeasible=policy,
-        disturbance_bound=0.1,
+        FilterSettings(method=method, infeasible=policy),
+        bounds=DisturbanceBounds(0.1, 0.0, 0.0),
         estimate_gain=5.0,
     )
     return _Filter(system, system.CreateDefaultContext(), spheres)
@@ -117,12 +118,10 @@ def _signals(
         "held_input": inputs.center + inputs.scale * rng.uniform(-1.5, 1.5, m),
     }
     if system.method.disturbance == "estimated":
-        signals["disturbance_estimate"] = _size(rng) * np.array(
-            rng.uniform(-0.1, 0.1, q)
-        )
-        signals["estimate_rate"] = np.array(rng.uniform(-0.1, 0.1, q))
-        signals["error_bound"] = _size(rng) * rng.uniform(0.0, 0.1, 1)
-        signals["error_bound_rate"] = -signals["error_bound"]
+        estimate = _size(rng) * rng.uniform(-0.1, 0.1, q)
+        rate = rng.uniform(-0.1, 0.1, q)
+        bound = _size(rng) * np.array(rng.uniform(0.0, 0.1))
+        signals["estimate"] = DisturbanceEstimate(estimate, rate, bound, -bound).pack()
     count = int(rng.integers(0, MOST_OBSTACLES + 1))
     signals["obstacles"] = spheres.pack(
         rng.uniform(-2.0, 2.0, (count, k)),

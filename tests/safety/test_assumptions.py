@@ -13,7 +13,13 @@ from vcbf_drake import (
 )
 from vcbf_drake.barriers import HalfSpace, StateInputLimit, StateLimit
 from vcbf_drake.disturbances import DisturbanceBounds, RiseGains
-from vcbf_drake.safety import METHODS, Corrections, VolumeBarrier, assumptions
+from vcbf_drake.safety import (
+    METHODS,
+    Corrections,
+    FilterSettings,
+    VolumeBarrier,
+    assumptions,
+)
 
 PERIOD = 0.02
 INPUTS = InputSet.box([-4.0, -0.5], [4.0, 1.0])
@@ -33,14 +39,15 @@ def car():
 def at(car, method, speed=1.0, observer=RiseObserver, barriers=(AHEAD,), **options):
     """The hypotheses by name, of a car at the origin."""
     noise = [options.pop("noise")] if "noise" in options else []
-    observer = observer(car, PERIOD, BOUNDS)
+    observer = observer(car, PERIOD, options.pop("bounds", BOUNDS))
     walls = [b.barrier([4.0, 3.0]) if b is AHEAD else b for b in barriers]
-    safety_filter = SafetyFilter(car, walls, INPUTS, method=method, **options)
+    safety_filter = SafetyFilter(
+        car, walls, INPUTS, FilterSettings(method=method, **options)
+    )
     context = safety_filter.CreateDefaultContext()
     values = {"state": [0.0, 0.0, speed, 0.0], "reference": np.zeros(2)}
     if method in ("dob-cbf-qp", "dob-vcbf-qp", "wang-xu-dob-cbf-qp"):
-        values |= {"disturbance_estimate": [0.0], "estimate_rate": [0.0]}
-        values |= {"error_bound": [0.3], "error_bound_rate": [0.0]}
+        values["estimate"] = [0.0, 0.0, 0.3, 0.0]
     for name, value in values.items():
         safety_filter.GetInputPort(name).FixValue(context, np.array(value, float))
     found = assumptions(safety_filter, context, observer, PERIOD, *noise)
@@ -69,11 +76,11 @@ def test_each_method_is_asked_what_its_proof_needs(car, method):
     assert found["sampled input"].numbers == {"period": PERIOD}
 
 
-def test_a_method_that_ignores_the_disturbance_needs_it_to_be_zero(car, monkeypatch):
+def test_a_method_that_ignores_the_disturbance_needs_it_to_be_zero(car):
     assert at(car, "cbf-qp")["no disturbance"].holds is False
     assert at(car, "cbf-qp")["no disturbance"].numbers == {"delta1": 0.3}
-    monkeypatch.setattr(f"{__name__}.BOUNDS", DisturbanceBounds(0.0, 0.0, 0.0))
-    assert at(car, "cbf-qp")["no disturbance"].holds is True
+    calm = at(car, "cbf-qp", bounds=DisturbanceBounds(0.0, 0.0, 0.0))
+    assert calm["no disturbance"].holds is True
 
 
 def test_noise_is_not_covered_by_the_proof(car):
@@ -90,7 +97,7 @@ def test_what_the_printed_equations_leave_out_is_named(car):
     assert "floor of the error bound" not in proven
     assert "total derivative of the volume" not in proven
     floor = Corrections(error_floor=True)
-    partly = at(car, "dob-vcbf-qp", corrections=floor)
+    partly = at(car, "dob-vcbf-qp", fidelity=floor)
     assert "floor of the error bound" not in partly
     assert "total derivative of the volume" in partly
     # Without a volume row there is no derivative to be wrong.
@@ -138,19 +145,19 @@ def test_a_barrier_that_no_input_moves_is_no_empty_slot(car):
 
 
 def test_the_volume_at_the_start_is_compared_with_the_threshold(car):
-    free = at(car, "dob-vcbf-qp", volume_barrier=VolumeBarrier(threshold=0.1))
+    free = at(car, "dob-vcbf-qp", volume=VolumeBarrier(threshold=0.1))
     assert free["volume at the start"].holds is True
     assert free["volume at the start"].numbers["threshold"] == 0.1
     assert free["volume at the start"].numbers["V_v(0)"] == pytest.approx(0.9)
     # At 4 m/s the force is left [-4, 2 (3 * 5 - 4 * 4 - 0.3)] = [-4, -2.6] N.
-    fast = at(car, "dob-vcbf-qp", 4.0, volume_barrier=VolumeBarrier(threshold=0.2))
+    fast = at(car, "dob-vcbf-qp", 4.0, volume=VolumeBarrier(threshold=0.2))
     start = fast["volume at the start"]
     assert start.holds is False
     assert start.numbers["V_v(0)"] == pytest.approx(0.7 / 4.0 - 0.2, abs=1e-9)
 
 
 def test_the_printed_orders_of_rates_are_information(car):
-    found = at(car, "dob-vcbf-qp", volume_barrier=VolumeBarrier(gain=2.5))
+    found = at(car, "dob-vcbf-qp", volume=VolumeBarrier(gain=2.5))
     first, second = found["lambda_V >= lambda_r"], found["lambda_V >= lambda_Vv"]
     assert first.holds is None and second.holds is None
     # alpha = 5, gamma = 4 by default: lambda_V = min(alpha - 1, gamma).
@@ -182,6 +189,8 @@ def test_gains_that_are_too_small_are_named_with_both_sides(car):
     ("hold", "holds"), [(PERIOD, True), (0.5 * PERIOD, False), (2.0 * PERIOD, True)]
 )
 def test_a_certified_hold_covers_the_period_or_not(car, hold, holds):
-    sampled = at(car, "dob-cbf-qp", certified_hold=hold)["sampled input"]
+    sampled = at(car, "dob-cbf-qp", period=hold, between_ticks="certified")[
+        "sampled input"
+    ]
     assert sampled.holds is holds
     assert sampled.numbers == {"period": PERIOD}

@@ -37,7 +37,7 @@ from vcbf_drake import (
 from vcbf_drake.barriers import BarrierSet, HalfSpace, StateLimit
 from vcbf_drake.disturbances import DisturbanceBounds, Sinusoid
 from vcbf_drake.model import point_position
-from vcbf_drake.safety import FilterStatus
+from vcbf_drake.safety import FilterSettings, FilterStatus
 
 CALM = DisturbanceBounds(0.0, 0.0, 0.0)
 ARM = Path(__file__).parents[2] / "examples" / "models" / "planar_arm.urdf"
@@ -71,7 +71,6 @@ def add_plant(builder, name, reference=None):
         reference=reference,
         barriers=[obstacle.barrier([4.0, 3.0])],
         input_set=input_set,
-        period=0.02,
         bounds=wind.bounds,
         name=f"{name}_filter",
     )
@@ -83,7 +82,7 @@ def add_loop(builder, name):
     controller = builder.AddNamedSystem(f"{name}_controller", PLANTS[name][1]())
     plant, safety_filter = add_plant(builder, name, controller.get_output_port())
     builder.Connect(plant.get_output_port(), controller.GetInputPort("state"))
-    ports = plant.get_output_port(), safety_filter.GetOutputPort("input")
+    ports = plant.get_output_port(), safety_filter.GetOutputPort("command")
     return [LogVectorOutput(port, builder, 0.02) for port in ports]
 
 
@@ -93,7 +92,7 @@ def add_nested_loop(builder, name):
     plant, safety_filter = add_plant(inner, name)
     inner.ExportInput(safety_filter.GetInputPort("reference"), "wish")
     inner.ExportOutput(plant.get_output_port(), "state")
-    inner.ExportOutput(safety_filter.GetOutputPort("input"), "input")
+    inner.ExportOutput(safety_filter.GetOutputPort("command"), "input")
     guarded = builder.AddNamedSystem("guarded", inner.Build())
     controller = builder.AddSystem(PLANTS[name][1]())
     builder.Connect(guarded.GetOutputPort("state"), controller.GetInputPort("state"))
@@ -193,7 +192,6 @@ def test_drakes_regulators_are_filtered(make_lqr):
         reference=lqr.get_output_port(),
         barriers=StateLimit(1, lower=-0.5).barriers([5.0]),
         input_set=InputSet.box([-3.0], [3.0]),
-        period=0.02,
         bounds=CALM,
     )
     log = LogVectorOutput(plant.get_output_port(), builder)
@@ -221,8 +219,8 @@ def test_drakes_examples_keep_a_limit(plant, state, push, most):
         reference=reference.get_output_port(),
         barriers=StateLimit(state, upper=most).barriers(degree),
         input_set=InputSet.box([-10.0], [10.0]),
-        period=0.005,
         bounds=CALM,
+        settings=FilterSettings(period=0.005),
         state=plant.get_state_output_port()
         if hasattr(plant, "get_state_output_port")
         else plant.get_output_port(0),
@@ -254,14 +252,13 @@ def test_a_discrete_plant_is_filtered_with_its_continuous_twins_model():
     wall = HalfSpace([-1.0, 0.0, 0.0], offset=-0.73)
     safety = AddSafetyFilter(
         builder,
-        plant=plant,
+        plant=plant.GetInputPort("actuation"),
         model=ControlAffineModel.from_system(twin, "actuation"),
-        input_port="actuation",
         reference=idle.get_output_port(),
         barriers=[wall.barrier([20.0, 100.0], position=hand)],
         input_set=InputSet.box([-80.0, -40.0], [80.0, 40.0]),
-        period=0.002,
         bounds=CALM,
+        settings=FilterSettings(period=0.002),
     )
     log = LogVectorOutput(safety.filter.GetOutputPort("barriers"), builder, 0.002)
     status = LogVectorOutput(safety.filter.GetOutputPort("status"), builder, 0.002)

@@ -12,7 +12,7 @@ CAR = "car-avoidance"
 
 
 def with_only(correction: str):
-    return load_scenario(CAR, {"corrections": {correction: True}})
+    return load_scenario(CAR, {"fidelity": {correction: True}})
 
 
 def test_fidelity_is_all_of_them_or_none():
@@ -20,15 +20,15 @@ def test_fidelity_is_all_of_them_or_none():
     assert FIDELITIES["paper"] == Corrections(False, False, False)
     for fidelity, corrections in FIDELITIES.items():
         scenario = load_scenario(CAR, {"fidelity": fidelity})
-        assert scenario.applied_corrections == corrections
+        assert scenario.corrections == corrections
 
 
 def test_corrections_stand_in_for_those_of_the_fidelity(tmp_path):
     scenario = with_only("exact_slack")
-    assert scenario.applied_corrections == Corrections(exact_slack=True)
+    assert scenario.corrections == Corrections(exact_slack=True)
     path = tmp_path / "scenario.yaml"
     path.write_text(dump_scenario(scenario))
-    assert load_scenario(path).applied_corrections == Corrections(exact_slack=True)
+    assert load_scenario(path).corrections == Corrections(exact_slack=True)
 
 
 def test_error_floor_is_the_observers_floor_and_the_holds_margin():
@@ -59,6 +59,6 @@ def test_every_correction_changes_the_run():
     name, paper = inputs({"fidelity": "paper"})
     assert name == "paper"
     for correction in vars(Corrections()):
-        name, corrected = inputs({"corrections": {correction: True}})
+        name, corrected = inputs({"fidelity": {correction: True}})
         assert name == "custom"
         assert abs(corrected - paper[: len(corrected)]).max() > 1e-6, correction

@@ -20,6 +20,7 @@ from vcbf_drake.barriers import (
     StateLimit,
 )
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceSource, Sinusoid
+from vcbf_drake.safety import FilterSettings
 
 K = (3.0, 2.0)
 PERIOD = 0.02  # In seconds.
@@ -34,8 +35,8 @@ def run(builder, plant, reference, barriers, limits, start, duration, bounds=Non
         reference=reference,
         barriers=barriers,
         input_set=InputSet.box(-np.array(limits), limits),
-        period=PERIOD,
         bounds=bounds or DisturbanceBounds(0.0, 0.0, 0.0),
+        settings=FilterSettings(period=PERIOD),
     )
     log = LogVectorOutput(plant.GetOutputPort("state"), builder)
     simulator = Simulator(builder.Build())

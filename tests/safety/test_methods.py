@@ -2,8 +2,7 @@
 
 import pytest
 
-from vcbf_drake.safety import METHODS
-from vcbf_drake.safety.methods import method_named
+from vcbf_drake.safety import METHODS, FilterSettings
 
 
 def test_methods_do_what_their_papers_do():
@@ -19,7 +18,6 @@ def test_methods_do_what_their_papers_do():
     assert all(method.source for method in METHODS.values())
 
 
-def test_a_method_is_found_by_its_name():
-    assert method_named("vcbf-qp") is METHODS["vcbf-qp"]
-    with pytest.raises(ValueError, match=r"method: got 'magic'; allowed: cbf-qp, "):
-        method_named("magic")
+def test_a_method_that_is_none_is_refused():
+    with pytest.raises(ValueError, match="method: 'magic'; it must be one of cbf"):
+        FilterSettings(method="magic")

@@ -19,7 +19,7 @@ from vcbf_drake import (
 )
 from vcbf_drake.disturbances import DisturbanceBounds, Sinusoid
 from vcbf_drake.errors import SolverError
-from vcbf_drake.safety import METHODS, FilterStatus, unpack_feasible_set
+from vcbf_drake.safety import METHODS, FilterSettings, FilterStatus, unpack_feasible_set
 from vcbf_drake.safety import safety_filter as safety_filter_module
 from vcbf_drake.safety.feasibility_measure import EllipsoidVolume
 from vcbf_drake.safety.volume_barrier import VolumeBarrier, volume_row
@@ -34,12 +34,15 @@ def model():
     return ControlAffineModel.from_system(Blimp())
 
 
-def make_filter(model, **options):
+def make_filter(model, delta1=0.0, **options):
     barriers = [
         SphereObstacle([1.0, 0.1, 0.1], 0.5).barrier([4.0, 3.0], name="near"),
         SphereObstacle([9.0, 9.0, 9.0], 0.5).barrier([4.0, 3.0], name="far"),
     ]
-    return SafetyFilter(model, barriers, LIMITS, **options)
+    bounds = DisturbanceBounds(delta1, 0.0, 0.0)
+    return SafetyFilter(
+        model, barriers, LIMITS, FilterSettings(**options), bounds=bounds
+    )
 
 
 def fixed(safety_filter, state, reference=(0.2, 0.0, 0.0), estimate=(0.05, 0.0, 0.0)):
@@ -49,10 +52,7 @@ def fixed(safety_filter, state, reference=(0.2, 0.0, 0.0), estimate=(0.05, 0.0, 
         "state": state,
         "reference": reference,
         "held_input": np.zeros(3),
-        "disturbance_estimate": estimate,
-        "estimate_rate": [0.1, 0.0, 0.0],
-        "error_bound": [0.05],
-        "error_bound_rate": [-0.1],
+        "estimate": [*estimate, 0.1, 0.0, 0.0, 0.05, -0.1],
     }
     for name, value in values.items():
         if safety_filter.HasInputPort(name):
@@ -67,11 +67,9 @@ def evaluate(safety_filter, context, port):
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("fidelity", ["corrected", "paper"])
 def test_every_method_keeps_its_rows_and_the_input_limits(model, method, fidelity):
-    safety_filter = make_filter(
-        model, method=method, fidelity=fidelity, disturbance_bound=0.1
-    )
+    safety_filter = make_filter(model, method=method, fidelity=fidelity, delta1=0.1)
     context = fixed(safety_filter, CLOSE)
-    u = evaluate(safety_filter, context, "input")
+    u = evaluate(safety_filter, context, "command")
     packed = unpack_feasible_set(
         evaluate(safety_filter, context, "feasible_set"), safety_filter.num_rows, 3
     )
@@ -84,9 +82,9 @@ def test_methods_order_by_how_much_they_ask_for(model):
     """Worst case asks for more than an estimate, an estimate for more than nothing."""
     surge = {
         method: evaluate(
-            f := make_filter(model, method=method, disturbance_bound=0.3),
+            f := make_filter(model, method=method, delta1=0.3),
             fixed(f, CLOSE, estimate=(0.0, 0.0, 0.0)),
-            "input",
+            "command",
         )[0]
         for method in ("cbf-qp", "dob-cbf-qp", "robust-cbf-qp")
     }
@@ -97,7 +95,7 @@ def test_far_from_everything_the_reference_passes_through(model):
     safety_filter = make_filter(model)
     reference = np.array([0.1, 0.1, 0.01]) / 3.0
     context = fixed(safety_filter, FAR, reference)
-    assert np.array_equal(evaluate(safety_filter, context, "input"), reference)
+    assert np.array_equal(evaluate(safety_filter, context, "command"), reference)
     assert evaluate(safety_filter, context, "status")[0] == FilterStatus.REFERENCE
     assert evaluate(safety_filter, context, "volume")[0] == pytest.approx(0.98)
 
@@ -114,7 +112,14 @@ def test_all_ports_share_one_solve(model, monkeypatch):
     safety_filter = make_filter(model)
     context = fixed(safety_filter, CLOSE)
     for _ in range(3):
-        for port in ("status", "input", "slack", "volume", "barriers", "feasible_set"):
+        for port in (
+            "status",
+            "command",
+            "slack",
+            "volume",
+            "barriers",
+            "feasible_set",
+        ):
             evaluate(safety_filter, context, port)
     assert len(calls) == 1
 
@@ -122,16 +127,16 @@ def test_all_ports_share_one_solve(model, monkeypatch):
 def test_output_depends_on_the_context_alone(model):
     """The same numbers after other states were evaluated, and in a cloned context."""
     safety_filter = make_filter(model)
-    first = evaluate(safety_filter, fixed(safety_filter, CLOSE), "input")
+    first = evaluate(safety_filter, fixed(safety_filter, CLOSE), "command")
     rng = np.random.default_rng(0)
     for _ in range(20):
         state = CLOSE + rng.normal(0.0, 0.1, 8)
-        evaluate(safety_filter, fixed(safety_filter, state), "input")
+        evaluate(safety_filter, fixed(safety_filter, state), "command")
     context = fixed(safety_filter, CLOSE)
-    assert np.array_equal(evaluate(safety_filter, context, "input"), first)
-    assert np.array_equal(evaluate(safety_filter, context.Clone(), "input"), first)
+    assert np.array_equal(evaluate(safety_filter, context, "command"), first)
+    assert np.array_equal(evaluate(safety_filter, context.Clone(), "command"), first)
     other = make_filter(model)
-    assert np.array_equal(evaluate(other, fixed(other, CLOSE), "input"), first)
+    assert np.array_equal(evaluate(other, fixed(other, CLOSE), "command"), first)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -143,7 +148,7 @@ def test_a_state_that_is_not_finite_gives_a_finite_input_and_says_so(
     state = CLOSE.copy()
     state[4] = bad
     context = fixed(safety_filter, state)
-    assert LIMITS.contains(evaluate(safety_filter, context, "input"))
+    assert LIMITS.contains(evaluate(safety_filter, context, "command"))
     assert evaluate(safety_filter, context, "status")[0] == FilterStatus.FAILED
     assert np.isnan(evaluate(safety_filter, context, "volume")[0])
 
@@ -153,7 +158,7 @@ def test_the_centre_of_an_obstacle_is_survived(model):
     state = np.zeros(8)
     state[:3] = [1.0, 0.1, 0.1]
     context = fixed(safety_filter, state)
-    assert LIMITS.contains(evaluate(safety_filter, context, "input"))
+    assert LIMITS.contains(evaluate(safety_filter, context, "command"))
     assert evaluate(safety_filter, context, "status")[0] == FilterStatus.FAILED
 
 
@@ -179,23 +184,23 @@ def test_a_volume_that_cannot_be_verified_is_said_and_its_row_left_out(
         raise SolverError("no ellipsoid could be certified", A, b)
 
     without = make_filter(model, method="dob-cbf-qp")
-    expected = evaluate(without, fixed(without, CLOSE), "input")
+    expected = evaluate(without, fixed(without, CLOSE), "command")
     safety_filter = make_filter(model)
     monkeypatch.setattr(EllipsoidVolume, "_measure", fail)
     context = fixed(safety_filter, CLOSE)
     assert np.isnan(evaluate(safety_filter, context, "volume")[0])
     assert evaluate(safety_filter, context, "status")[0] == FilterStatus.FAILED
-    np.testing.assert_array_equal(evaluate(safety_filter, context, "input"), expected)
+    np.testing.assert_array_equal(evaluate(safety_filter, context, "command"), expected)
 
 
 def test_the_guards_row_is_kept_beside_the_volume_row(model):
     """The guard is the determinant, its row as a filter with that measure has it."""
     settings = {"measure": "inradius", "widening": 4.0, "gain": 50.0}
-    alone = make_filter(model, volume_barrier=VolumeBarrier(**settings))
+    alone = make_filter(model, volume=VolumeBarrier(**settings))
     guarded = make_filter(
-        model, volume_barrier=VolumeBarrier(**settings, guard="volume", guard_gain=0.05)
+        model, volume=VolumeBarrier(**settings, guard="volume", guard_gain=0.05)
     )
-    paper = make_filter(model, volume_barrier=VolumeBarrier(gain=0.05))
+    paper = make_filter(model, volume=VolumeBarrier(gain=0.05))
     context = fixed(paper, CLOSE)
     a, c = volume_row(
         paper.volume(context),
@@ -206,7 +211,7 @@ def test_the_guards_row_is_kept_beside_the_volume_row(model):
         total_derivative=True,
     )
     u_alone, u_guarded = (
-        evaluate(f, fixed(f, CLOSE), "input") for f in (alone, guarded)
+        evaluate(f, fixed(f, CLOSE), "command") for f in (alone, guarded)
     )
     assert a @ u_alone > c + 1.0
     assert a @ u_guarded <= c + 1e-9
@@ -215,8 +220,8 @@ def test_the_guards_row_is_kept_beside_the_volume_row(model):
 def test_without_a_guard_its_gain_does_not_matter(model):
     def chosen(guard_gain, **options):
         barrier = VolumeBarrier(gain=50.0, guard_gain=guard_gain, **options)
-        f = make_filter(model, volume_barrier=barrier)
-        return evaluate(f, fixed(f, CLOSE), "input")
+        f = make_filter(model, volume=barrier)
+        return evaluate(f, fixed(f, CLOSE), "command")
 
     np.testing.assert_array_equal(chosen(0.05), chosen(50.0))
     assert np.abs(chosen(0.05, guard="inradius") - chosen(50.0)).max() > 1e-3
@@ -225,12 +230,12 @@ def test_without_a_guard_its_gain_does_not_matter(model):
 def test_a_method_without_a_volume_row_has_no_guard_either(model):
     barrier = VolumeBarrier(guard="inradius", guard_gain=0.05)
     guarded, plain = (
-        make_filter(model, method="dob-cbf-qp", volume_barrier=v)
-        for v in (barrier, None)
+        make_filter(model, method="dob-cbf-qp", volume=v)
+        for v in (barrier, VolumeBarrier())
     )
     np.testing.assert_array_equal(
-        evaluate(guarded, fixed(guarded, CLOSE), "input"),
-        evaluate(plain, fixed(plain, CLOSE), "input"),
+        evaluate(guarded, fixed(guarded, CLOSE), "command"),
+        evaluate(plain, fixed(plain, CLOSE), "command"),
     )
 
 
@@ -289,13 +294,22 @@ def test_rows_are_named_after_what_they_limit(model):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"method": "magic"}, r"method: got 'magic'; allowed: cbf-qp, robust-cbf-qp"),
-        ({"fidelity": "exact"}, r"fidelity: got 'exact'; allowed: corrected, paper"),
+        (
+            {"method": "magic"},
+            "method: 'magic'; it must be one of cbf-qp, robust",
+        ),
+        (
+            {"fidelity": "exact"},
+            "fidelity: 'exact'; it must be one of corrected, ",
+        ),
         (
             {"violation_weights": [1.0]},
-            r"violation_weights: got \[1.0\]; must be 2 pos",
+            "violation_weights: 1 numbers; there are 2 barriers",
         ),
-        ({"infeasible": "pray"}, r"infeasible: got 'pray'; allowed: stop, least_viol"),
+        (
+            {"infeasible": "pray"},
+            "infeasible: 'pray'; it must be one of stop, least",
+        ),
     ],
 )
 def test_unknown_choices_are_refused_with_what_is_allowed(model, options, message):
@@ -308,7 +322,7 @@ def test_input_set_of_another_size_is_refused(model):
         SafetyFilter(model, [], InputSet.box([-1, -1], [1, 1]))
 
 
-def guarded_blimp(method="dob-vcbf-qp"):
+def guarded_blimp(**settings):
     """The loop of a user who wires everything but the filter."""
     builder = DiagramBuilder()
     plant = builder.AddNamedSystem("plant", Blimp())
@@ -322,9 +336,8 @@ def guarded_blimp(method="dob-vcbf-qp"):
         reference=controller.GetOutputPort("reference"),
         barriers=[SphereObstacle([2.0, 0.1, 0.5], 0.5).barrier([4.0, 3.0])],
         input_set=InputSet.box([-0.1, -0.1, -0.01], [0.1, 0.1, 0.01]),
-        period=0.02,
         bounds=wind.bounds,
-        method=method,
+        settings=FilterSettings(**settings),
     )
     log = LogVectorOutput(added.filter.GetOutputPort("barriers"), builder, 0.02)
     return builder.Build(), added, log
@@ -349,7 +362,7 @@ def test_the_fallbacks_and_the_observer_read_what_the_hold_puts_out():
 
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_gets_the_observer_of_its_paper(method):
-    observer = guarded_blimp(method)[1].observer
+    observer = guarded_blimp(method=method)[1].observer
     is_linear = isinstance(observer, LinearDisturbanceObserver)
     assert is_linear == (method == "wang-xu-dob-cbf-qp")
     assert is_linear != isinstance(observer, RiseObserver)
@@ -357,7 +370,7 @@ def test_every_method_gets_the_observer_of_its_paper(method):
 
 @pytest.mark.parametrize("method", ["dob-vcbf-qp", "wang-xu-dob-cbf-qp", "vcbf-qp"])
 def test_add_safety_filter_keeps_a_users_loop_safe(method):
-    diagram, _, log = guarded_blimp(method)
+    diagram, _, log = guarded_blimp(method=method)
     simulator = Simulator(diagram)
     simulator.AdvanceTo(10.0)
     assert log.FindLog(simulator.get_context()).data().min() > 0.0
@@ -372,7 +385,7 @@ def test_one_solve_a_tick_in_a_running_loop(monkeypatch):
         return original(*arguments)
 
     monkeypatch.setattr(safety_filter_module, "choose_input", counting)
-    diagram, _, log = guarded_blimp()
+    diagram, _, log = guarded_blimp(infeasible="stop")
     simulator = Simulator(diagram)
     simulator.AdvanceTo(1.0)
     ticks = log.FindLog(simulator.get_context()).num_samples()
@@ -393,7 +406,6 @@ def test_add_safety_filter_takes_the_car_and_a_foreign_reference():
         reference=pedal.get_output_port(),
         barriers=[wall.barrier([4.0, 3.0])],
         input_set=InputSet.box([-4.0, -1.0], [4.0, 1.0]),
-        period=0.02,
         bounds=DisturbanceBounds(0.0, 0.0, 0.0),
     )
     diagram = builder.Build()
@@ -417,8 +429,8 @@ def test_policy_stop_ends_a_users_simulation_at_the_infeasible_tick():
         reference=pedal.get_output_port(),
         barriers=[SphereObstacle([2.0, 0.0], 1.0).barrier([10.0, 3.55])],
         input_set=InputSet.box([-1.0, -0.1], [1.0, 0.1]),
-        period=0.02,
         bounds=source.bounds,
+        settings=FilterSettings(infeasible="stop"),
     )
     simulator = Simulator(builder.Build())
     plant_context = car.GetMyMutableContextFromRoot(simulator.get_mutable_context())
@@ -437,6 +449,5 @@ def test_a_loop_without_a_plant_needs_the_model_and_the_state():
             reference=None,
             barriers=[],
             input_set=LIMITS,
-            period=0.02,
             bounds=DisturbanceBounds(0.0, 0.0, 0.0),
         )

@@ -8,7 +8,7 @@ from vcbf_drake.barriers.barrier_set import BarrierSet
 from vcbf_drake.disturbances import DisturbanceBounds
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.plants import Car
-from vcbf_drake.safety import FilterStatus, InputSet, SafetyFilter
+from vcbf_drake.safety import FilterSettings, FilterStatus, InputSet, SafetyFilter
 from vcbf_drake.simulation.audit import PROMISES, audit_findings, audit_margins
 
 CAR = "car-avoidance"
@@ -54,9 +54,12 @@ def audited(method, x, u, d, estimate=0.0, bound=0.0, hold=0.0, **logged):
         [K1, K2], position=Car.position_indices
     )
     inputs = InputSet.box(-LIMIT, LIMIT)
-    safety_filter = SafetyFilter(
-        model, [obstacle], inputs, method=method, certified_hold=hold
+    settings = FilterSettings(
+        period=hold or 0.02,
+        method=method,
+        between_ticks="certified" if hold else "none",
     )
+    safety_filter = SafetyFilter(model, [obstacle], inputs, settings)
     barriers = BarrierSet(model, [obstacle])
     log = {
         "time": 0.0, "state": x, "disturbance": [d], "input": u,

@@ -77,10 +77,10 @@ OneOfEverything:
     gain: 2.0
     slack_penalty: 10.0
   method: vcbf-qp
-  fidelity: paper
-  corrections: {exact_slack: true}
+  fidelity: !Corrections {exact_slack: true}
   infeasible: hold
   between_ticks: certified
+  violation_weights: [1.0, 2.0]
   initial_state: [0.0, 0.0, 0.1, 0.2]
   target: [5.0, 0.0]
   duration: 6.0
@@ -323,7 +323,11 @@ REFUSED = [
     ),
     ("{disturbance: [!Sinus {}]}", "disturbance[0]", "did you mean !Sinusoid"),
     ("{plant: !Boat {}}", "plant", "allowed: !BlimpParameters, !CarParameters"),
-    ("{observer: !Rise {}}", "observer", "unknown tag !Rise; allowed: !Observer"),
+    (
+        "{observer: !Rise {}}",
+        "observer",
+        "tag !Rise; allowed: !ObserverSettings",
+    ),
     ("{period: !Seconds 1}", "period", "tag !Seconds; no tag is expected here"),
     ("{obstacles: [{radius: 0.1}]}", "obstacles[0].center", "missing"),
     ("{obstacles: [{center: [2, 2, 2]}]}", "obstacles[0].radius", "missing"),

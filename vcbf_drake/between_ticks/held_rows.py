@@ -166,7 +166,7 @@ class HeldRows:
 
         A row that would not is given, as a margin, what it would lose and some more.
         Where no input leaves it that, the margin gives way: the decision stays, and
-        its `least_chi` is negative.
+        its `row_margin` is negative.
 
         Args:
             tick: Where it is made.
@@ -192,7 +192,7 @@ class HeldRows:
 
 
 def _judged(decision: FilterDecision, least: Array) -> FilterDecision:
-    return replace(decision, least_chi=float(np.min(least, initial=np.inf)))
+    return replace(decision, row_margin=float(np.min(least, initial=np.inf)))
 
 
 def least_height(

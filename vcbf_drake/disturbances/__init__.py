@@ -1,8 +1,9 @@
 """What pushes the plant, and what estimates the push."""
 
 from vcbf_drake.disturbances.bounds import Condition, DisturbanceBounds, ErrorBound
+from vcbf_drake.disturbances.estimate import DisturbanceEstimate
 from vcbf_drake.disturbances.linear_observer import LinearDisturbanceObserver
-from vcbf_drake.disturbances.observer import DisturbanceObserver, observer_ports
+from vcbf_drake.disturbances.observer import DisturbanceObserver
 from vcbf_drake.disturbances.rise_certificate import RiseGains
 from vcbf_drake.disturbances.rise_observer import RiseObserver
 from vcbf_drake.disturbances.source import (
@@ -19,6 +20,7 @@ __all__ = [
     "Condition",
     "Constant",
     "DisturbanceBounds",
+    "DisturbanceEstimate",
     "DisturbanceObserver",
     "DisturbanceSource",
     "ErrorBound",
@@ -28,5 +30,4 @@ __all__ = [
     "RiseObserver",
     "Sinusoid",
     "SmoothStep",
-    "observer_ports",
 ]

@@ -30,10 +30,8 @@ class LinearDisturbanceObserver(DisturbanceObserver):
         - state
         - input
         output_ports:
+        - estimate
         - disturbance_estimate
-        - estimate_rate
-        - error_bound
-        - error_bound_rate
 
     An interval of length dt with mean disturbance dbar moves the estimate by
 

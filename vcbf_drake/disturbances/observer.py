@@ -23,20 +23,11 @@ from vcbf_drake.disturbances.bounds import (
     DisturbanceBounds,
     ErrorBound,
 )
+from vcbf_drake.disturbances.estimate import DisturbanceEstimate
 from vcbf_drake.errors import ModelError
 
 if TYPE_CHECKING:
     from vcbf_drake.model import ControlAffineModel
-
-
-def observer_ports(num_disturbances: int) -> tuple[tuple[str, int], ...]:
-    """Returns name and size of the ports that carry an observer's knowledge."""
-    return (
-        ("disturbance_estimate", num_disturbances),
-        ("estimate_rate", num_disturbances),
-        ("error_bound", 1),
-        ("error_bound_rate", 1),
-    )
 
 
 class DisturbanceObserver(LeafSystem):
@@ -49,19 +40,15 @@ class DisturbanceObserver(LeafSystem):
         - state
         - input
         output_ports:
+        - estimate
         - disturbance_estimate
-        - estimate_rate
-        - error_bound
-        - error_bound_rate
 
     | port | size | |
     | --- | --- | --- |
     | ``state`` | n | the measured state |
     | ``input`` | m | the input held since the last tick |
-    | ``disturbance_estimate`` | q | dhat, on the disturbed channels [m/s^2] |
-    | ``estimate_rate`` | q | the known part of d(dhat)/dt [m/s^3] |
-    | ``error_bound`` | 1 | a bound of abs(d - dhat), Euclidean [m/s^2] |
-    | ``error_bound_rate`` | 1 | its time derivative [m/s^3] |
+    | ``estimate`` | 2q + 2 | a `DisturbanceEstimate`, with its error bound |
+    | ``disturbance_estimate`` | q | dhat alone, for controllers [m/s^2] |
 
     Only the disturbed channels are observed. At a tick the outputs use the state
     measured there and the input held up to there, so there is no lag of a tick. Between
@@ -138,16 +125,15 @@ class DisturbanceObserver(LeafSystem):
         self._posterior = self._declare_posterior()
         estimated = {self._posterior.ticket()}
         clocked = {self.time_ticket(), self.xd_ticket()}
-        calculations = (
-            (self._calc_estimate, estimated),
-            (self._calc_estimate_rate, estimated),
-            (self._calc_error_bound, clocked),
-            (self._calc_error_bound_rate, clocked),
+        self.DeclareVectorOutputPort(
+            "estimate",
+            DisturbanceEstimate.packed_size(q),
+            self._calc_estimate,
+            estimated | clocked,
         )
-        for (name, size), (calc, needs) in zip(
-            observer_ports(q), calculations, strict=True
-        ):
-            self.DeclareVectorOutputPort(name, size, calc, needs)
+        self.DeclareVectorOutputPort(
+            "disturbance_estimate", q, self._calc_disturbance_estimate, estimated
+        )
 
     @property
     def period(self) -> float:
@@ -242,16 +228,17 @@ class DisturbanceObserver(LeafSystem):
         return cast(Array, self._posterior.Eval(context))
 
     def _calc_estimate(self, context: Context, output: BasicVector) -> None:
+        memory, age = self._memory(context), self._age(context)
+        estimate = DisturbanceEstimate(
+            self._estimate(memory),
+            self._estimate_rate(memory),
+            np.array(self._error_bound.value(age)),
+            np.array(self._error_bound.derivative(age)),
+        )
+        output.SetFromVector(estimate.pack())
+
+    def _calc_disturbance_estimate(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._estimate(self._memory(context)))
-
-    def _calc_estimate_rate(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._estimate_rate(self._memory(context)))
-
-    def _calc_error_bound(self, context: Context, output: BasicVector) -> None:
-        output[0] = self._error_bound.value(self._age(context))
-
-    def _calc_error_bound_rate(self, context: Context, output: BasicVector) -> None:
-        output[0] = self._error_bound.derivative(self._age(context))
 
     def _age(self, context: Context) -> float:
         """Returns the time since the first measurement, 0 before it [s]."""

@@ -37,10 +37,8 @@ class RiseObserver(DisturbanceObserver):
         - state
         - input
         output_ports:
+        - estimate
         - disturbance_estimate
-        - estimate_rate
-        - error_bound
-        - error_bound_rate
 
     In continuous time, on the disturbed channels,
 

@@ -21,6 +21,7 @@ from pydrake.systems.framework import (
 )
 
 from vcbf_drake.checks import Array
+from vcbf_drake.disturbances import DisturbanceEstimate
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.decoding import (
     CommandMode,
@@ -229,8 +230,7 @@ class CommandSender(LeafSystem):
         - barriers
         - status
         - feasible_set
-        - disturbance_estimate
-        - error_bound
+        - estimate
         - stamp
 
     `input` is the held input; everything else is sampled at the ticks. It sends
@@ -282,8 +282,7 @@ class CommandSender(LeafSystem):
             "barriers": n_barriers,
             "status": 1,
             "feasible_set": safety_filter.GetOutputPort("feasible_set").size(),
-            "disturbance_estimate": num_disturbances,
-            "error_bound": 1,
+            "estimate": DisturbanceEstimate.packed_size(num_disturbances),
             "stamp": len(StateStamp._fields),
         }
         self._sampled = [
@@ -307,7 +306,8 @@ class CommandSender(LeafSystem):
         if self._obstacles.difference:
             return Verdict(CommandMode.FALLBACK, self._obstacles.difference)
         verdict = self._watchdog.verdict()
-        if verdict.mode is CommandMode.APPLY and self._filter.infeasible == "stop":
+        stops = self._filter.settings.infeasible == "stop"
+        if verdict.mode is CommandMode.APPLY and stops:
             conflicts = self.conflicts(context)
             if conflicts:
                 reason = f"no input satisfies {', '.join(conflicts)}"
@@ -362,9 +362,10 @@ class CommandSender(LeafSystem):
         message.volume = float(sample["volume"][0])
         message.barriers = sample["barriers"].tolist()
         message.num_barriers = len(message.barriers)
-        message.disturbance_estimate = sample["disturbance_estimate"].tolist()
+        estimate = DisturbanceEstimate.unpack(sample["estimate"])
+        message.disturbance_estimate = estimate.disturbance.tolist()
         message.num_disturbances = len(message.disturbance_estimate)
-        message.error_bound = float(sample["error_bound"][0])
+        message.error_bound = float(estimate.error_bound)
         message.states_accepted = self._states.accepted
         message.states_lost = self._states.lost
         message.states_late = self._states.late
@@ -423,20 +424,25 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
     )
     measured = receiver.GetOutputPort("state")
     predictor = _add_predictor(builder, scenario, model) if settings.predict else None
-    controller, loop = add_controller_and_filter(
-        builder,
-        scenario,
-        model,
-        bounds,
-        state=predictor.get_output_port() if predictor else measured,
-        observed_state=measured,
-        observer=make_observer(
+    observer = builder.AddNamedSystem(
+        "filter_observer",
+        make_observer(
             scenario,
             model,
             bounds,
             period=scenario.period,
             longest_interval=settings.longest_interval,
         ),
+    )
+    # What was measured, where the filter acts on a prediction of it.
+    builder.Connect(measured, observer.GetInputPort("state"))
+    controller, loop = add_controller_and_filter(
+        builder,
+        scenario,
+        model,
+        bounds,
+        state=predictor.get_output_port() if predictor else measured,
+        observer=observer,
         applied_input=receiver.GetOutputPort("applied_input"),
     )
     if predictor is not None:
@@ -461,8 +467,9 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
     )
     for name in ("slack", "volume", "barriers", "status", "feasible_set"):
         builder.Connect(loop.filter.GetOutputPort(name), sender.GetInputPort(name))
-    for name in ("disturbance_estimate", "error_bound"):
-        builder.Connect(loop.observer.GetOutputPort(name), sender.GetInputPort(name))
+    builder.Connect(
+        loop.observer.GetOutputPort("estimate"), sender.GetInputPort("estimate")
+    )
     builder.Connect(receiver.GetOutputPort("stamp"), sender.GetInputPort("stamp"))
     diagram = builder.Build()
     diagram.set_name(f"{scenario.name}_controller")

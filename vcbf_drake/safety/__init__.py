@@ -1,15 +1,10 @@
 """The mathematics of one control tick, and the Drake system that runs it."""
 
 from vcbf_drake.between_ticks.held_rows import HeldRows, Tick, least_height
-from vcbf_drake.safety.add_safety_filter import (
-    BETWEEN_TICKS,
-    AddedSafetyFilter,
-    AddSafetyFilter,
-    BetweenTicks,
-)
+from vcbf_drake.safety.add_safety_filter import AddedSafetyFilter, AddSafetyFilter
 from vcbf_drake.safety.assumptions import Assumption, assumptions
 from vcbf_drake.safety.chebyshev import chebyshev_ball
-from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
+from vcbf_drake.safety.corrections import FIDELITIES, Corrections
 from vcbf_drake.safety.ellipsoid import Ellipsoid, inscribed_ellipsoid
 from vcbf_drake.safety.emptiness import Emptiness, emptiness_certificate
 from vcbf_drake.safety.feasibility_measure import MEASURES, FeasibilityMeasure
@@ -31,6 +26,7 @@ from vcbf_drake.safety.packed_feasible_set import (
     unpack_feasible_set,
 )
 from vcbf_drake.safety.safety_filter import SafetyFilter
+from vcbf_drake.safety.settings import BETWEEN_TICKS, FilterSettings, ObserverSettings
 from vcbf_drake.safety.volume_barrier import Volume, VolumeBarrier
 
 __all__ = [
@@ -42,20 +38,20 @@ __all__ = [
     "AddSafetyFilter",
     "AddedSafetyFilter",
     "Assumption",
-    "BetweenTicks",
     "Corrections",
     "DisturbanceKnowledge",
     "Ellipsoid",
     "Emptiness",
     "FeasibilityMeasure",
     "FeasibleSet",
-    "Fidelity",
     "FilterDecision",
+    "FilterSettings",
     "FilterStatus",
     "HeldRows",
     "InfeasiblePolicy",
     "InputSet",
     "Method",
+    "ObserverSettings",
     "PackedFeasibleSet",
     "SafetyFilter",
     "Tick",

@@ -122,7 +122,7 @@ def _known_start(noise: float) -> Assumption:
 
 def _equations_as_proven(safety_filter: SafetyFilter) -> Iterator[Assumption]:
     """What the published equations leave out and a proof needs."""
-    method, applied = safety_filter.method, safety_filter.corrections
+    method, applied = safety_filter.method, safety_filter.settings.corrections
     if method.disturbance != "estimated":
         return
     if not applied.error_floor:
@@ -198,7 +198,7 @@ def _volume_at_start(safety_filter: SafetyFilter, context: Context) -> Assumptio
         "volume at the start",
         "V_v(0) > 0 (Theorem 2)",
         holds if safety_filter.method.volume else None,
-        {"V_v(0)": value, "threshold": safety_filter.volume_barrier.threshold},
+        {"V_v(0)": value, "threshold": safety_filter.settings.volume.threshold},
         "the feasible set starts smaller than the volume barrier wants it",
     )
 
@@ -223,7 +223,7 @@ def _rate_orders(
             "lambda_V >= lambda_Vv",
             "asked for by Theorem 2 as printed; its proof does not need it (R36)",
             None,
-            {"lambda_V": decay, "lambda_Vv": safety_filter.volume_barrier.gain},
+            {"lambda_V": decay, "lambda_Vv": safety_filter.settings.volume.gain},
             "nothing",
         )
 

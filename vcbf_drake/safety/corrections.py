@@ -4,9 +4,6 @@
 # evaluated types, so there is no `from __future__ import annotations`.
 
 from dataclasses import dataclass
-from typing import Literal
-
-Fidelity = Literal["corrected", "paper"]
 
 
 @dataclass
@@ -27,7 +24,7 @@ class Corrections:
     error_floor: bool = False
 
 
-FIDELITIES: dict[Fidelity, Corrections] = {
+FIDELITIES: dict[str, Corrections] = {
     "corrected": Corrections(True, True, True),
     "paper": Corrections(),
 }

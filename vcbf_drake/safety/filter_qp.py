@@ -86,7 +86,7 @@ class FilterDecision:
         slack: delta of (E24): how far the volume row gave way, 0 when it did not; of
             several rows, the one that gave way most.
         conflict: When infeasible, rows of the feasible set that exclude each other.
-        least_chi: What every barrier row's chi is at least until the next tick (E77);
+        row_margin: What every barrier row's chi is at least until the next tick (E77);
             nan where no such input was sought.
     """
 
@@ -94,7 +94,7 @@ class FilterDecision:
     status: FilterStatus
     slack: float = 0.0
     conflict: tuple[int, ...] = ()
-    least_chi: float = math.nan
+    row_margin: float = math.nan
 
 
 def choose_input(

@@ -35,14 +35,3 @@ METHODS: dict[str, Method] = {
     "dob-cbf-qp": Method("estimated", False, "rise", "the paper (E19)"),
     "dob-vcbf-qp": Method("estimated", True, "rise", "the paper (E24)"),
 }
-
-
-def method_named(name: str) -> Method:
-    """Returns the method of this name.
-
-    Raises:
-        ValueError: The name is not one of `METHODS`.
-    """
-    if name not in METHODS:
-        raise ValueError(f"method: got {name!r}; allowed: {', '.join(METHODS)}")
-    return METHODS[name]

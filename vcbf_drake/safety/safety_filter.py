@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from copy import deepcopy
+from typing import Any, cast
 
 import numpy as np
 from pydrake.common.value import Value
@@ -21,10 +22,9 @@ from pydrake.systems.framework import (
 from vcbf_drake.barriers import Barrier, BarrierSet, StateInputLimit
 from vcbf_drake.between_ticks.held_rows import HeldRows, Tick
 from vcbf_drake.checks import Array
-from vcbf_drake.disturbances import observer_ports
+from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
 from vcbf_drake.errors import EmptySetError, SolverError, VcbfError
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
 from vcbf_drake.safety.ellipsoid import Ellipsoid
 from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver
 from vcbf_drake.safety.feasibility_measure import FeasibilityMeasure
@@ -34,7 +34,6 @@ from vcbf_drake.safety.feasible_set import (
     feasible_set,
 )
 from vcbf_drake.safety.filter_qp import (
-    INFEASIBLE_POLICIES,
     FilterDecision,
     FilterStatus,
     InfeasiblePolicy,
@@ -42,15 +41,11 @@ from vcbf_drake.safety.filter_qp import (
     choose_input,
 )
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.methods import method_named
+from vcbf_drake.safety.methods import METHODS
 from vcbf_drake.safety.nearest_point import nearest_point
 from vcbf_drake.safety.packed_feasible_set import pack_feasible_set
-from vcbf_drake.safety.volume_barrier import (
-    Volume,
-    VolumeBarrier,
-    volume,
-    volume_row,
-)
+from vcbf_drake.safety.settings import FilterSettings
+from vcbf_drake.safety.volume_barrier import Volume, volume, volume_row
 
 
 class SafetyFilter(LeafSystem):
@@ -62,19 +57,16 @@ class SafetyFilter(LeafSystem):
         input_ports:
         - state
         - reference
-        - disturbance_estimate (optional)
-        - estimate_rate (optional)
-        - error_bound (optional)
-        - error_bound_rate (optional)
+        - estimate (optional)
         - held_input (optional)
         - obstacles (optional)
         output_ports:
-        - input
+        - command
         - volume
         - slack
         - barriers
         - authority
-        - least_chi
+        - row_margin
         - status
         - feasible_set
 
@@ -85,29 +77,26 @@ class SafetyFilter(LeafSystem):
 
     The norm is that of the normalised inputs (u - center) / scale of the input set.
     The system is pure: its outputs are functions of its input ports and the time
-    alone, computed once and cached. Put a ZeroOrderHold behind `input`;
+    alone, computed once and cached. Put a ZeroOrderHold behind ``command``;
     `AddSafetyFilter` does.
 
     | port | size | what |
     | --- | --- | --- |
     | ``state`` | n | the measured state |
     | ``reference`` | m | what the controller would apply |
-    | ``disturbance_estimate`` | q | the observer's estimate [m/s^2] |
-    | ``estimate_rate`` | q | the known part of its derivative [m/s^3] |
-    | ``error_bound`` | 1 | a bound on the estimate's error [m/s^2] |
-    | ``error_bound_rate`` | 1 | its derivative [m/s^3] |
+    | ``estimate`` | 2q + 2 | the observer's `DisturbanceEstimate` |
     | ``held_input`` | m | the input applied now; read by the fallbacks only |
     | ``obstacles`` | | what is perceived now: see `PerceivedSpheres` |
-    | ``input`` | m | finite and inside the input set, always |
+    | ``command`` | m | the chosen input: finite and inside the input set, always |
     | ``volume`` | 1 | V_v, what the volume row keeps positive; nan on failure |
     | ``slack`` | 1 | delta of (E24), at most 0; 0 unless the volume row gave way |
     | ``barriers`` | N | h_i; nan for a state-dependent input limit or an empty slot |
     | ``authority`` | N | how far the inputs move each row; 0 when not at all (R33) |
-    | ``least_chi`` | 1 | the rows' least until the next tick (E77); nan unless asked |
+    | ``row_margin`` | 1 | the rows' least until the next tick (E77); nan unless asked |
     | ``status`` | 1 | a `FilterStatus` |
     | ``feasible_set`` | | A, b, ellipsoid: see `unpack_feasible_set` |
 
-    Methods without an observer declare no estimate ports; without perceived barriers
+    Methods without an observer declare no port ``estimate``; without perceived barriers
     there is no port ``obstacles``.
     """
 
@@ -116,17 +105,11 @@ class SafetyFilter(LeafSystem):
         model: ControlAffineModel,
         barriers: Sequence[Barrier | StateInputLimit],
         input_set: InputSet,
+        settings: FilterSettings | None = None,
         *,
-        method: str = "dob-vcbf-qp",
-        fidelity: Fidelity = "corrected",
-        corrections: Corrections | None = None,
-        infeasible: InfeasiblePolicy = "stop",
-        volume_barrier: VolumeBarrier | None = None,
-        disturbance_bound: float = 0.0,
+        bounds: DisturbanceBounds | None = None,
         estimate_gain: float = 0.0,
-        hold_margin: float = 0.0,
-        certified_hold: float = 0.0,
-        violation_weights: Sequence[float] | None = None,
+        longest_hold: float = 0.0,
     ) -> None:
         """Declares ports and cache entries.
 
@@ -134,21 +117,13 @@ class SafetyFilter(LeafSystem):
             model: The plant's f, g, E.
             barriers: What must stay true, one row each.
             input_set: What the actuators can do.
-            method: One of `vcbf_drake.safety.METHODS`.
-            fidelity: ``corrected``, or ``paper`` for the equations as printed.
-            corrections: The errata to apply, in place of those of the fidelity.
-            infeasible: What to apply when no input satisfies the barrier rows.
-            volume_barrier: What the volume row keeps positive, and its gain.
-            disturbance_bound: delta1, for the methods that take the worst case
-                [m/s^2].
+            settings: The method and its choices; `FilterSettings()` by default.
+            bounds: delta1 and delta2 of the disturbance; none by default. delta2 times
+                the hold is how far the disturbance can move while one input is held;
+                it is added to the error bound (E39).
             estimate_gain: The observer's `estimate_gain` [1/s].
-            hold_margin: How far the disturbance can move while one input is held,
-                delta2 times the control period; added to the error bound (E39)
-                [m/s^2].
-            certified_hold: For how long a chosen input has to keep the rows while it is
-                held (E77) [s]; 0 asks for that at the tick alone.
-            violation_weights: How much a violation of each barrier counts when not all
-                can hold, (N,), positive; ones by default.
+            longest_hold: How long an input may be held, where that can be longer than
+                the control period [s].
 
         Raises:
             ValueError: An argument is outside what is allowed.
@@ -156,16 +131,10 @@ class SafetyFilter(LeafSystem):
                 and the model or a barrier has no enclosure on intervals.
         """
         super().__init__()
-        self.method = method_named(method)
-        if fidelity not in FIDELITIES:
-            raise ValueError(
-                f"fidelity: got {fidelity!r}; allowed: {', '.join(FIDELITIES)}"
-            )
-        if infeasible not in INFEASIBLE_POLICIES:
-            raise ValueError(
-                f"infeasible: got {infeasible!r};"
-                f" allowed: {', '.join(INFEASIBLE_POLICIES)}"
-            )
+        # A copy: settings changed later change no filter.
+        self.settings = deepcopy(settings or FilterSettings())
+        self.method = METHODS[self.settings.method]
+        self.bounds = bounds or DisturbanceBounds(0.0, 0.0, 0.0)
         if input_set.num_inputs != model.num_inputs:
             raise ValueError(
                 f"input_set: has {input_set.num_inputs} inputs;"
@@ -176,21 +145,23 @@ class SafetyFilter(LeafSystem):
         self.barriers = tuple(barriers)
         self.barrier_set = BarrierSet(model, barriers)
         self.input_set = input_set
-        self.volume_barrier = volume_barrier or VolumeBarrier()
-        self.corrections = corrections or FIDELITIES[fidelity]
-        self.infeasible: InfeasiblePolicy = infeasible
-        self._worst_case = disturbance_bound
         self._estimate_gain = estimate_gain
-        self.hold_margin = hold_margin
-        self.certified_hold = certified_hold
+        hold = max(self.settings.period, longest_hold)
+        covers_hold = self.settings.corrections.error_floor
+        self.hold_margin = self.bounds.delta2 * hold if covers_hold else 0.0
+        self.certified_hold = (
+            hold if self.settings.between_ticks == "certified" else 0.0
+        )
         self._held_rows: HeldRows | None = None
-        if certified_hold:
+        if self.certified_hold:
             self._held_rows = HeldRows(
-                model, self.barrier_set, certified_hold, disturbance_bound
+                model, self.barrier_set, self.certified_hold, self.bounds.delta1
             )
-        self._weights = _checked_weights(violation_weights, len(self.barriers))
-        self._measure = self.volume_barrier.feasibility_measure(input_set)
-        self._guard = self.volume_barrier.guard_measure(input_set)
+        self._weights = _checked_weights(
+            self.settings.violation_weights, len(self.barriers)
+        )
+        self._measure = self.settings.volume.feasibility_measure(input_set)
+        self._guard = self.settings.volume.guard_measure(input_set)
         self._ellipsoid_solver = InscribedEllipsoidSolver(input_set)
         self._plateau = {
             measure: self._volume_of_input_set(measure)
@@ -210,20 +181,18 @@ class SafetyFilter(LeafSystem):
             self._obstacles = self.DeclareVectorInputPort(
                 "obstacles", self.barrier_set.obstacles_size
             )
-        self._observer_ports: tuple[InputPort, ...] = ()
+        self._estimate: InputPort | None = None
         if self.method.disturbance == "estimated":
-            self._observer_ports = tuple(
-                self.DeclareVectorInputPort(name, size)
-                for name, size in observer_ports(q)
+            self._estimate = self.DeclareVectorInputPort(
+                "estimate", DisturbanceEstimate.packed_size(q)
             )
 
     def _declare_cache_entries(self) -> None:
-        known = {port.ticket() for port in self._observer_ports}
-        at_state = {self._state.ticket(), self.time_ticket()}
-        if self._obstacles is not None:
-            at_state.add(self._obstacles.ticket())
+        optional = [port for port in (self._estimate, self._obstacles) if port]
         self._feasible_entry = self._entry(
-            "feasible set", self._calc_feasible_set, at_state | known
+            "feasible set",
+            self._calc_feasible_set,
+            {self.time_ticket(), *(p.ticket() for p in (self._state, *optional))},
         )
         self._volume_entry = self._entry(
             "volume", self._calc_volume, {self._feasible_entry.ticket()}
@@ -259,10 +228,10 @@ class SafetyFilter(LeafSystem):
         m, n_rows = self.model.num_inputs, self.num_rows
         N, scale = self.barrier_set.size, self.input_set.scale
         decision, feasible = self._decision_entry, self._feasible_entry
-        self._output("input", m, decision, lambda decided: decided.input)
+        self._output("command", m, decision, lambda decided: decided.input)
         self._output("slack", 1, decision, lambda decided: [decided.slack])
         self._output("status", 1, decision, lambda decided: [decided.status])
-        self._output("least_chi", 1, decision, lambda decided: [decided.least_chi])
+        self._output("row_margin", 1, decision, lambda decided: [decided.row_margin])
         self._output("volume", 1, self._volume_entry, _volume_value)
         self._output("barriers", N, feasible, lambda found: found.rows.value)
         self._output(
@@ -290,17 +259,16 @@ class SafetyFilter(LeafSystem):
 
     def knowledge(self, context: Context) -> DisturbanceKnowledge:
         """Returns what this method takes as known of the disturbance."""
-        if self.method.disturbance != "estimated":
-            bound = self._worst_case if self.method.disturbance == "worst_case" else 0.0
+        if self._estimate is None:
+            is_worst = self.method.disturbance == "worst_case"
+            bound = self.bounds.delta1 if is_worst else 0.0
             return DisturbanceKnowledge.constant(self.model.num_disturbances, bound)
-        estimate, rate, bound, bound_rate = (
-            port.Eval(context) for port in self._observer_ports
-        )
+        known = DisturbanceEstimate.unpack(self._estimate.Eval(context))
         return DisturbanceKnowledge(
-            estimate,
-            rate,
-            float(bound[0]) + self.hold_margin,
-            float(bound_rate[0]),
+            known.disturbance,
+            known.rate,
+            float(known.error_bound) + self.hold_margin,
+            float(known.error_bound_rate),
             self._estimate_gain,
         )
 
@@ -414,8 +382,8 @@ class SafetyFilter(LeafSystem):
                 reference,
                 held,
                 self.input_set,
-                self.corrections.exact_slack,
-                self.infeasible,
+                self.settings.corrections.exact_slack,
+                cast(InfeasiblePolicy, self.settings.infeasible),
             )
 
         decision = choose()
@@ -430,7 +398,7 @@ class SafetyFilter(LeafSystem):
 
     def _volume_rows(self, context: Context) -> tuple[list[VolumeRow], bool]:
         """The rows that act, the guard's first, and whether one could not be found."""
-        barrier, measured = self.volume_barrier, []
+        barrier, measured = self.settings.volume, []
         if self.method.volume and self._guard is not None:
             measured.append((_found(self._guard_entry, context), barrier.guard_gain))
         if self.method.volume:
@@ -455,9 +423,9 @@ class SafetyFilter(LeafSystem):
             self.model.disturbance_matrix,
             self.feasible_set(context).known,
             gain,
-            self.corrections.total_derivative,
+            self.settings.corrections.total_derivative,
         )
-        return VolumeRow(a, c, self.volume_barrier.slack_penalty)
+        return VolumeRow(a, c, self.settings.volume.slack_penalty)
 
     def _calc_packed_feasible_set(self, context: Context, output: BasicVector) -> None:
         feasible = self.feasible_set(context)
@@ -491,11 +459,9 @@ def _check_effort_limits(model: ControlAffineModel, input_set: InputSet) -> None
             )
 
 
-def _checked_weights(weights: Sequence[float] | None, size: int) -> Array:
-    checked = np.ones(size) if weights is None else np.array(weights, dtype=float)
-    if checked.shape != (size,) or not np.all(np.isfinite(checked) & (checked > 0.0)):
+def _checked_weights(weights: Sequence[float], size: int) -> Array:
+    if len(weights) not in (0, size):
         raise ValueError(
-            f"violation_weights: got {checked.tolist()};"
-            f" must be {size} positive, finite numbers, one a barrier"
+            f"violation_weights: {len(weights)} numbers; there are {size} barriers"
         )
-    return checked
+    return np.array(weights, dtype=float) if len(weights) else np.ones(size)

@@ -6,7 +6,7 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, InputPort, LeafSystem
 
 from vcbf_drake.barriers import BarrierSet
-from vcbf_drake.disturbances import DisturbanceBounds
+from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
 from vcbf_drake.safety import SafetyFilter
 from vcbf_drake.simulation.audit import PROMISES, audit_margins
 
@@ -20,8 +20,7 @@ class Audit(LeafSystem):
         input_ports:
         - state
         - disturbance
-        - disturbance_estimate (optional)
-        - error_bound (optional)
+        - estimate (optional)
         - input
         - volume
         - slack
@@ -37,8 +36,9 @@ class Audit(LeafSystem):
     | ``margins`` | | of each of `PROMISES`: see `audit_margins` |
 
     The other ports are the filter's and the observer's; a method without an observer
-    has none of its ports. The system is pure, and costs nothing where nobody asks for
-    its output: `simulate` finds the same margins for all ticks at once, from the log.
+    has no port ``estimate``. The system is pure, and costs nothing where nobody asks
+    for its output: `simulate` finds the same margins for all ticks at once, from the
+    log.
     """
 
     def __init__(
@@ -68,23 +68,20 @@ class Audit(LeafSystem):
             "status": 1,
         }
         if safety_filter.method.disturbance == "estimated":
-            sizes |= {"disturbance_estimate": model.num_disturbances, "error_bound": 1}
+            sizes["estimate"] = DisturbanceEstimate.packed_size(model.num_disturbances)
         self._ports: dict[str, InputPort] = {
             name: self.DeclareVectorInputPort(name, size)
             for name, size in sizes.items()
         }
         self.DeclareVectorOutputPort("margins", len(PROMISES), self._calc_margins)
 
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The names of the input ports."""
-        return tuple(self._ports)
-
     def _calc_margins(self, context: Context, output: BasicVector) -> None:
         tick = {name: port.Eval(context)[None] for name, port in self._ports.items()}
-        for name in ("volume", "slack", "least_chi", "status", "error_bound"):
-            if name in tick:
-                tick[name] = tick[name][:, 0]
+        for name in ("volume", "slack", "least_chi", "status"):
+            tick[name] = tick[name][:, 0]
+        if "estimate" in tick:
+            estimate = DisturbanceEstimate.unpack(tick.pop("estimate"))
+            tick |= estimate.log_arrays()
         tick["time"] = np.array([context.get_time()])
         margins = audit_margins(tick, self._safety_filter, self._barriers, self._bounds)
         output.SetFromVector(margins[0])

@@ -59,7 +59,11 @@ def ask(check: Callable[[], Any], owner: object, path: KeyPath) -> Any:
         return check()
     except (ValueError, VcbfError) as error:
         # Such messages begin with the field: "Sinusoid.phase is nan; it must be ..."
-        match = re.match(r"(?:\w+\.)?(\w+)(?::| is)? (.*)", str(error), re.DOTALL)
-        if match and match[1] in {each.name for each in fields(owner)}:  # type: ignore[arg-type]
-            raise InvalidFieldError((*path, match[1]), match[2]) from None
+        match = re.match(r"([\w.\[\]]+)(?::| is)? (.*)", str(error), re.DOTALL)
+        keys = re.findall(r"\w+", match[1]) if match else []
+        names = {each.name for each in fields(owner)}  # type: ignore[arg-type]
+        keys = keys if keys[:1] and keys[0] in names else keys[1:]
+        if match and keys and keys[0] in names:
+            below = (int(key) if key.isdigit() else key for key in keys)
+            raise InvalidFieldError((*path, *below), match[2]) from None
         raise InvalidFieldError(path, str(error)) from None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 from pydrake.systems.framework import (
@@ -22,14 +22,11 @@ from vcbf_drake.disturbances import (
     DisturbanceBounds,
     DisturbanceObserver,
     DisturbanceSource,
-    observer_ports,
 )
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import (
     AddedSafetyFilter,
     AddSafetyFilter,
-    BetweenTicks,
-    InfeasiblePolicy,
     SafetyFilter,
 )
 from vcbf_drake.simulation.audit_system import Audit
@@ -91,7 +88,6 @@ def make_loop(scenario: Scenario) -> Diagram:
             source.bounds,
             period=scenario.observer.period or scenario.period,
         ),
-        plant=plant,
         plant_input=simulated.input,
         obstacles=obstacles_in_sight(builder, scenario, plant),
     )
@@ -147,8 +143,6 @@ def add_controller_and_filter(
     *,
     state: OutputPort,
     observer: DisturbanceObserver,
-    plant: LeafSystem | None = None,
-    observed_state: OutputPort | None = None,
     plant_input: InputPort | None = None,
     applied_input: OutputPort | None = None,
     obstacles: OutputPort | None = None,
@@ -161,10 +155,8 @@ def add_controller_and_filter(
         model: The plant's.
         bounds: Of the disturbance.
         state: The measured state.
-        observer: Estimates the disturbance.
-        observed_state: What the observer is told; `state` by default.
-        plant: Gets the held input; None leaves that to be connected.
-        plant_input: What takes it in the plant's place, where actuators do.
+        observer: Estimates the disturbance; see `AddSafetyFilter`.
+        plant_input: Takes the held input; None leaves that to be connected.
         applied_input: What the plant really applied; the held input by default.
         obstacles: What is seen of the obstacles; they are known without.
     """
@@ -172,21 +164,14 @@ def add_controller_and_filter(
     builder.Connect(state, controller.GetInputPort("state"))
     loop = AddSafetyFilter(
         builder,
-        plant=plant,
+        plant=plant_input,
         reference=controller.GetOutputPort("reference"),
         barriers=barriers(scenario) if obstacles is None else seen_barriers(scenario),
         input_set=scenario.input_set.input_set(),
-        period=scenario.period,
         bounds=bounds,
-        method=scenario.method,
-        corrections=scenario.applied_corrections,
-        infeasible=cast(InfeasiblePolicy, scenario.infeasible),
-        volume_barrier=scenario.volume,
-        between_ticks=cast(BetweenTicks, scenario.between_ticks),
+        settings=scenario,
         observer=observer,
         state=state,
-        observed_state=observed_state,
-        input_port=plant_input,
         applied_input=applied_input,
         obstacles=obstacles,
         model=model,
@@ -252,18 +237,14 @@ def logged_ports(
     controller: LeafSystem, safety_filter: SafetyFilter, observer: DisturbanceObserver
 ) -> dict[str, OutputPort]:
     """Returns the ports that a log of a run has, beside those of the plant, by name."""
-    names = ["input", "slack", "volume", "barriers", "status"]
+    names = ["slack", "volume", "barriers", "status", "feasible_set"]
+    ports = {name: safety_filter.GetOutputPort(name) for name in names}
+    ports["input"] = safety_filter.GetOutputPort("command")
     if safety_filter.certified_hold:
-        names.append("least_chi")
-    observed = [
-        name for name, _ in observer_ports(safety_filter.model.num_disturbances)
-    ]
-    return {
-        "reference": controller.GetOutputPort("reference"),
-        **{name: observer.GetOutputPort(name) for name in observed},
-        **{name: safety_filter.GetOutputPort(name) for name in names},
-        "feasible_set": safety_filter.GetOutputPort("feasible_set"),
-    }
+        ports["least_chi"] = safety_filter.GetOutputPort("row_margin")
+    ports["reference"] = controller.GetOutputPort("reference")
+    ports["estimate"] = observer.GetOutputPort("estimate")
+    return ports
 
 
 def _add_audit(
@@ -275,16 +256,16 @@ def _add_audit(
     audit = builder.AddNamedSystem(
         AUDIT, Audit(loop.filter, barrier_set, simulated.source.bounds)
     )
-    truth = {
+    for name, port in {
         "state": simulated.plant.GetOutputPort("state"),
         "disturbance": simulated.disturbance,
-    }
-    for name in audit.inputs:
-        port = truth.get(name)
-        if port is None:
-            owner = loop.filter if loop.filter.HasOutputPort(name) else loop.observer
-            port = owner.GetOutputPort(name)
-        builder.Connect(port, audit.GetInputPort(name))
+        "estimate": loop.observer.GetOutputPort("estimate"),
+        "input": loop.filter.GetOutputPort("command"),
+        "least_chi": loop.filter.GetOutputPort("row_margin"),
+        **{n: loop.filter.GetOutputPort(n) for n in ("volume", "slack", "status")},
+    }.items():
+        if audit.HasInputPort(name):
+            builder.Connect(port, audit.GetInputPort(name))
 
 
 def _add_logs(

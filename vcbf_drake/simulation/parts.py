@@ -160,7 +160,7 @@ def make_observer(
             step=settings.step,
             boundary_layer=settings.boundary_layer,
             noise=noise,
-            floor=scenario.applied_corrections.error_floor,
+            floor=scenario.corrections.error_floor,
             longest_interval=longest_interval,
             uncertified=settings.uncertified,
         )

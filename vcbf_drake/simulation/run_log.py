@@ -11,16 +11,14 @@ import numpy as np
 from pydrake.systems.framework import Context, Diagram, System
 
 from vcbf_drake.checks import Array
+from vcbf_drake.disturbances import DisturbanceEstimate
 from vcbf_drake.safety import SafetyFilter, unpack_feasible_set
 from vcbf_drake.simulation.audit import audit_margins
 from vcbf_drake.simulation.log_files import LogFiles
 from vcbf_drake.simulation.loop import COLLISION_MONITOR, LOG_PREFIX
 
 _PATH = "path"
-_SCALARS = (
-    *("error_bound", "error_bound_rate"),
-    *("slack", "volume", "status", "least_chi"),
-)
+_SCALARS = ("slack", "volume", "status", "least_chi")
 
 
 class _Store(Protocol):
@@ -115,6 +113,7 @@ def finish_log(
         safety_filter: The filter that ran.
     """
     log = {name: v[:, 0] if name in _SCALARS else v for name, v in log.items()}
+    log |= DisturbanceEstimate.unpack(log.pop("estimate")).log_arrays()
     packed = unpack_feasible_set(
         log.pop("feasible_set"), safety_filter.num_rows, safety_filter.model.num_inputs
     )

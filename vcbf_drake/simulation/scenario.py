@@ -7,7 +7,7 @@ fields themselves.
 # No `from __future__ import annotations`: pydrake.common.yaml needs evaluated types.
 
 from dataclasses import dataclass, field, fields
-from typing import cast, get_type_hints
+from typing import get_type_hints
 
 import numpy as np
 
@@ -22,8 +22,8 @@ from vcbf_drake.plants.blimp import BlimpParameters
 from vcbf_drake.plants.blimp_controller import BlimpControllerParameters
 from vcbf_drake.plants.car import CarParameters
 from vcbf_drake.plants.car_controller import CarControllerParameters
-from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
 from vcbf_drake.safety.input_set import InputSet
+from vcbf_drake.safety.settings import FilterSettings
 from vcbf_drake.safety.volume_barrier import VolumeBarrier
 from vcbf_drake.simulation.faults import Faults
 
@@ -71,27 +71,6 @@ class TurnLimit:
     curvature: float = 2.0
     # Speed below which the limit stops shrinking [m/s]; makes it smooth at rest.
     smoothing_speed: float = 0.1
-
-
-@dataclass
-class Observer:
-    """The disturbance observers: the RISE observer (E9), and the linear one (B4)."""
-
-    # Gains of the RISE observer, (E9), (E13).
-    alpha: float = 5.0
-    # None for one that the disturbance's bounds need (E49): 6, or more.
-    beta: float | None = None
-    gamma: float = 4.0
-    # Whether gains that fail (E49) are allowed: with the error bound 2 delta1 (E94).
-    uncertified: bool = False
-    # How one sampled step is taken: implicit (E40), saturated (E38), explicit (E36).
-    step: str = "implicit"
-    # Time between its steps, at most the control period [s]; 0 means that one.
-    period: float = 0.0
-    # Where the saturated step's sign function becomes linear [m/s].
-    boundary_layer: float = 0.05
-    # Rate of the first-order observer of method wang-xu-dob-cbf-qp [1/s].
-    linear_rate: float = 4.0
 
 
 @dataclass
@@ -159,8 +138,11 @@ class Hardware:
 
 
 @dataclass
-class Scenario:
-    """One run: plant, controller, filter, disturbance, obstacles, start and target."""
+class Scenario(FilterSettings):
+    """One run: plant, controller, disturbance, obstacles, start, target, and a filter.
+
+    The filter's settings are those of `FilterSettings`.
+    """
 
     # What results are called; in a file, its top-level key.
     name: str = ""
@@ -182,34 +164,16 @@ class Scenario:
     disturbance: list[
         Constant | Sinusoid | SmoothStep | BandLimitedNoise | Recorded
     ] = field(default_factory=list)
-    # The disturbance observer.
-    observer: Observer = field(default_factory=Observer)
     # What to keep out of.
     obstacles: list[Obstacle] = field(default_factory=list)
     # How: the barrier of each obstacle.
     barrier: BarrierGains = field(default_factory=BarrierGains)
-    # The volume barrier, for the methods that have one.
-    volume: VolumeBarrier = field(default_factory=VolumeBarrier)
-    # The safety filter, one of METHODS.
-    method: str = "dob-vcbf-qp"
-    # "corrected", or "paper" for the equations as published.
-    fidelity: str = "corrected"
-    # Just these errata applied, in place of all ("corrected") or none ("paper").
-    corrections: Corrections | None = None
-    # What to do when no input is safe: "stop" the run, apply the input of
-    # "least_violation", or "hold" the last one.
-    infeasible: str = "stop"
-    # Between ticks: "none" asks the rows to hold at the ticks alone, "certified" asks
-    # for inputs under which they hold until the next tick (E77), where there are such.
-    between_ticks: str = "none"
     # State at time zero, in the plant's units, (n,).
     initial_state: list[float] = field(default_factory=lambda: [0.0] * 8)
     # Position to reach [m].
     target: list[float] = field(default_factory=lambda: [1.0, 0.0, 1.0])
     # Length of the run [s].
     duration: float = 20.0
-    # Control period [s].
-    period: float = 0.02
     # Distance from the target that counts as arrival [m].
     arrival_tolerance: float = 0.3
     # The integrator.
@@ -220,8 +184,3 @@ class Scenario:
     faults: Faults = field(default_factory=Faults)
     # The same over LCM, with a vehicle in another process.
     hardware: Hardware = field(default_factory=Hardware)
-
-    @property
-    def applied_corrections(self) -> Corrections:
-        """The errata of the published method that the run applies."""
-        return self.corrections or FIDELITIES[cast(Fidelity, self.fidelity)]

@@ -15,7 +15,6 @@ from vcbf_drake.simulation.scenario import (
     Hardware,
     Integrator,
     MeasurementNoise,
-    Observer,
     Obstacle,
     Scenario,
     TurnLimit,
@@ -27,9 +26,8 @@ _LARGEST = 1e15
 _POSITIVE = {
     BarrierGains: {"gains"},
     Hardware: {"brake_rate", "command_timeout", "max_state_age", "longest_interval"},
-    Observer: {"alpha", "beta", "gamma", "boundary_layer", "linear_rate"},
     Obstacle: {"radius"},
-    Scenario: {"duration", "period", "arrival_tolerance"},
+    Scenario: {"duration", "arrival_tolerance"},
     TurnLimit: {"curvature", "smoothing_speed"},
     VolumeBarrier: {"threshold", "gain", "slack_penalty"},
 }
@@ -37,7 +35,6 @@ _NON_NEGATIVE = {
     Hardware: {"hold_time"},
     Integrator: {"max_step"},
     MeasurementNoise: {"std", "seed"},
-    Observer: {"period"},
     Obstacle: {"margin"},
 }
 

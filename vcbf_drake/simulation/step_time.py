@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from vcbf_drake.checks import Array
-from vcbf_drake.disturbances import observer_ports
+from vcbf_drake.disturbances import DisturbanceEstimate
 from vcbf_drake.safety import SafetyFilter
 
 _SAMPLES = 400
@@ -39,9 +39,13 @@ def step_cpu_time(
         }
         if "obstacles" in log:
             values["obstacles"] = log["obstacles"][tick]
-        for name, _ in observer_ports(safety_filter.model.num_disturbances):
-            if safety_filter.HasInputPort(name):
-                values[name] = np.atleast_1d(log[name][tick])
+        if safety_filter.HasInputPort("estimate"):
+            values["estimate"] = DisturbanceEstimate(
+                log["disturbance_estimate"][tick],
+                log["estimate_rate"][tick],
+                log["error_bound"][tick],
+                log["error_bound_rate"][tick],
+            ).pack()
         context.SetTime(float(log["time"][tick]))
         for name, value in values.items():
             safety_filter.GetInputPort(name).FixValue(context, value)

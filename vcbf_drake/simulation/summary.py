@@ -56,11 +56,11 @@ def summarise(
         path_time, _distance(scenario, path) <= scenario.arrival_tolerance
     )
     stopped = ending.monitor.endswith(STOP_MONITOR)
-    slack = np.abs(log["slack"])
+    slack, fidelity = np.abs(log["slack"]), scenario.fidelity
     return {
         "scenario": scenario.name,
         "method": scenario.method,
-        "fidelity": scenario.fidelity if scenario.corrections is None else "custom",
+        "fidelity": fidelity if isinstance(fidelity, str) else "custom",
         "outcome": _outcome(collided_at, stopped, reached_at),
         "running_time": min(
             t for t in (infeasible_at, collided_at, ending.time) if t is not None

@@ -13,10 +13,6 @@ from vcbf_drake.plants.blimp import BlimpParameters
 from vcbf_drake.plants.blimp_controller import BlimpControllerParameters
 from vcbf_drake.plants.car import CarParameters
 from vcbf_drake.plants.car_controller import CarControllerParameters
-from vcbf_drake.safety.add_safety_filter import BETWEEN_TICKS, covers_hold
-from vcbf_drake.safety.corrections import FIDELITIES
-from vcbf_drake.safety.filter_qp import INFEASIBLE_POLICIES
-from vcbf_drake.safety.methods import METHODS
 from vcbf_drake.simulation.invalid_field import (
     InvalidFieldError,
     KeyPath,
@@ -32,7 +28,6 @@ from vcbf_drake.simulation.scenario_numbers import check_magnitudes, check_numbe
 
 BARRIER_FORMS = ("distance", "squared")
 FALLBACKS = ("zero", "brake")
-OBSERVER_STEPS = ("implicit", "saturated", "explicit")
 
 
 class PlantKind(NamedTuple):
@@ -62,6 +57,8 @@ def validate(scenario: Scenario) -> None:
     _check_name(scenario.name)
     check_magnitudes(scenario)
     check_numbers(scenario)
+    ask(scenario.observer.__post_init__, scenario.observer, ("observer",))
+    ask(scenario.check, scenario, ())
     _check_choices(scenario)
     _check_sizes(scenario)
     _check_input_set(scenario.input_set)
@@ -87,11 +84,6 @@ _NAME = re.compile(r"\w[\w .+-]*")
 
 def _check_choices(scenario: Scenario) -> None:
     choices: list[tuple[KeyPath, str, Collection[str]]] = [
-        (("method",), scenario.method, METHODS),
-        (("fidelity",), scenario.fidelity, FIDELITIES),
-        (("infeasible",), scenario.infeasible, INFEASIBLE_POLICIES),
-        (("between_ticks",), scenario.between_ticks, BETWEEN_TICKS),
-        (("observer", "step"), scenario.observer.step, OBSERVER_STEPS),
         (("barrier", "form"), scenario.barrier.form, BARRIER_FORMS),
         (("hardware", "fallback"), scenario.hardware.fallback, FALLBACKS),
         (
@@ -111,13 +103,6 @@ def _check_pairing(scenario: Scenario, kind: PlantKind) -> None:
             ("controller",),
             f"!{type(scenario.controller).__name__}; it must be"
             f" !{kind.controller.__name__}, for the plant is a {kind.name}",
-        )
-    certified = scenario.between_ticks == "certified"
-    if certified and not covers_hold(scenario.method, scenario.applied_corrections):
-        raise InvalidFieldError(
-            ("between_ticks",),
-            "certified; it must be none without the correction error_floor, for the"
-            " printed error bound does not hold between ticks",
         )
     if scenario.turn_limit is not None and kind.name != "car":
         raise InvalidFieldError(
@@ -237,12 +222,6 @@ def _check_period(scenario: Scenario) -> None:
         ("period",),
         scenario.period,
         f"at least {least:g} s, for {_MOST_TICKS:g} ticks",
-    )
-    require(
-        scenario.observer.period <= scenario.period,
-        ("observer", "period"),
-        scenario.observer.period,
-        f"at most the control period, {scenario.period:g} s",
     )
 
 

@@ -42,7 +42,9 @@ def build(node: Node, hint: Any, path: KeyPath = ()) -> Any:
 def _build_union(node: Node, members: Sequence[Any], path: KeyPath) -> Any:
     if types.NoneType in members and shown(node) == "nothing":
         return None
-    members = [member for member in members if member is not types.NoneType]
+    if str in members and isinstance(node, yaml.ScalarNode):
+        return _build_scalar(node, str, path)
+    members = [each for each in members if each not in (types.NoneType, str)]
     if members[0] in _SCALARS:
         return build(node, members[0], path)
     by_tag = {f"!{member.__name__}": member for member in members}

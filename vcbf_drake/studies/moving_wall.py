@@ -13,13 +13,13 @@ from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput
 
 from vcbf_drake.barriers import Barrier
 from vcbf_drake.between_ticks.certified_heights import certified_least_barrier
-from vcbf_drake.disturbances import DisturbanceSource
+from vcbf_drake.disturbances import DisturbanceEstimate, DisturbanceSource
 from vcbf_drake.disturbances.source import Constant
 from vcbf_drake.model.compiled import Expressions
 from vcbf_drake.plants import Car
 from vcbf_drake.safety import (
     AddSafetyFilter,
-    BetweenTicks,
+    FilterSettings,
     FilterStatus,
     InputSet,
 )
@@ -36,8 +36,7 @@ _DURATION = 10.0
 # How densely h is looked at, whatever the control rate [s].
 _STEP = 5e-4
 
-_OF_FILTER = ("input", "barriers", "status", "volume", "slack")
-_OF_OBSERVER = ("disturbance_estimate", "error_bound")
+_OF_FILTER = ("barriers", "status", "volume", "slack")
 
 
 def ahead_of_wall(x: Expressions, t: Expression, p: Expressions) -> Expression:
@@ -52,7 +51,7 @@ def ahead_of_wall(x: Expressions, t: Expression, p: Expressions) -> Expression:
     return distance
 
 
-def press_against_wall(rate: float, between_ticks: BetweenTicks) -> dict[str, Any]:
+def press_against_wall(rate: float, between_ticks: str) -> dict[str, Any]:
     """Returns how near the wall the car came; the keys are those of a run's summary.
 
     Args:
@@ -72,15 +71,14 @@ def press_against_wall(rate: float, between_ticks: BetweenTicks) -> dict[str, An
         reference=push.get_output_port(),
         barriers=[Barrier(ahead_of_wall, _GAINS, _WALL, "wall")],
         input_set=_INPUTS,
-        period=period,
         bounds=slope.bounds,
-        between_ticks=between_ticks,
-        infeasible="least_violation",
+        settings=FilterSettings(period=period, between_ticks=between_ticks),
     )
     ports = {
         "state": car.get_output_port(),
         **{name: loop.filter.GetOutputPort(name) for name in _OF_FILTER},
-        **{name: loop.observer.GetOutputPort(name) for name in _OF_OBSERVER},
+        "input": loop.filter.GetOutputPort("command"),
+        "estimate": loop.observer.GetOutputPort("estimate"),
     }
     sinks = {
         name: LogVectorOutput(port, builder, period) for name, port in ports.items()
@@ -96,7 +94,7 @@ def press_against_wall(rate: float, between_ticks: BetweenTicks) -> dict[str, An
 
     context = simulator.get_context()
     log = {name: sink.FindLog(context).data().T for name, sink in sinks.items()}
-    log["error_bound"] = log["error_bound"][:, 0]
+    log |= DisturbanceEstimate.unpack(log["estimate"]).log_arrays()
     log["time"] = sinks["state"].FindLog(context).sample_times()
     seen = path.FindLog(context)
     heights = loop.filter.barrier_set.values_along(seen.data().T, seen.sample_times())

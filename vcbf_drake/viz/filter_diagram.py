@@ -162,11 +162,11 @@ def _steps(safety_filter: SafetyFilter) -> dict[str, tuple[str, ...]]:
             "volume": ("inscribed ellipsoid (E20)", "for the log only"),
             "decision": ("3  nearest input, QP (E19)",),
         }
-    barrier = safety_filter.volume_barrier
+    barrier = safety_filter.settings.volume
     measured = ("3  inscribed ellipsoid (E20)", "4  volume, gradient (E44)")
     if barrier.label != "volume":
         measured = (f"3  {barrier.label} (E54)", "4  gradient (E44)")
-    label = "E28" if safety_filter.corrections.total_derivative else "E24"
+    label = "E28" if safety_filter.settings.corrections.total_derivative else "E24"
     label = label if method.disturbance == "estimated" else "E22"
     return {
         "feasible set": rows,

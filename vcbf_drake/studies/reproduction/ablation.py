@@ -74,7 +74,7 @@ def _describe(
 
 
 def _overrides(variant: str) -> dict[str, Any]:
-    return {"corrections": dict.fromkeys(_VARIANTS[variant][1], True)}
+    return {"fidelity": dict.fromkeys(_VARIANTS[variant][1], True)}
 
 
 _DESCRIPTION = (

@@ -66,7 +66,7 @@ def _caution(result: Result, bounds: DisturbanceBounds) -> Array:
         return np.zeros_like(error_bound)
     if _handling(result) == "worst_case":
         return np.full_like(error_bound, bounds.delta1)
-    if result.scenario.applied_corrections.error_floor:
+    if result.scenario.corrections.error_floor:
         return error_bound + bounds.delta2 * result.scenario.period
     return error_bound
 
