@@ -7,7 +7,7 @@ import pytest
 from vcbf_drake import ScenarioError, load_scenario, make_loop, simulate
 from vcbf_drake.safety import FilterStatus
 from vcbf_drake.safety.assumptions import assumptions
-from vcbf_drake.simulation.sensor_faults import DelayedMeasurement, LostMeasurements
+from vcbf_drake.simulation.sensors import DelayedMeasurement, LostMeasurements
 
 BLIMP, CAR = "blimp-multiple-obstacles", "car-avoidance"
 PERIOD = 0.02
@@ -61,7 +61,8 @@ def test_without_faults_no_system_is_added():
         "lag": {"actuator_lag"},
         "limit": {"actuator_limit"},
         "gust": {"undeclared_disturbance"},
-        "solver": set(),
+        "solver": {"solver_failures"},
+        "process": {"outages", "no_input"},
         "mass": set(),
     }
     for fault, systems in added.items():

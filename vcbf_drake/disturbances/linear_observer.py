@@ -29,6 +29,7 @@ class LinearDisturbanceObserver(DisturbanceObserver):
         input_ports:
         - state
         - input
+        - reset (optional)
         output_ports:
         - estimate
         - disturbance_estimate

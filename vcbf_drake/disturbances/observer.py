@@ -39,6 +39,7 @@ class DisturbanceObserver(LeafSystem):
         input_ports:
         - state
         - input
+        - reset (optional)
         output_ports:
         - estimate
         - disturbance_estimate
@@ -47,6 +48,7 @@ class DisturbanceObserver(LeafSystem):
     | --- | --- | --- |
     | ``state`` | n | the measured state |
     | ``input`` | m | the input held since the last tick |
+    | ``reset`` | 1 | not 0 at a tick: all that was measured is forgotten there |
     | ``estimate`` | 2q + 2 | a `DisturbanceEstimate`, with its error bound |
     | ``disturbance_estimate`` | q | dhat alone, for controllers [m/s^2] |
 
@@ -116,11 +118,12 @@ class DisturbanceObserver(LeafSystem):
         n, m, q = model.num_states, model.num_inputs, model.num_disturbances
         self._state = self.DeclareVectorInputPort("state", n)
         self._input = self.DeclareVectorInputPort("input", m)
+        self._reset = self.DeclareVectorInputPort("reset", 1)
         self._memory_start = 2 + n
         # Times of the first and the last measurement [s], the last measurement, memory.
         # NaN stands for no measurement.
-        nothing = np.concatenate((np.full(2 + n, np.nan), np.zeros(memory_size)))
-        self.DeclareDiscreteState(nothing)
+        self._nothing = np.concatenate((np.full(2 + n, np.nan), np.zeros(memory_size)))
+        self.DeclareDiscreteState(self._nothing)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
         self._posterior = self._declare_posterior()
         estimated = {self._posterior.ticket()}
@@ -216,6 +219,9 @@ class DisturbanceObserver(LeafSystem):
 
     def _update(self, context: Context, discrete: DiscreteValues) -> None:
         """Stores the posterior, and the measurement it ends with."""
+        if self._reset.HasValue(context) and self._reset.Eval(context)[0] != 0.0:
+            discrete.set_value(self._nothing)
+            return
         now, state = context.get_time(), self._state.Eval(context)
         last = now if _is_finite(state) else math.nan
         start = self._start(context)

@@ -36,6 +36,7 @@ class RiseObserver(DisturbanceObserver):
         input_ports:
         - state
         - input
+        - reset (optional)
         output_ports:
         - estimate
         - disturbance_estimate

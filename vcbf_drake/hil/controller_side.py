@@ -42,6 +42,7 @@ from vcbf_drake.safety import (
     SafetyFilter,
     unpack_feasible_set,
 )
+from vcbf_drake.simulation.fault_systems import lose_answers
 from vcbf_drake.simulation.loop import add_controller_and_filter
 from vcbf_drake.simulation.parts import make_observer, make_plant, make_source
 from vcbf_drake.simulation.scenario import Scenario
@@ -471,6 +472,7 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
         loop.observer.GetOutputPort("estimate"), sender.GetInputPort("estimate")
     )
     builder.Connect(receiver.GetOutputPort("stamp"), sender.GetInputPort("stamp"))
+    lose_answers(builder, scenario, loop)
     diagram = builder.Build()
     diagram.set_name(f"{scenario.name}_controller")
     return diagram

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from pydrake.systems.framework import DiagramBuilder, InputPort, OutputPort, System
@@ -49,7 +49,6 @@ def AddSafetyFilter(
     obstacles: OutputPort | None = None,
     applied_input: OutputPort | None = None,
     name: str = "filter",
-    filter_class: Callable[..., SafetyFilter] = SafetyFilter,
 ) -> AddedSafetyFilter:
     """Puts a safety filter between a controller's output and a plant's input.
 
@@ -84,7 +83,6 @@ def AddSafetyFilter(
             barriers; None leaves the filter's port ``obstacles`` to connect.
         applied_input: The mean input that the plant really applied since the last
             tick, where it tells; the held input by default.
-        filter_class: What makes the filter.
         name: The filter's name; hold, observer and monitor are named after it.
 
     Raises:
@@ -102,7 +100,7 @@ def AddSafetyFilter(
         raise ValueError("plant: None; then model and state must be given")
     if observer is None:
         observer = settings.make_observer(model, bounds)
-    safety_filter = filter_class(
+    safety_filter = SafetyFilter(
         model,
         barriers,
         input_set,

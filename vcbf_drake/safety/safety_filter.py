@@ -39,6 +39,7 @@ from vcbf_drake.safety.filter_qp import (
     InfeasiblePolicy,
     VolumeRow,
     choose_input,
+    failed_decision,
 )
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.methods import METHODS
@@ -62,6 +63,7 @@ class SafetyFilter(LeafSystem):
         - obstacles (optional)
         output_ports:
         - command
+        - fallback
         - volume
         - slack
         - barriers
@@ -88,6 +90,7 @@ class SafetyFilter(LeafSystem):
     | ``held_input`` | m | the input applied now; read by the fallbacks only |
     | ``obstacles`` | | what is perceived now: see `PerceivedSpheres` |
     | ``command`` | m | the chosen input: finite and inside the input set, always |
+    | ``fallback`` | m | the command where no solver's answer can be verified |
     | ``volume`` | 1 | V_v, what the volume row keeps positive; nan on failure |
     | ``slack`` | 1 | delta of (E24), at most 0; 0 unless the volume row gave way |
     | ``barriers`` | N | h_i; nan for a state-dependent input limit or an empty slot |
@@ -202,11 +205,8 @@ class SafetyFilter(LeafSystem):
             self._guard_entry = self._entry(
                 "guard", self._calc_guard, {self._feasible_entry.ticket()}
             )
-        needs = {
-            self._feasible_entry.ticket(),
-            self._reference.ticket(),
-            self._held_input.ticket(),
-        }
+        self._asked = {self._reference.ticket(), self._held_input.ticket()}
+        needs = {self._feasible_entry.ticket(), *self._asked}
         if self.method.volume:
             needs |= {self._volume_entry.ticket(), self._guard_entry.ticket()}
         self._decision_entry = self._entry("decision", self._calc_decision, needs)
@@ -229,6 +229,12 @@ class SafetyFilter(LeafSystem):
         N, scale = self.barrier_set.size, self.input_set.scale
         decision, feasible = self._decision_entry, self._feasible_entry
         self._output("command", m, decision, lambda decided: decided.input)
+        self.DeclareVectorOutputPort(
+            "fallback",
+            m,
+            lambda context, output: output.SetFromVector(self._fallback(context)),
+            {self._feasible_entry.ticket(), *self._asked},
+        )
         self._output("slack", 1, decision, lambda decided: [decided.slack])
         self._output("status", 1, decision, lambda decided: [decided.status])
         self._output("row_margin", 1, decision, lambda decided: [decided.row_margin])
@@ -364,12 +370,7 @@ class SafetyFilter(LeafSystem):
             return None  # Empty, or not finite.
 
     def _calc_decision(self, context: Context) -> FilterDecision:
-        reference = self._reference.Eval(context)
-        held = (
-            self._held_input.Eval(context)
-            if self._held_input.HasValue(context)
-            else np.zeros(self.model.num_inputs)
-        )
+        reference, held = self._reference.Eval(context), self._held(context)
         if not np.isfinite(self._state.Eval(context)).all():
             return FilterDecision(self.input_set.project(held), FilterStatus.FAILED)
         rows, failed = self._volume_rows(context)
@@ -395,6 +396,20 @@ class SafetyFilter(LeafSystem):
         x, t = self._state.Eval(context), context.get_time()
         tick = Tick(feasible.rows, x, t, feasible.known, seen)
         return self._held_rows.lasting_decision(tick, decision, choose)
+
+    def _held(self, context: Context) -> Array:
+        if not self._held_input.HasValue(context):
+            return np.zeros(self.model.num_inputs)
+        held: Array = self._held_input.Eval(context)
+        return held
+
+    def _fallback(self, context: Context) -> Array:
+        inputs, feasible = self.input_set, self.feasible_set(context)
+        reference, held = self._reference.Eval(context), self._held(context)
+        if not (feasible.is_finite and np.isfinite(reference).all()):
+            return inputs.project(held)
+        normalised = (reference - inputs.center) / inputs.scale
+        return failed_decision(feasible, normalised, held, inputs).input
 
     def _volume_rows(self, context: Context) -> tuple[list[VolumeRow], bool]:
         """The rows that act, the guard's first, and whether one could not be found."""

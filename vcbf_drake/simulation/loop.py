@@ -31,14 +31,13 @@ from vcbf_drake.safety import (
 )
 from vcbf_drake.simulation.audit_system import Audit
 from vcbf_drake.simulation.collision_monitor import CollisionMonitor
-from vcbf_drake.simulation.faulty_loop import (
+from vcbf_drake.simulation.fault_systems import (
     faulty_actuator,
     faulty_measurement,
-    filter_class,
+    lose_answers,
     true_disturbance,
     true_parameters,
 )
-from vcbf_drake.simulation.measurement_noise import MeasurementNoise
 from vcbf_drake.simulation.parts import (
     barriers,
     make_controller,
@@ -50,7 +49,7 @@ from vcbf_drake.simulation.parts import (
     seen_barriers,
 )
 from vcbf_drake.simulation.scenario import Scenario
-from vcbf_drake.simulation.sensor_faults import ObstaclesInSight
+from vcbf_drake.simulation.sensors import MeasurementNoise, ObstaclesInSight
 
 LOG_PREFIX = "log_"
 COLLISION_MONITOR = "collision_monitor"
@@ -97,6 +96,7 @@ def make_loop(scenario: Scenario) -> Diagram:
     add_collision_monitor(builder, plant, truth)
     _add_audit(builder, simulated, truth, loop)
     _add_logs(builder, scenario, simulated, controller, loop)
+    lose_answers(builder, scenario, loop)
     diagram = builder.Build()
     diagram.set_name(scenario.name)
     return diagram
@@ -175,7 +175,6 @@ def add_controller_and_filter(
         applied_input=applied_input,
         obstacles=obstacles,
         model=model,
-        filter_class=filter_class(scenario),
     )
     if loop.filter.method.disturbance == "estimated":
         builder.Connect(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,9 +18,6 @@ from vcbf_drake.disturbances import (
     DisturbanceBounds,
     DisturbanceObserver,
     DisturbanceSource,
-    LinearDisturbanceObserver,
-    RiseGains,
-    RiseObserver,
 )
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.plants import (
@@ -31,8 +27,6 @@ from vcbf_drake.plants import (
     Car,
     CarController,
 )
-from vcbf_drake.safety import METHODS
-from vcbf_drake.simulation.faulty_loop import faulty_observer
 from vcbf_drake.simulation.invalid_field import InvalidFieldError
 from vcbf_drake.simulation.scenario import Scenario
 
@@ -136,33 +130,13 @@ def make_observer(
         period: Time between measurements [s].
         longest_interval: See `DisturbanceObserver`.
     """
-    settings = scenario.observer
-    noise = measurement_noise(scenario, model)
-    if METHODS[scenario.method].observer == "linear":
-        return faulty_observer(scenario, LinearDisturbanceObserver)(
-            model,
-            period,
-            bounds,
-            rate=settings.linear_rate,
-            noise=noise,
-            longest_interval=longest_interval,
-        )
-    interval = max(period, longest_interval or 0.0)
-    gains = RiseGains.for_bounds(bounds, interval, settings.alpha, settings.gamma)
-    if settings.beta is not None:
-        gains = replace(gains, beta=settings.beta)
     try:
-        return faulty_observer(scenario, RiseObserver)(
+        return scenario.make_observer(
             model,
-            period,
             bounds,
-            gains=gains,
-            step=settings.step,
-            boundary_layer=settings.boundary_layer,
-            noise=noise,
-            floor=scenario.corrections.error_floor,
+            noise=measurement_noise(scenario, model),
+            period=period,
             longest_interval=longest_interval,
-            uncertified=settings.uncertified,
         )
     except ValueError as error:
         raise InvalidFieldError(("observer",), str(error)) from None

@@ -1,31 +1,76 @@
-"""Sensors that are late, lose measurements or see no farther than they can."""
+"""Sensors that are noisy, late, unreliable or short-sighted."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from vcbf_drake.barriers import PerceivedSpheres
 from vcbf_drake.checks import Array
-from vcbf_drake.simulation.scenario import Obstacle
+
+if TYPE_CHECKING:
+    from vcbf_drake.simulation.scenario import Obstacle
 
 # Ticks are compared with this part of a period to spare.
 _TO_SPARE = 1e-6
 
 
-def chance(seed: int, t: float, period: float) -> float:
-    """Returns a number in [0, 1) that depends on the seed and the tick alone.
+def tick_number(t: float, period: float) -> int:
+    """Returns how many whole periods have passed at a time.
 
     Args:
-        seed: Of the generator.
         t: The time [s].
         period: The time between ticks [s].
     """
-    tick = math.floor(t / period + _TO_SPARE)
-    return float(np.random.default_rng([seed, tick]).random())
+    return math.floor(t / period + _TO_SPARE)
+
+
+@lru_cache(maxsize=4096)
+def chance(*seeds: int) -> float:
+    """Returns a number in [0, 1) that depends on the seeds alone, such as a tick's."""
+    return float(np.random.default_rng(seeds).random())
+
+
+class MeasurementNoise(LeafSystem):
+    """Adds white noise to the state, a new sample every control period.
+
+    .. pydrake_system::
+
+        name: MeasurementNoise
+        input_ports:
+        - state
+        output_ports:
+        - measured_state
+
+    Sample k depends on the seed and k alone, so the system needs no state and every
+    run with the same seed sees the same noise.
+    """
+
+    def __init__(self, standard_deviation: Array, period: float, seed: int) -> None:
+        """Declares the ports.
+
+        Args:
+            standard_deviation: Of each state, shape (n,) [the state's unit].
+            period: How long one sample lasts [s].
+            seed: Of the generator.
+        """
+        super().__init__()
+        self._deviation = np.asarray(standard_deviation, dtype=float)
+        self._period, self._seed = period, seed
+        n = len(self._deviation)
+        self._state = self.DeclareVectorInputPort("state", n)
+        self.DeclareVectorOutputPort("measured_state", n, self._calc)
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        tick = tick_number(context.get_time(), self._period)
+        generator = np.random.default_rng([self._seed, tick])
+        sample = generator.standard_normal(len(self._deviation))
+        output.SetFromVector(self._state.Eval(context) + self._deviation * sample)
 
 
 class DelayedMeasurement(LeafSystem):
@@ -54,7 +99,7 @@ class DelayedMeasurement(LeafSystem):
         super().__init__()
         self._delay, self._spare = delay, _TO_SPARE * period
         self._width = 1 + size
-        samples = math.ceil(delay / period - _TO_SPARE) + 1
+        samples = 1 - tick_number(-delay, period)
         self._state = self.DeclareVectorInputPort("state", size)
         self.DeclareDiscreteState(np.full(samples * self._width, np.nan))
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._store)
@@ -114,7 +159,8 @@ class LostMeasurements(LeafSystem):
 
     def _delivered(self, context: Context) -> Array:
         last: Array = context.get_discrete_state_vector().CopyToVector()
-        lost = chance(self._seed, context.get_time(), self._period) < self._probability
+        tick = tick_number(context.get_time(), self._period)
+        lost = chance(self._seed, tick) < self._probability
         if lost and not np.isnan(last).any():
             return last
         received: Array = self._state.Eval(context)
