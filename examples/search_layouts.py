@@ -13,7 +13,7 @@ Records go to JSON-lines files, one line a flight; an interrupted search resumes
 import argparse
 from pathlib import Path
 
-from vcbf_drake.simulation.scenario_file import merge_overrides
+from vcbf_drake.simulation.loading import merge_overrides
 from vcbf_drake.studies import (
     BLIMP_COURSES,
     TABLE_I,

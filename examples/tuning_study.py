@@ -22,7 +22,7 @@ from pictures import COLORS
 
 from vcbf_drake import simulate
 from vcbf_drake.safety import VolumeBarrier
-from vcbf_drake.simulation.scenario_file import merge_overrides
+from vcbf_drake.simulation.loading import merge_overrides
 from vcbf_drake.studies import BLIMP_COURSES, Trial, run_study
 
 SETTINGS = {

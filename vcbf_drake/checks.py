@@ -1,19 +1,23 @@
-"""The array type, and checks of the numbers that a user gives."""
+"""The array type, and checks of the numbers and words that a user gives."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Sequence
 import math
+from numbers import Real
+import reprlib
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vcbf_drake.errors import InvalidValueError, Path
+
 Array = NDArray[np.float64]
 
 
 def check_parameter(
-    name: str,
+    name: str | Path,
     value: Any,
     *,
     size: int | None = None,
@@ -23,57 +27,96 @@ def check_parameter(
     """Checks that a parameter is made of finite, positive numbers.
 
     Args:
-        name: What the parameter is called, for the message.
+        name: The parameter's name, or the path to it, for the message.
         value: The number, or the list of numbers if `size` is given.
         size: How many numbers the list must have; None for a single number.
         zero_allowed: Whether 0 is allowed too.
         infinity_allowed: Whether infinity is allowed too.
 
     Raises:
-        ValueError: It is not.
+        InvalidValueError: It is not.
     """
-    numbers = [value] if size is None else value
     bound = "not below 0" if zero_allowed else "above 0"
-    allowed = bound if infinity_allowed else f"finite and {bound}"
-    try:
-        valid = len(numbers) == (size or 1) and all(
+    _check_numbers(
+        name,
+        value,
+        size,
+        lambda v: (
             (v > 0.0 or (zero_allowed and v == 0.0))
             and (infinity_allowed or math.isfinite(v))
-            for v in numbers
-        )
-    except TypeError:
-        valid = False
-    if not valid:
-        what = "one number" if size is None else f"a list of {size} numbers, each"
-        raise ValueError(f"{name} is {value!r}; it must be {what} {allowed}")
+        ),
+        bound if infinity_allowed else f"finite and {bound}",
+    )
 
 
-def require(allowed: bool, name: str, value: object, rule: str) -> None:
+def check_finite(
+    name: str | Path,
+    value: Any,
+    *,
+    size: int | None = None,
+    names: Sequence[str] | None = None,
+) -> None:
+    """Checks that a parameter is made of finite numbers.
+
+    Args:
+        name: The parameter's name, or the path to it, for the message.
+        value: The number, or the list of numbers if `size` or `names` is given.
+        size: How many numbers the list must have; None for a single number.
+        names: Or what each of them is called.
+
+    Raises:
+        InvalidValueError: It is not.
+    """
+    if names is not None:
+        size = len(names)
+        rule = f"{size} numbers, one each of {', '.join(names)}"
+        require(len(value) == size, name, value, rule)
+    _check_numbers(name, value, size, math.isfinite, "finite")
+
+
+def require(allowed: bool, name: str | Path, value: object, rule: str) -> None:
     """Refuses a value that is not allowed.
 
     Args:
         allowed: Whether it is.
-        name: What it is called.
+        name: Its name, or the path to it.
         value: What was given.
         rule: What it must be.
 
     Raises:
-        ValueError: It is not allowed.
+        InvalidValueError: It is not allowed.
     """
     if not allowed:
-        shown = f"{value:g}" if isinstance(value, float) else repr(value)
-        raise ValueError(f"{name}: {shown}; it must be {rule}")
+        shown = f"{value:g}" if isinstance(value, float) else reprlib.repr(value)
+        raise InvalidValueError(name, f"{shown}; it must be {rule}")
 
 
-def require_choice(name: str, value: object, allowed: Collection[str]) -> None:
+def require_choice(name: str | Path, value: object, allowed: Collection[str]) -> None:
     """Refuses a word that is not among those allowed.
 
     Args:
-        name: What it is called.
+        name: Its name, or the path to it.
         value: What was given.
         allowed: The words.
 
     Raises:
-        ValueError: It is not allowed.
+        InvalidValueError: It is not allowed.
     """
     require(value in allowed, name, value, f"one of {', '.join(allowed)}")
+
+
+def _check_numbers(
+    name: str | Path,
+    value: Any,
+    size: int | None,
+    is_allowed: Callable[[float], bool],
+    rule: str,
+) -> None:
+    path = (name,) if isinstance(name, str) else name
+    if size is None:
+        require(isinstance(value, Real) and is_allowed(float(value)), path, value, rule)
+        return
+    is_list = isinstance(value, Sequence | np.ndarray) and len(value) == size
+    require(is_list, path, value, f"a list of {size} number{'s' * (size != 1)}")
+    for index, each in enumerate(value):
+        _check_numbers((*path, index), each, None, is_allowed, rule)

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from vcbf_drake.checks import Array
+if TYPE_CHECKING:
+    from vcbf_drake.checks import Array
+
+# Fields and list indices that lead to one value, outermost first.
+Path: TypeAlias = tuple[str | int, ...]
 
 
 class VcbfError(Exception):
@@ -68,6 +74,41 @@ class SolverError(VcbfError):
 
 class ModelError(VcbfError):
     """A system, barrier or disturbance does not meet what the method needs."""
+
+
+class InvalidValueError(ModelError, ValueError):
+    """A value that a user gave and that is not allowed.
+
+    Attributes:
+        path: Where it is, from the object that was to be made.
+        problem: The value, and what is allowed.
+    """
+
+    def __init__(self, path: str | Path, problem: str) -> None:
+        self.path = (path,) if isinstance(path, str) else path
+        self.problem = problem
+        super().__init__(": ".join(filter(None, (written(self.path), problem))))
+
+
+@contextmanager
+def below(*path: str | int) -> Iterator[None]:
+    """Says where the part is that refuses a value: puts a path before its own.
+
+    Raises:
+        InvalidValueError: A part raised it, or a `ValueError`, or a `VcbfError`.
+    """
+    try:
+        yield
+    except InvalidValueError as error:
+        raise InvalidValueError((*path, *error.path), error.problem) from None
+    except (ValueError, VcbfError) as error:
+        raise InvalidValueError(path, str(error)) from None
+
+
+def written(path: Path) -> str:
+    """Returns a path as one writes it, for example ``obstacles[1].radius``."""
+    parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
+    return "".join(parts).removeprefix(".")
 
 
 class ScenarioError(VcbfError):

@@ -79,9 +79,9 @@ def test_rows_are_derivatives(start) -> None:
         ({"end": [1.0, 2.0, 3.0]}, "two different points of one size"),
         ({"end": [1.0, np.nan]}, "end: every number must be finite"),
         ({"velocity": [1.0]}, "velocity must have 2 numbers like center, got 1"),
-        ({"radius": -1.0}, "radius is -1.0"),
-        ({"margin": -0.1}, "margin is -0.1"),
-        ({"smoothing": 0.0}, "smoothing is 0.0"),
+        ({"radius": -1.0}, "radius: -1"),
+        ({"margin": -0.1}, "margin: -0.1"),
+        ({"smoothing": 0.0}, "smoothing: 0"),
     ],
 )
 def test_bad_capsules_are_refused(arguments, message) -> None:

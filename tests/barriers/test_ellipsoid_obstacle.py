@@ -99,10 +99,10 @@ def test_at_the_centre_the_row_is_nan(blimp) -> None:
     [
         ({"center": [1.0]}, "center must have 2 or 3 numbers, got 1"),
         ({"center": [1.0, np.inf]}, "center: every number must be finite"),
-        ({"semi_axes": [1.0]}, r"semi_axes is \[1.0\]; it must be a list of 2"),
-        ({"semi_axes": [1.0, 0.0]}, r"semi_axes is .* finite and above 0"),
+        ({"semi_axes": [1.0]}, r"semi_axes: \[1.0\]; it must be a list of 2"),
+        ({"semi_axes": [1.0, 0.0]}, r"semi_axes\[1\]: .* finite and above 0"),
         ({"velocity": [1.0]}, "velocity must have 2 numbers like center, got 1"),
-        ({"margin": -0.1}, "margin is -0.1"),
+        ({"margin": -0.1}, "margin: -0.1"),
         ({"rotation": np.eye(3)}, r"rotation must have shape \(2, 2\)"),
         ({"rotation": [[1.0, 0.1], [0.0, 1.0]]}, "rotation must have orthonormal"),
         ({"rotation": np.full((2, 2), np.nan)}, "rotation must have orthonormal"),

@@ -44,7 +44,7 @@ def test_infinite_sides_are_open() -> None:
         (([0.0, 0.0], [1.0, 0.0]), "upper must be above lower"),
         (([0.0, 0.0], [1.0, np.nan]), "upper must be above lower"),
         (([0.0, 0.0], [1.0, 1.0], 0.5), "more than twice the margin"),
-        (([0.0, 0.0], [1.0, 1.0], -0.5), "margin is -0.5"),
+        (([0.0, 0.0], [1.0, 1.0], -0.5), "margin: -0.5"),
         (([-np.inf] * 2, [np.inf] * 2), "at least one side must be finite"),
     ],
 )

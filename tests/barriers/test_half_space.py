@@ -83,7 +83,7 @@ def test_another_number_of_gains_is_refused(car) -> None:
         (([0.0, 0.0],), "normal must have 2 or 3 numbers, not all 0"),
         (([1.0, np.nan],), "normal: every number must be finite"),
         (([1.0, 0.0], np.inf), "offset: every number must be finite"),
-        (([1.0, 0.0], 0.0, -1.0), "margin is -1.0"),
+        (([1.0, 0.0], 0.0, -1.0), "margin: -1"),
     ],
 )
 def test_bad_half_spaces_are_refused(arguments, message) -> None:

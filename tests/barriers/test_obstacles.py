@@ -101,7 +101,7 @@ def test_the_position_may_be_any_states(car) -> None:
         ({"radius": 0.0}, "not both 0"),
         ({"velocity": [1.0]}, "velocity must have 2 numbers like center, got 1"),
         ({"velocity": [1.0, np.inf]}, "velocity: every number must be finite"),
-        ({"form": "round"}, "form must be one of distance, squared, got 'round'"),
+        ({"form": "round"}, "form: 'round'; it must be one of distance, squared"),
     ],
 )
 def test_bad_obstacles_are_refused(arguments, message) -> None:

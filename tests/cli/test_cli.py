@@ -16,10 +16,10 @@ from typer.testing import CliRunner
 from vcbf_drake.cli import app
 from vcbf_drake.safety.assumptions import Assumption
 from vcbf_drake.safety.methods import METHODS
+from vcbf_drake.simulation.loading import shipped_scenarios
 from vcbf_drake.simulation.log_files import LogFiles
 import vcbf_drake.simulation.run as run_module
 from vcbf_drake.simulation.scenario import Scenario
-from vcbf_drake.simulation.scenario_file import shipped_scenarios
 import vcbf_drake.viz.figures as figures_module
 import vcbf_drake.viz.replay as replay_module
 

@@ -192,21 +192,27 @@ def test_signals_go_through_yaml():
 @pytest.mark.parametrize(
     ("signal", "problem"),
     [
-        (SmoothStep([1.0], 0.0, 0.0), "duration is 0.0; it must be finite and above 0"),
-        (SmoothStep([1.0], float("inf"), 1.0), "start is inf"),
-        (Constant([]), "value is .*; it must be a list of finite numbers"),
-        (Constant([float("nan")]), "value is .*; it must be a list of finite numbers"),
-        (Sinusoid([1.0], frequency=float("inf")), "frequency is inf"),
-        (BandLimitedNoise([1.0], bandwidth=-1.0), "bandwidth is -1.0"),
-        (BandLimitedNoise([-1.0]), "std is .*not below 0"),
-        (BandLimitedNoise([1.0], seed=-1), "seed is -1"),
-        (BandLimitedNoise([1.0], tones=0), "tones is 0"),
+        (SmoothStep([1.0], 0.0, 0.0), "duration: 0.0; it must be finite and above 0"),
+        (SmoothStep([1.0], float("inf"), 1.0), "start: inf"),
+        (Constant([]), "value: .*; it must be a list of finite numbers"),
+        (Constant([float("nan")]), "value: .*; it must be a list of finite numbers"),
+        (Sinusoid([1.0], frequency=float("inf")), "frequency: inf"),
+        (BandLimitedNoise([1.0], bandwidth=-1.0), "bandwidth: -1.0"),
+        (BandLimitedNoise([-1.0]), "std: .*not below 0"),
+        (BandLimitedNoise([1.0], seed=-1), "seed: -1"),
+        (BandLimitedNoise([1.0], tones=0), "tones: 0"),
         (Recorded([0.0, 9.0], [[1.0], [2.0]]), "three at least"),
         (Recorded([0.0, 2.0, 2.0, 9.0], [[1.0]] * 4), "increasing"),
-        (Recorded([0.0, 2.0, 9.0], [[1.0]] * 4), "values must be 3 rows"),
-        (Recorded([0.0, 2.0, 9.0], [[1.0], [2.0, 3.0], [1.0]]), "values must be"),
-        (Recorded([0.0, 2.0, 9.0], [[1.0], [float("nan")], [1.0]]), "values must be"),
-        (Recorded([0.0, 2.0, 5.0], [[1.0]] * 3), r"times span \[0, 5\] s.*\[0, 6\] s"),
+        (Recorded([0.0, 2.0, 9.0], [[1.0]] * 4), "values: .*; it must be 3 rows"),
+        (
+            Recorded([0.0, 2.0, 9.0], [[1.0], [2.0, 3.0], [1.0]]),
+            "values: .*must be",
+        ),
+        (
+            Recorded([0.0, 2.0, 9.0], [[1.0], [float("nan")], [1.0]]),
+            "values: .*must be",
+        ),
+        (Recorded([0.0, 2.0, 5.0], [[1.0]] * 3), r"times: from 0 to 5 s.*\[0, 6\] s"),
         (Recorded([1.0, 2.0, 9.0], [[1.0]] * 3), "not C2"),
     ],
 )
@@ -224,5 +230,5 @@ def test_sizes_must_agree():
         DisturbanceSource([Constant([0.0])], num_disturbances=2)
     with pytest.raises(ModelError, match="one signal at least"):
         DisturbanceSource([])
-    with pytest.raises(ModelError, match="horizon is 0"):
+    with pytest.raises(ModelError, match="horizon: 0"):
         DisturbanceSource([Constant([0.0])], horizon=0.0)

@@ -11,12 +11,12 @@ with atheris.instrument_imports(include=["vcbf_drake.simulation", "yaml"]):
     from corpus import run
 
     from vcbf_drake import ScenarioError
-    from vcbf_drake.simulation import scenario_file
+    from vcbf_drake.simulation import loading
     from vcbf_drake.simulation.scenario import Scenario
 
 _SHIPPED = {
-    name: scenario_file._find(name).read_text(encoding="utf-8")
-    for name in scenario_file.shipped_scenarios()
+    name: loading._find(name).read_text(encoding="utf-8")
+    for name in loading.shipped_scenarios()
 }
 _SMALL = """\
 s:
@@ -66,13 +66,13 @@ def target(data: bytes) -> None:
     text, name = data[1:].decode(errors="replace"), "fuzz.yaml"
     try:
         if data[:1] == b"f":
-            scenario = scenario_file.parse_scenario(text, name)
+            scenario = loading.parse_scenario(text, name)
         else:
-            scenario = scenario_file.parse_scenario(_SMALL, name, text)
+            scenario = loading.parse_scenario(_SMALL, name, text)
     except ScenarioError as error:
         assert str(error).isprintable(), "one line"
         return
-    again = scenario_file.parse_scenario(scenario_file.dump_scenario(scenario), name)
+    again = loading.parse_scenario(loading.dump_scenario(scenario), name)
     assert repr(again) == repr(scenario), "what was dumped loads to the same"
 
 

@@ -30,7 +30,7 @@ from vcbf_drake.hil import (
 )
 from vcbf_drake.hil.log_replay import logged_scenario
 from vcbf_drake.hil.messages import vcbf_command, vcbf_status
-from vcbf_drake.simulation.scenario_file import dump_scenario
+from vcbf_drake.simulation.loading import dump_scenario
 import vcbf_drake.viz.figures as figures_module
 import vcbf_drake.viz.replay as replay_module
 

@@ -190,18 +190,18 @@ def test_parameters_load_from_yaml() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"mass": 0.0}, "mass is 0.0; it must be one number finite and above 0"),
-        ({"mass": float("inf")}, "mass is inf"),
-        ({"yaw_inertia": -1.0}, "yaw_inertia is -1.0"),
-        ({"yaw_drag": -1e-9}, "yaw_drag is -1e-09; .* finite and not below 0"),
-        ({"drag": [0.0, 0.0, float("nan")]}, "drag is .*nan.*a list of 3 numbers"),
-        ({"added_mass": [0.1, 0.1]}, "added_mass is"),
-        ({"added_mass": 0.1}, "added_mass is 0.1"),
-        ({"mass": "heavy"}, "mass is 'heavy'"),
+        ({"mass": 0.0}, "mass: 0; it must be finite and above 0"),
+        ({"mass": float("inf")}, "mass: inf"),
+        ({"yaw_inertia": -1.0}, "yaw_inertia: -1"),
+        ({"yaw_drag": -1e-9}, "yaw_drag: -1e-09; .* finite and not below 0"),
+        ({"drag": [0.0, 0.0, float("nan")]}, r"drag\[2\]: nan; .* finite"),
+        ({"added_mass": [0.1, 0.1]}, "added_mass: "),
+        ({"added_mass": 0.1}, "added_mass: 0.1"),
+        ({"mass": "heavy"}, "mass: 'heavy'"),
     ],
 )
 def test_parameters_without_physical_meaning_are_refused(
     change: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(ValueError, match=f"BlimpParameters.{message}"):
+    with pytest.raises(ValueError, match=message):
         Blimp(BlimpParameters(**change))

@@ -6,7 +6,7 @@ import pytest
 
 from vcbf_drake.safety import FIDELITIES, Corrections
 from vcbf_drake.simulation import load_scenario, make_loop, simulate
-from vcbf_drake.simulation.scenario_file import dump_scenario
+from vcbf_drake.simulation.loading import dump_scenario
 
 CAR = "car-avoidance"
 

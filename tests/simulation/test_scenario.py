@@ -7,19 +7,17 @@ import random
 import re
 
 import numpy as np
-from pydrake.common.yaml import yaml_load_typed
+from pydrake.common.yaml import yaml_load
 import pytest
 
-from vcbf_drake.errors import ScenarioError
-from vcbf_drake.simulation.invalid_field import InvalidFieldError
-from vcbf_drake.simulation.scenario import Obstacle, Scenario, TurnLimit
-from vcbf_drake.simulation.scenario_file import (
+from vcbf_drake.errors import InvalidValueError, ScenarioError
+from vcbf_drake.simulation.loading import (
     dump_scenario,
     load_scenario,
     merge_overrides,
     shipped_scenarios,
 )
-from vcbf_drake.simulation.validation import validate
+from vcbf_drake.simulation.scenario import Obstacle, Scenario, TurnLimit, validate
 
 SHIPPED = (
     "blimp-multiple-obstacles",
@@ -141,11 +139,27 @@ def test_ships_its_scenarios() -> None:
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_scenario_is_what_drake_reads(name: str) -> None:
     scenario = load_scenario(name)
-    drakes = yaml_load_typed(
-        schema=Scenario, filename=DIRECTORY / f"{name}.yaml", child_name=name
-    )
+    drakes = yaml_load(filename=str(DIRECTORY / f"{name}.yaml"), private=True)[name]
     assert scenario.name == name
-    assert scenario == dataclasses.replace(drakes, name=name)
+    check_holds(scenario, drakes)
+
+
+def check_holds(value: object, read: object) -> None:
+    """Checks a value against what Drake reads in the same text, without types."""
+    if isinstance(read, dict):
+        assert (
+            read.pop("_tag", f"!{type(value).__name__}") == f"!{type(value).__name__}"
+        )
+        for name, each in read.items():
+            check_holds(getattr(value, name), each)
+    elif isinstance(read, list):
+        assert isinstance(value, list)
+        for one, other in zip(value, read, strict=True):
+            check_holds(one, other)
+    elif isinstance(value, float):
+        assert value == float(read)  # type: ignore[arg-type]
+    else:
+        assert value == read
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -169,10 +183,8 @@ def test_defaults_load(tmp_path: Path) -> None:
 
 def test_one_of_everything_loads(everything: Path) -> None:
     scenario = load_scenario(everything)
-    drakes = yaml_load_typed(
-        schema=Scenario, filename=everything, child_name="OneOfEverything"
-    )
-    assert scenario == drakes
+    drakes = yaml_load(filename=str(everything), private=True)
+    check_holds(scenario, drakes["OneOfEverything"])
     assert scenario.name == "everything"
     assert scenario.turn_limit == TurnLimit(1.25, 0.2)
     assert scenario.disturbance[0].value == [0.01]  # YAML 1.1 reads 1e-2 as text.
@@ -208,10 +220,7 @@ def check_round_trip(scenario: Scenario, directory: Path) -> None:
     path.write_text(text)
     assert load_scenario(path) == scenario
     assert dump_scenario(load_scenario(path)) == text
-    assert (
-        yaml_load_typed(schema=Scenario, data=text, child_name=scenario.name)
-        == scenario
-    )
+    check_holds(scenario, yaml_load(data=text, private=True)[scenario.name])
 
 
 def test_dump_takes_arrays(tmp_path: Path) -> None:
@@ -227,7 +236,7 @@ def test_one_scenario_of_several(tmp_path: Path) -> None:
     path = tmp_path / "two.yaml"
     path.write_text("one: {}\ntwo: {period: 0.1}\n")
     assert load_scenario(path, scenario_name="two").period == 0.1
-    assert "scenario_name must be one of one, two" in refusal(path)
+    assert "must be one of one, two" in refusal(path)
     assert "did you mean two?" in refusal(path, scenario_name="tow")
 
 
@@ -290,7 +299,7 @@ def test_override_can_rename() -> None:
 
 def test_messages_name_the_source_of_the_value() -> None:
     message = refusal("blimp-single-obstacle", "{period: -1}")
-    assert message == "override: period: -1; it must be above 0"
+    assert message == "override: period: -1; it must be finite and above 0"
     # The override moves the sphere; what is wrong then is the file's start.
     message = refusal(
         "blimp-single-obstacle", {"obstacles": [{"center": [0, 0, 0.2], "radius": 0.3}]}
@@ -352,22 +361,22 @@ REFUSED = [
     ("{target: [.nan, 0, 0]}", "target[0]", "nan; it must be finite"),
     ("{input_set: {upper: [.inf, 1, 1]}}", "input_set.upper[0]", "must be finite"),
     ("{plant: {mass: .nan}}", "plant.mass", "finite and above 0"),
-    ("{plant: {drag: [-1, 0, 0]}}", "plant.drag", "not below 0"),
+    ("{plant: {drag: [-1, 0, 0]}}", "plant.drag[0]", "not below 0"),
     ("{controller: {yaw_gain: -1}}", "controller.yaw_gain", "not below 0"),
-    ("{duration: 0}", "duration", "0; it must be above 0"),
-    ("{period: -0.01}", "period", "-0.01; it must be above 0"),
+    ("{duration: 0}", "duration", "0; it must be finite and above 0"),
+    ("{period: -0.01}", "period", "-0.01; it must be finite and above 0"),
     ("{arrival_tolerance: 0}", "arrival_tolerance", "above 0"),
-    ("{observer: {beta: -6}}", "observer.beta", "-6; it must be above 0"),
+    ("{observer: {beta: -6}}", "observer.beta", "-6; it must be finite and above 0"),
     ("{integrator: {max_step: -1}}", "integrator.max_step", "not below 0"),
     ("{noise: {seed: -1}}", "noise.seed", "not below 0"),
-    ("{volume: {gain: 0}}", "volume.gain", "must be positive"),
+    ("{volume: {gain: 0}}", "volume.gain", "must be finite and above 0"),
     ("{volume: {threshold: 1}}", "volume.threshold", "1; it must be below 1"),
     ("{barrier: {gains: [-1, 1]}}", "barrier.gains[0]", "above 0"),
-    ("{barrier: {gains: [2, 1.1]}}", "barrier.gains", "k1^2 >= 4 k2"),
+    ("{barrier: {gains: [2, 1.1]}}", "barrier.gains", "k2 <= k1^2 / 4"),
     (
         "{obstacles: [{center: [2, 2, 2], radius: -0.1}]}",
         "obstacles[0].radius",
-        "-0.1; it must be above 0",
+        "-0.1; it must be finite and above 0",
     ),
     (
         "{obstacles: [{center: [2, 2, 2], radius: 0.1, margin: -1}]}",
@@ -380,19 +389,19 @@ REFUSED = [
         "above 0",
     ),
     # Sizes.
-    ("{initial_state: [0, 0]}", "initial_state", "8 numbers, one per state"),
-    ("{target: [1, 0]}", "target", "3 numbers, one per dimension"),
+    ("{initial_state: [0, 0]}", "initial_state", "8 numbers, one each of x, y, z, yaw"),
+    ("{target: [1, 0]}", "target", "3 numbers, one each of x, y, z"),
     ("{obstacles: [{center: [1, 0], radius: 1}]}", "obstacles[0].center", "3 numbers"),
     (
         "{obstacles: [{center: [2, 2, 2], radius: 1, velocity: [1]}]}",
         "obstacles[0].velocity",
         "3 numbers",
     ),
-    ("{noise: {std: [1]}}", "noise.std", "8 numbers, one per state"),
-    ("{input_set: {lower: [-1]}}", "input_set.lower", "3 numbers, one per input"),
+    ("{noise: {std: [1]}}", "noise.std", "8 numbers, one each of x, y, z, yaw"),
+    ("{input_set: {lower: [-1]}}", "input_set", "1 numbers in lower and 3 in upper"),
     ("{input_set: {A: [[1, 1]], b: [1]}}", "input_set.A[0]", "3 numbers"),
-    ("{input_set: {A: [[1, 1, 1]]}}", "input_set.b", "1 number, one per row of A"),
-    ("{barrier: {gains: [1, 2, 3]}}", "barrier.gains", "2 numbers"),
+    ("{input_set: {A: [[1, 1, 1]]}}", "input_set.b", "list of 1 number"),
+    ("{barrier: {gains: [1, 2, 3]}}", "barrier.gains", "must be real and positive"),
     ("{disturbance: [!Constant {value: [1]}]}", "disturbance[0]", "must have 3"),
     ("{plant: {added_mass: [1]}}", "plant.added_mass", "list of 3 numbers"),
     # Choices.
@@ -403,6 +412,9 @@ REFUSED = [
     ("{observer: {step: euler}}", "observer.step", "implicit, saturated, explicit"),
     ("{barrier: {form: cube}}", "barrier.form", "one of distance, squared"),
     ("{integrator: {scheme: rk4}}", "integrator.scheme", "runge_kutta3"),
+    # Units and sizes that people mix up.
+    ("{initial_state: [0, 0, 0, 90, 0, 0, 0, 0]}", "initial_state[3]", "degrees"),
+    ("{duration: 1e9}", "duration", "at most 100000 s, 1e+07 ticks of 0.01 s"),
     # Parts that must agree.
     (
         "{between_ticks: certified, fidelity: paper}",
@@ -412,14 +424,18 @@ REFUSED = [
     ("{input_set: {lower: [0, 0, 1]}}", "input_set.lower[2]", "below upper"),
     ("{input_set: {A: [[1, 0, 0]], b: [-9]}}", "input_set", "is empty"),
     ("{period: 30}", "period", "at most the duration, 20 s"),
-    ("{observer: {period: 1}}", "observer.period", "at most the control period"),
+    (
+        "{observer: {period: 1}}",
+        "observer.period",
+        "at most the control period, 0.01 s",
+    ),
     ("{observer: {period: -1}}", "observer.period", "not below 0"),
     (
         "{controller: !CarControllerParameters {}}",
         "controller",
         "!CarControllerParameters; it must be !BlimpControllerParameters",
     ),
-    ("{turn_limit: {curvature: 1}}", "turn_limit", "for the plant is a blimp"),
+    ("{turn_limit: {curvature: 1}}", "turn_limit", "for the plant is !BlimpParameters"),
     ("{target: [0.5, 0.1, 0.5]}", "target", "signed distance is -0.1 m"),
     (
         "{disturbance: [!Recorded {times: [0, 1, 2],"
@@ -474,7 +490,7 @@ def test_missing_file_suggests_shipped_names() -> None:
     message = refusal("blimp-single-obstacles")
     assert message.startswith("blimp-single-obstacles: neither a file nor")
     assert all(name in message for name in SHIPPED)
-    assert message.endswith("did you mean blimp-single-obstacle?")
+    assert "did you mean blimp-single-obstacle" in message
 
 
 @pytest.mark.parametrize(
@@ -489,7 +505,7 @@ def test_missing_file_suggests_shipped_names() -> None:
         (b"one: \x07\n", "not YAML"),
         (b"one: *nowhere\n", "not YAML"),
         (b"? [1]\n: 2\n", "keys are words"),
-        (b"one: {<<: 3}\n", "not YAML"),
+        (b"one: {<<: 3}\n", "expected a mapping, got '3'"),
     ],
 )
 def test_refuses_file(tmp_path: Path, content: bytes, problem: str) -> None:
@@ -498,6 +514,13 @@ def test_refuses_file(tmp_path: Path, content: bytes, problem: str) -> None:
     message = refusal(path)
     assert message.startswith(str(path))
     assert problem in message
+
+
+def test_a_forgotten_name_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "nameless.yaml"
+    path.write_text("plant: !CarParameters {mass: 2}\nduration: 3\n")
+    message = refusal(path)
+    assert "plant at the top; a scenario's name is missing above it" in message
 
 
 def test_refuses_directory(tmp_path: Path) -> None:
@@ -537,12 +560,12 @@ def test_validate_names_the_field() -> None:
     scenario = Scenario(obstacles=[Obstacle([3.0, 3.0, 3.0], 0.5)])
     validate(scenario)
     scenario.obstacles[0].radius = float("nan")
-    with pytest.raises(InvalidFieldError, match="nan; it must be finite") as caught:
+    with pytest.raises(InvalidValueError, match="nan; it must be finite") as caught:
         validate(scenario)
     assert caught.value.path == ("obstacles", 0, "radius")
     scenario.obstacles.clear()
     scenario.volume.gain = -1.0
-    with pytest.raises(InvalidFieldError, match="-1; it must be above 0"):
+    with pytest.raises(InvalidValueError, match="-1; it must be"):
         validate(scenario)
 
 
@@ -565,12 +588,12 @@ def test_start_and_target_are_outside(
     velocity: list[float],
     allowed: bool,
 ) -> None:
-    scenario = Scenario(obstacles=[Obstacle(center, radius, velocity, margin)])
+    obstacles = [Obstacle(center, radius, velocity, margin)]
     if allowed:
-        validate(scenario)
+        validate(Scenario(obstacles=obstacles))
     else:
-        with pytest.raises(ScenarioError, match="outside obstacles"):
-            validate(scenario)
+        with pytest.raises(InvalidValueError, match="outside obstacles"):
+            Scenario(obstacles=obstacles)
 
 
 @pytest.mark.parametrize(
@@ -584,7 +607,7 @@ def test_gains_have_real_negative_roots(gains: list[float], allowed: bool) -> No
         validate(scenario)
         assert np.all(np.roots([1.0, *gains]) < 0.0)
     else:
-        with pytest.raises(ScenarioError, match="real roots"):
+        with pytest.raises(InvalidValueError, match="must be real and positive"):
             validate(scenario)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from vcbf_drake.simulation.scenario_file import dump_scenario, load_scenario
+from vcbf_drake.simulation.loading import dump_scenario, load_scenario
 from vcbf_drake.studies import BLIMP_COURSES, CAR_COURSES, Trial, blimp_course
 from vcbf_drake.studies.blimp_courses import BLIMP_COURSE_RANGES, SPHERE_COUNTS
 from vcbf_drake.studies.car_courses import car_course

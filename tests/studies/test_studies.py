@@ -26,8 +26,8 @@ from typer.testing import CliRunner
 
 from vcbf_drake.cli import app
 from vcbf_drake.errors import ScenarioError
+from vcbf_drake.simulation.loading import dump_scenario, load_scenario
 from vcbf_drake.simulation.scenario import Scenario
-from vcbf_drake.simulation.scenario_file import dump_scenario, load_scenario
 from vcbf_drake.studies import (
     TABLE_I,
     Trial,

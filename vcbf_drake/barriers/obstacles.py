@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 from pydrake.symbolic import Expression
@@ -16,10 +17,10 @@ from vcbf_drake.barriers.position import (
     PositionFunction,
     position_function,
 )
-from vcbf_drake.checks import Array
+from vcbf_drake.checks import Array, require_choice
 from vcbf_drake.model.compiled import Expressions
 
-_FORMS = ("distance", "squared")
+SphereForm = Literal["distance", "squared"]
 
 
 @dataclass
@@ -43,7 +44,7 @@ class SphereObstacle:
     center: Sequence[float] | Array
     radius: float
     velocity: Sequence[float] | Array | None = None
-    form: str = "distance"
+    form: SphereForm = "distance"
     margin: float = 0.0
 
     def __post_init__(self) -> None:
@@ -61,10 +62,7 @@ class SphereObstacle:
                 "obstacle: radius and margin must be >= 0 and not both 0,"
                 f" got {self.radius} and {self.margin}"
             )
-        if self.form not in _FORMS:
-            raise ValueError(
-                f"obstacle: form must be one of {', '.join(_FORMS)}, got '{self.form}'"
-            )
+        require_choice("obstacle: form", self.form, get_args(SphereForm))
 
     @property
     def safety_distance(self) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vcbf_drake.barriers.barrier import Barrier
-from vcbf_drake.barriers.obstacles import SphereObstacle
+from vcbf_drake.barriers.obstacles import SphereForm, SphereObstacle
 from vcbf_drake.barriers.position import Position
 from vcbf_drake.checks import Array, check_parameter
 
@@ -40,7 +40,7 @@ class PerceivedSpheres:
 
     capacity: int
     dimensions: int = 3
-    form: str = "distance"
+    form: SphereForm = "distance"
     margin: float = 0.0
 
     def __post_init__(self) -> None:

@@ -135,7 +135,7 @@ def _load(
     duration: float | None,
     rate: float | None,
 ) -> Scenario:
-    from vcbf_drake.simulation.validation import validate
+    from vcbf_drake.simulation.scenario import validate
 
     chosen = load(scenario, override, method)
     if duration is not None:

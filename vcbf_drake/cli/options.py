@@ -43,8 +43,8 @@ def out_option(default: str) -> Any:
 
 def load(name_or_path: str, override: str | None, method: str | None) -> Scenario:
     """Returns the scenario with the overrides and the method of the command line."""
-    from vcbf_drake.simulation.scenario_file import load_scenario
-    from vcbf_drake.simulation.validation import validate
+    from vcbf_drake.simulation.loading import load_scenario
+    from vcbf_drake.simulation.scenario import validate
 
     scenario = load_scenario(name_or_path, override)
     if method is not None:

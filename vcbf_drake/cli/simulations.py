@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 def list_scenarios() -> None:
     """List the shipped scenarios."""
-    from vcbf_drake.simulation.scenario_file import load_scenario, shipped_scenarios
+    from vcbf_drake.simulation.loading import load_scenario, shipped_scenarios
     from vcbf_drake.viz.terminal import print_scenarios
 
     print_scenarios([load_scenario(name) for name in shipped_scenarios()])

@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import math
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -39,7 +40,8 @@ from vcbf_drake.disturbances.bounds import (
     noise_peak,
 )
 
-STEPS = ("implicit", "saturated", "explicit")
+ObserverStep = Literal["implicit", "saturated", "explicit"]
+STEPS: tuple[ObserverStep, ...] = get_args(ObserverStep)
 
 # The explicit step's peaks over the law (E36) were 0.86 to 1.18 in simulations.
 _CHATTER_MARGIN = 1.2

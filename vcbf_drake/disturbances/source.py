@@ -24,7 +24,7 @@ from vcbf_drake.disturbances.signals import (
     Transition,
     supremum,
 )
-from vcbf_drake.errors import ModelError
+from vcbf_drake.errors import InvalidValueError, ModelError
 
 # Between two samples [s]; a spline's third derivative goes with its inverse cube.
 _SHORTEST_INTERVAL = 1e-9
@@ -46,9 +46,12 @@ class Signal(Protocol):
 
 @dataclass
 class Constant:
-    """A disturbance that never changes."""
+    """A disturbance that never changes.
 
-    # One value a disturbed channel [m/s^2].
+    Attributes:
+        value: One value a disturbed channel [m/s^2].
+    """
+
     value: list[float] = field(default_factory=list)
 
     def curve(self, horizon: float) -> Tones:
@@ -59,13 +62,16 @@ class Constant:
 
 @dataclass
 class Sinusoid:
-    """A tone, ``amplitude sin(frequency t + phase)``."""
+    """A tone, ``amplitude sin(frequency t + phase)``.
 
-    # One amplitude a disturbed channel [m/s^2].
+    Attributes:
+        amplitude: One amplitude a disturbed channel [m/s^2].
+        frequency: Angular frequency [rad/s].
+        phase: Phase at time zero [rad].
+    """
+
     amplitude: list[float] = field(default_factory=list)
-    # Angular frequency [rad/s].
     frequency: float = 1.0
-    # Phase at time zero [rad].
     phase: float = 0.0
 
     def curve(self, horizon: float) -> Tones:
@@ -80,13 +86,16 @@ class Sinusoid:
 
 @dataclass
 class SmoothStep:
-    """A gust that comes to stay: from 0 to its amplitude along a quintic."""
+    """A gust that comes to stay: from 0 to its amplitude along a quintic.
 
-    # One final value a disturbed channel [m/s^2].
+    Attributes:
+        amplitude: One final value a disturbed channel [m/s^2].
+        start: When it begins to rise [s].
+        duration: How long it rises [s]. A sudden step is not C2.
+    """
+
     amplitude: list[float] = field(default_factory=list)
-    # When it begins to rise [s].
     start: float = 0.0
-    # How long it rises [s]. A sudden step is not C2.
     duration: float = 1.0
 
     def curve(self, horizon: float) -> Transition:
@@ -99,15 +108,18 @@ class SmoothStep:
 
 @dataclass
 class BandLimitedNoise:
-    """Noise below a bandwidth: tones of random frequency and phase, from a seed."""
+    """Noise below a bandwidth: tones of random frequency and phase, from a seed.
 
-    # One standard deviation (over time) a disturbed channel [m/s^2].
+    Attributes:
+        std: One standard deviation (over time) a disturbed channel [m/s^2].
+        bandwidth: No tone is faster than this [rad/s].
+        seed: The same seed gives the same noise.
+        tones: Tones per channel.
+    """
+
     std: list[float] = field(default_factory=list)
-    # No tone is faster than this [rad/s].
     bandwidth: float = 1.0
-    # The same seed gives the same noise.
     seed: int = 0
-    # Tones per channel.
     tones: int = 16
 
     def curve(self, horizon: float) -> Tones:
@@ -133,11 +145,13 @@ class Recorded:
     """Samples of a measured disturbance, joined by a C2 cubic spline.
 
     They have to span the whole simulation: a recording that stops is not C2 there.
+
+    Attributes:
+        times: Increasing sample times, three at least [s].
+        values: One row a time, one number a disturbed channel [m/s^2].
     """
 
-    # Increasing sample times, three at least [s].
     times: list[float] = field(default_factory=list)
-    # One row a time, one number a disturbed channel [m/s^2].
     values: list[list[float]] = field(default_factory=list)
 
     def curve(self, horizon: float) -> Spline:
@@ -148,9 +162,10 @@ class Recorded:
         rule = f"increasing, by at least {_SHORTEST_INTERVAL:g} s"
         _check("times", self.times, apart, rule)
         if times[0] > 0.0 or times[-1] < horizon:
-            raise ModelError(
-                f"times span [{times[0]:g}, {times[-1]:g}] s; they must span"
-                f" [0, {horizon:g}] s, for where a recording ends it is not C2"
+            raise InvalidValueError(
+                "times",
+                f"from {times[0]:g} to {times[-1]:g} s; it must span"
+                f" [0, {horizon:g}] s, for where a recording ends it is not C2",
             )
         try:
             values = np.array(self.values, dtype=float)
@@ -161,9 +176,10 @@ class Recorded:
             or len(values) != len(times)
             or not np.isfinite(values).all()
         ):
-            raise ModelError(
-                f"values must be {len(times)} rows, one a time, of equally many finite"
-                " numbers"
+            raise InvalidValueError(
+                "values",
+                f"{reprlib.repr(self.values)}; it must be {len(times)} rows, one a"
+                " time, of equally many finite numbers",
             )
         return Spline(times, values)
 
@@ -263,4 +279,6 @@ def _check_positive(name: str, value: float) -> None:
 
 def _check(name: str, value: Any, allowed: bool, requirement: str) -> None:
     if not allowed:
-        raise ModelError(f"{name} is {reprlib.repr(value)}; it must be {requirement}")
+        raise InvalidValueError(
+            name, f"{reprlib.repr(value)}; it must be {requirement}"
+        )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.systems.framework import (
@@ -41,9 +41,6 @@ from vcbf_drake.simulation.loop import (
 from vcbf_drake.simulation.parts import barriers, make_plant
 from vcbf_drake.simulation.scenario import Hardware, Scenario
 
-Fallback = Literal["zero", "brake"]
-FALLBACKS: tuple[Fallback, ...] = ("zero", "brake")
-
 
 def fallback_input(
     kind: str,
@@ -59,7 +56,7 @@ def fallback_input(
     sense of least squares. Source: ours.
 
     Args:
-        kind: One of `FALLBACKS`.
+        kind: "zero" or "brake".
         model: The vehicle's f, g, E.
         input_set: What its actuators can do.
         x: Its state, shape (n,).

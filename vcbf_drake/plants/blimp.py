@@ -45,16 +45,12 @@ class BlimpParameters:
     yaw_inertia: float = 0.005821
     yaw_drag: float = 0.000862
 
-    def validate(self) -> None:
-        """Raises ValueError unless all are finite and positive (air effects: or 0)."""
-        name = "BlimpParameters"
-        check_parameter(f"{name}.mass", self.mass)
-        check_parameter(f"{name}.yaw_inertia", self.yaw_inertia)
-        check_parameter(
-            f"{name}.added_mass", self.added_mass, size=3, zero_allowed=True
-        )
-        check_parameter(f"{name}.drag", self.drag, size=3, zero_allowed=True)
-        check_parameter(f"{name}.yaw_drag", self.yaw_drag, zero_allowed=True)
+    def __post_init__(self) -> None:
+        check_parameter("mass", self.mass)
+        check_parameter("yaw_inertia", self.yaw_inertia)
+        check_parameter("added_mass", self.added_mass, size=3, zero_allowed=True)
+        check_parameter("drag", self.drag, size=3, zero_allowed=True)
+        check_parameter("yaw_drag", self.yaw_drag, zero_allowed=True)
 
     @property
     def effective_masses(self) -> tuple[float, float, float]:
@@ -138,7 +134,6 @@ def Blimp_(T: type) -> type:
         ) -> None:
             LeafSystem_[T].__init__(self, converter=converter)
             self._parameters = copy.deepcopy(parameters) or BlimpParameters()
-            self._parameters.validate()
             self.DeclareNumericParameter(BasicVector_[T](self._parameters.to_vector()))
             self._input = self.DeclareVectorInputPort("input", 3)
             self._disturbance = self.DeclareVectorInputPort("disturbance", 3)

@@ -47,12 +47,11 @@ class BlimpControllerParameters:
     surge_speed_cap: float = math.inf
     height_error_cap: float = math.inf
 
-    def validate(self) -> None:
-        """Raises ValueError unless all gains are finite and not below 0, caps above."""
+    def __post_init__(self) -> None:
         for name, value in vars(self).items():
             is_cap = name.endswith("_cap")
             check_parameter(
-                f"BlimpControllerParameters.{name}",
+                name,
                 value,
                 zero_allowed=not is_cap,
                 infinity_allowed=is_cap,
@@ -97,7 +96,6 @@ class BlimpController(LeafSystem):
         super().__init__()
         self._target = check_target(target, 3)
         self._parameters = copy.copy(parameters) or BlimpControllerParameters()
-        self._parameters.validate()
         self._masses = (plant_parameters or BlimpParameters()).effective_masses
         self._state = self.DeclareVectorInputPort("state", 8)
         self._estimate = self.DeclareVectorInputPort("disturbance_estimate", 3)

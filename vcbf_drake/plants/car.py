@@ -31,9 +31,8 @@ class CarParameters:
 
     mass: float = 2.0
 
-    def validate(self) -> None:
-        """Raises ValueError unless the mass is finite and positive."""
-        check_parameter("CarParameters.mass", self.mass)
+    def __post_init__(self) -> None:
+        check_parameter("mass", self.mass)
 
 
 # Told its scope, Drake need not look for it by inspecting the stack, which is slow.
@@ -66,7 +65,6 @@ def Car_(T: type) -> type:
         ) -> None:
             LeafSystem_[T].__init__(self, converter=converter)
             self._parameters = copy.deepcopy(parameters) or CarParameters()
-            self._parameters.validate()
             self.DeclareNumericParameter(BasicVector_[T]([self._parameters.mass]))
             self._input = self.DeclareVectorInputPort("input", 2)
             self._disturbance = self.DeclareVectorInputPort("disturbance", 1)

@@ -34,10 +34,9 @@ class CarControllerParameters:
     speed_gain: float = 4.0
     approach_gain: float = 0.6
 
-    def validate(self) -> None:
-        """Raises ValueError unless all gains are finite and not below 0."""
+    def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            check_parameter(f"CarControllerParameters.{name}", value, zero_allowed=True)
+            check_parameter(name, value, zero_allowed=True)
 
 
 class CarController(LeafSystem):
@@ -73,7 +72,6 @@ class CarController(LeafSystem):
         super().__init__()
         self._target = check_target(target, 2)
         self._parameters = copy.copy(parameters) or CarControllerParameters()
-        self._parameters.validate()
         self._mass = (plant_parameters or CarParameters()).mass
         self._state = self.DeclareVectorInputPort("state", 4)
         self._estimate = self.DeclareVectorInputPort("disturbance_estimate", 1)

@@ -1,9 +1,11 @@
 """Corrections: which errata of the published method a filter applies."""
 
-# pydrake.common.yaml assigns the fields, so the class is not frozen, and it needs
-# evaluated types, so there is no `from __future__ import annotations`.
+from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
+
+Fidelity = Literal["corrected", "paper"]
 
 
 @dataclass
@@ -24,7 +26,7 @@ class Corrections:
     error_floor: bool = False
 
 
-FIDELITIES: dict[str, Corrections] = {
+FIDELITIES: dict[Fidelity, Corrections] = {
     "corrected": Corrections(True, True, True),
     "paper": Corrections(),
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
@@ -36,7 +36,6 @@ from vcbf_drake.safety.feasible_set import (
 from vcbf_drake.safety.filter_qp import (
     FilterDecision,
     FilterStatus,
-    InfeasiblePolicy,
     VolumeRow,
     choose_input,
     failed_decision,
@@ -384,7 +383,7 @@ class SafetyFilter(LeafSystem):
                 held,
                 self.input_set,
                 self.settings.corrections.exact_slack,
-                cast(InfeasiblePolicy, self.settings.infeasible),
+                self.settings.infeasible,
             )
 
         decision = choose()

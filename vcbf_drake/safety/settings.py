@@ -1,10 +1,11 @@
 """FilterSettings: the choices behind a safety filter, in one dataclass."""
 
-# No `from __future__ import annotations`: pydrake.common.yaml needs evaluated types.
+from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Literal, get_args
 
-from vcbf_drake.checks import require, require_choice
+from vcbf_drake.checks import check_parameter, require, require_choice
 from vcbf_drake.disturbances import (
     DisturbanceBounds,
     DisturbanceObserver,
@@ -12,45 +13,55 @@ from vcbf_drake.disturbances import (
     RiseGains,
     RiseObserver,
 )
-from vcbf_drake.disturbances.rise_certificate import STEPS
+from vcbf_drake.disturbances.rise_certificate import STEPS, ObserverStep
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety.corrections import FIDELITIES, Corrections
-from vcbf_drake.safety.filter_qp import INFEASIBLE_POLICIES
+from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
+from vcbf_drake.safety.filter_qp import INFEASIBLE_POLICIES, InfeasiblePolicy
 from vcbf_drake.safety.methods import METHODS
 from vcbf_drake.safety.volume_barrier import VolumeBarrier
 
-BETWEEN_TICKS = ("none", "certified")
+BetweenTicks = Literal["none", "certified"]
+BETWEEN_TICKS: tuple[BetweenTicks, ...] = get_args(BetweenTicks)
 
 
 @dataclass
 class ObserverSettings:
     """The disturbance observers: the RISE observer (E9), and the linear one (B4).
 
+    Attributes:
+        alpha: Gain of the RISE observer (E9), (E13) [1/s].
+        beta: Gain of its sign term [m/s^3]; null for one that the disturbance's bounds
+            need (E49): 6, or more.
+        gamma: Gain of its filtered error [1/s].
+        uncertified: Whether gains that fail (E49) are allowed: with the error bound
+            2 delta1 (E94).
+        step: How one sampled step is taken: implicit (E40), saturated (E38), explicit
+            (E36).
+        period: Time between its steps, at most the control period [s]; 0 means that
+            one.
+        boundary_layer: Where the saturated step's sign function becomes linear [m/s].
+        linear_rate: Rate of the first-order observer of method wang-xu-dob-cbf-qp
+            [1/s].
+
     Raises:
-        ValueError: A field is outside what is allowed.
+        InvalidValueError: A field is outside what is allowed.
     """
 
-    # Gains of the RISE observer, (E9), (E13).
     alpha: float = 5.0
-    # None for one that the disturbance's bounds need (E49): 6, or more.
     beta: float | None = None
     gamma: float = 4.0
-    # Whether gains that fail (E49) are allowed: with the error bound 2 delta1 (E94).
     uncertified: bool = False
-    # How one sampled step is taken: implicit (E40), saturated (E38), explicit (E36).
-    step: str = "implicit"
-    # Time between its steps, at most the control period [s]; 0 means that one.
+    step: ObserverStep = "implicit"
     period: float = 0.0
-    # Where the saturated step's sign function becomes linear [m/s].
     boundary_layer: float = 0.05
-    # Rate of the first-order observer of method wang-xu-dob-cbf-qp [1/s].
     linear_rate: float = 4.0
 
     def __post_init__(self) -> None:
-        for name in ("alpha", "beta", "gamma", "boundary_layer", "linear_rate"):
-            value = getattr(self, name)
-            require(value is None or value > 0.0, name, value, "above 0")
-        require(self.period >= 0.0, "period", self.period, "not below 0")
+        for name in ("alpha", "gamma", "boundary_layer", "linear_rate"):
+            check_parameter(name, getattr(self, name))
+        if self.beta is not None:
+            check_parameter("beta", self.beta)
+        check_parameter("period", self.period, zero_allowed=True)
         require_choice("step", self.step, STEPS)
 
 
@@ -61,54 +72,56 @@ class FilterSettings:
     A `Scenario` is one of these with a plant and a task: its YAML keys are these
     fields, and `AddSafetyFilter` takes it in their place.
 
+    Attributes:
+        period: Control period [s].
+        method: The safety filter, one of `METHODS`.
+        fidelity: "corrected", or "paper" for the equations as published; or the errata
+            to apply.
+        infeasible: What to do when no input satisfies the barrier rows: apply the input
+            of "least_violation", "hold" the last one, or "stop" the simulation.
+        volume: The volume barrier, for the methods that have one.
+        between_ticks: "none" asks the rows to hold at the ticks alone, "certified" asks
+            for inputs under which they hold until the next tick (E77), where there are
+            such.
+        violation_weights: How much a violation of each barrier counts when not all can
+            hold, (N,); empty for 1 each.
+        observer: The disturbance observer.
+
     Raises:
-        ValueError: A field is outside what is allowed; one line says which.
+        InvalidValueError: A field is outside what is allowed; one line says which.
     """
 
-    # Control period [s].
     period: float = 0.02
-    # The safety filter, one of METHODS.
     method: str = "dob-vcbf-qp"
-    # "corrected", or "paper" for the equations as published; or the errata to apply.
-    fidelity: str | Corrections = "corrected"
-    # What to do when no input satisfies the barrier rows: apply the input of
-    # "least_violation", "hold" the last one, or "stop" the simulation.
-    infeasible: str = "least_violation"
-    # The volume barrier, for the methods that have one.
+    fidelity: Fidelity | Corrections = "corrected"
+    infeasible: InfeasiblePolicy = "least_violation"
     volume: VolumeBarrier = field(default_factory=VolumeBarrier)
-    # Between ticks: "none" asks the rows to hold at the ticks alone, "certified" asks
-    # for inputs under which they hold until the next tick (E77), where there are such.
-    between_ticks: str = "none"
-    # How much a violation of each barrier counts when not all can hold, (N,); empty
-    # for 1 each.
+    between_ticks: BetweenTicks = "none"
     violation_weights: list[float] = field(default_factory=list)
-    # The disturbance observer.
     observer: ObserverSettings = field(default_factory=ObserverSettings)
 
     def __post_init__(self) -> None:
-        self.check()
-
-    def check(self) -> None:
-        """Raises ValueError for a field, and fields of it, that are not allowed."""
-        require(self.period > 0.0, "period", self.period, "above 0")
+        check_parameter("period", self.period)
         require_choice("method", self.method, METHODS)
         if not isinstance(self.fidelity, Corrections):
             require_choice("fidelity", self.fidelity, FIDELITIES)
         require_choice("infeasible", self.infeasible, INFEASIBLE_POLICIES)
         require_choice("between_ticks", self.between_ticks, BETWEEN_TICKS)
-        for index, weight in enumerate(self.violation_weights):
-            require(weight > 0.0, f"violation_weights[{index}]", weight, "above 0")
+        weights = self.violation_weights
+        check_parameter("violation_weights", weights, size=len(weights))
         require(
             self.observer.period <= self.period,
-            "observer.period",
+            ("observer", "period"),
             self.observer.period,
             f"at most the control period, {self.period:g} s",
         )
-        if self.between_ticks == "certified" and not self.covers_hold:
-            raise ValueError(
-                "between_ticks: certified; it must be none without the correction"
-                " error_floor, for the printed error bound does not hold between ticks"
-            )
+        require(
+            self.between_ticks != "certified" or self.covers_hold,
+            "between_ticks",
+            self.between_ticks,
+            "none without the correction error_floor, for the printed error bound does"
+            " not hold between ticks",
+        )
 
     @property
     def corrections(self) -> Corrections:

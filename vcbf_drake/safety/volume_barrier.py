@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from vcbf_drake.checks import Array
+from vcbf_drake.checks import Array, check_parameter, require, require_choice
 from vcbf_drake.safety.ellipsoid import Ellipsoid
 from vcbf_drake.safety.feasibility_measure import (
     MEASURES,
@@ -52,25 +52,16 @@ class VolumeBarrier:
 
     def __post_init__(self) -> None:
         for name in ("threshold", "gain", "slack_penalty", "guard_gain"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
-                raise ValueError(
-                    f"VolumeBarrier.{name}: got {value}; must be positive and finite"
-                )
-        if not (np.isfinite(self.widening) and self.widening >= 1.0):
-            raise ValueError(
-                f"VolumeBarrier.widening: got {self.widening}; must be at least 1"
-            )
+            check_parameter(name, getattr(self, name))
+        rule = "below 1, det B of the free box"
+        require(self.threshold < 1.0, "threshold", self.threshold, rule)
+        is_wide = math.isfinite(self.widening) and self.widening >= 1.0
+        require(is_wide, "widening", self.widening, "finite and at least 1")
         for name, allowed in (
             ("measure", [*MEASURES]),
             ("guard", [NO_GUARD, *MEASURES]),
         ):
-            value = getattr(self, name)
-            if value not in allowed:
-                raise ValueError(
-                    f"VolumeBarrier.{name}: got {value!r};"
-                    f" allowed: {', '.join(allowed)}"
-                )
+            require_choice(name, getattr(self, name), allowed)
 
     @property
     def label(self) -> str:

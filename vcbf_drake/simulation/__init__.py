@@ -1,18 +1,17 @@
 """Scenarios, the loop they describe, and what happens when it runs."""
 
+from vcbf_drake.simulation.loading import (
+    dump_scenario,
+    load_scenario,
+    shipped_scenarios,
+)
 from vcbf_drake.simulation.log_files import read_log_files
 from vcbf_drake.simulation.loop import make_loop
 from vcbf_drake.simulation.parts import barriers
 from vcbf_drake.simulation.result import Result, load_result
 from vcbf_drake.simulation.run import check_assumptions, simulate
-from vcbf_drake.simulation.scenario import Scenario
-from vcbf_drake.simulation.scenario_file import (
-    dump_scenario,
-    load_scenario,
-    shipped_scenarios,
-)
+from vcbf_drake.simulation.scenario import Scenario, validate
 from vcbf_drake.simulation.step_time import step_cpu_time
-from vcbf_drake.simulation.validation import validate
 
 __all__ = [
     "Result",

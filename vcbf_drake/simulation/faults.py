@@ -4,21 +4,30 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-import math
 
+from vcbf_drake.checks import check_finite, check_parameter
+from vcbf_drake.errors import InvalidValueError
 from vcbf_drake.safety.assumptions import Assumption
 
 
 @dataclass
 class StepGust:
-    """A push that comes and goes at once: not C2, and not declared."""
+    """A push that comes and goes at once: not C2, and not declared.
 
-    # One value a disturbed channel [m/s^2].
-    amplitude: list[float] = field(default_factory=list, metadata={"required": True})
-    # When it begins [s].
+    Attributes:
+        amplitude: One value a disturbed channel [m/s^2].
+        start: When it begins [s].
+        duration: How long it lasts [s].
+    """
+
+    amplitude: list[float]
     start: float = 0.0
-    # How long it lasts [s].
     duration: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_finite("amplitude", self.amplitude, size=len(self.amplitude))
+        check_finite("start", self.start)
+        check_parameter("duration", self.duration)
 
 
 @dataclass
@@ -26,65 +35,57 @@ class Faults:
     """What is wrong with plant, sensors, actuators and solver; by default nothing.
 
     The filter and its observer know of none of it. Noise is no fault but `noise`.
+
+    Attributes:
+        seed: Seed of what is random here.
+        measurement_bias: Added to the measured state, in its units, (n,); empty for
+            none.
+        measurement_delay: How old a measurement is when it arrives [s].
+        measurement_loss: Probability that a tick's measurement is lost; the last one
+            stays.
+        sight: Obstacles are seen when their surface is nearer than this [m]; 0 for
+            always.
+        actuator_lag: Time constant of the actuators [s].
+        actuator_limit: Share of the declared input limits that the actuators reach.
+        mass: True mass (inertia and added mass with it) over the one in the model.
+        drag: True drag over the one in the model.
+        disturbance: True disturbance over the declared one.
+        gusts: Pushes on top of it.
+        solver_failure: Probability that a tick's solvers fail.
+        outage: Probability that the process of filter and observer is killed at a tick.
+        outage_duration: How long it then takes until it runs again, with a fresh
+            observer [s].
     """
 
-    # Seed of what is random here.
     seed: int = 0
-    # Added to the measured state, in its units, (n,); empty for none.
     measurement_bias: list[float] = field(default_factory=list)
-    # How old a measurement is when it arrives [s].
     measurement_delay: float = 0.0
-    # Probability that a tick's measurement is lost; the last one stays.
     measurement_loss: float = 0.0
-    # Obstacles are seen when their surface is nearer than this [m]; 0 for always.
     sight: float = 0.0
-    # Time constant of the actuators [s].
     actuator_lag: float = 0.0
-    # Share of the declared input limits that the actuators reach.
     actuator_limit: float = 1.0
-    # True mass (inertia and added mass with it) over the one in the model.
     mass: float = 1.0
-    # True drag over the one in the model.
     drag: float = 1.0
-    # True disturbance over the declared one.
     disturbance: float = 1.0
-    # Pushes on top of it.
     gusts: list[StepGust] = field(default_factory=list)
-    # Probability that a tick's solvers fail.
     solver_failure: float = 0.0
-    # Probability that the process of filter and observer is killed at a tick.
     outage: float = 0.0
-    # How long it then takes until it runs again, with a fresh observer [s].
     outage_duration: float = 0.5
 
-    def validate(self) -> None:
-        """Raises ValueError for a number that is not allowed."""
+    def __post_init__(self) -> None:
         for name in ("measurement_loss", "solver_failure", "outage"):
-            _check(name, getattr(self, name), 0.0, 1.0, "from 0 to 1")
+            _check_share(name, getattr(self, name))
         for name in (
             *("seed", "measurement_delay", "sight", "actuator_lag", "drag"),
             "outage_duration",
         ):
-            _check(name, getattr(self, name), 0.0, math.inf, "finite and not below 0")
-        _check("disturbance", self.disturbance, -math.inf, math.inf, "finite")
-        if not 0.0 < self.actuator_limit <= 1.0:
-            raise ValueError(
-                f"Faults.actuator_limit: {self.actuator_limit:g}; it must be above 0"
-                " and at most 1"
-            )
-        if not 0.0 < self.mass < math.inf:
-            raise ValueError(
-                f"Faults.mass: {self.mass:g}; it must be finite and above 0"
-            )
-        for value in self.measurement_bias:
-            _check("measurement_bias", value, -math.inf, math.inf, "finite")
-        for gust in self.gusts:
-            numbers = [*gust.amplitude, gust.start, gust.duration]
-            if not (all(map(math.isfinite, numbers)) and gust.duration > 0.0):
-                raise ValueError(
-                    f"Faults.gusts: {gust}; its numbers must be finite and its duration"
-                    " above 0"
-                )
+            check_parameter(name, getattr(self, name), zero_allowed=True)
+        check_finite("disturbance", self.disturbance)
+        check_parameter("actuator_limit", self.actuator_limit)
+        _check_share("actuator_limit", self.actuator_limit)
+        check_parameter("mass", self.mass)
+        bias = self.measurement_bias
+        check_finite("measurement_bias", bias, size=len(bias))
 
     @property
     def changes_plant(self) -> bool:
@@ -163,6 +164,7 @@ def fault_assumptions(faults: Faults) -> Iterator[Assumption]:
             yield Assumption(name, statement, False, numbers, "no theorem applies")
 
 
-def _check(name: str, value: float, least: float, most: float, rule: str) -> None:
-    if not (math.isfinite(value) and least <= value <= most):
-        raise ValueError(f"Faults.{name}: {value:g}; it must be {rule}")
+def _check_share(name: str, value: float) -> None:
+    check_parameter(name, value, zero_allowed=True)
+    if value > 1.0:
+        raise InvalidValueError(name, f"{value:g}; it must be from 0 to 1")

@@ -19,6 +19,7 @@ from vcbf_drake.disturbances import (
     DisturbanceObserver,
     DisturbanceSource,
 )
+from vcbf_drake.errors import below
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.plants import (
     Blimp,
@@ -27,7 +28,6 @@ from vcbf_drake.plants import (
     Car,
     CarController,
 )
-from vcbf_drake.simulation.invalid_field import InvalidFieldError
 from vcbf_drake.simulation.scenario import Scenario
 
 
@@ -130,7 +130,7 @@ def make_observer(
         period: Time between measurements [s].
         longest_interval: See `DisturbanceObserver`.
     """
-    try:
+    with below("observer"):
         return scenario.make_observer(
             model,
             bounds,
@@ -138,5 +138,3 @@ def make_observer(
             period=period,
             longest_interval=longest_interval,
         )
-    except ValueError as error:
-        raise InvalidFieldError(("observer",), str(error)) from None

@@ -13,8 +13,8 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from vcbf_drake.checks import Array
+from vcbf_drake.simulation.loading import dump_scenario, load_scenario
 from vcbf_drake.simulation.scenario import Scenario
-from vcbf_drake.simulation.scenario_file import dump_scenario, load_scenario
 
 
 @dataclass(frozen=True)

@@ -1,16 +1,23 @@
 """A scenario: everything that one run needs, as plain dataclasses.
 
-They are read and written by ``pydrake.common.yaml``, which looks at the types of the
-fields themselves.
+Each class checks itself when it is made. A value that is not allowed is answered by an
+`InvalidValueError` that names the field, the value and what is allowed.
 """
 
-# No `from __future__ import annotations`: pydrake.common.yaml needs evaluated types.
+from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
-from typing import get_type_hints
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
+import math
+import re
+from typing import Any, Literal, get_args
 
 import numpy as np
+from pydrake.systems.analysis import GetIntegrationSchemes
 
+from vcbf_drake.barriers.barrier import decay_rates
+from vcbf_drake.barriers.obstacles import SphereForm
+from vcbf_drake.checks import check_finite, check_parameter, require, require_choice
 from vcbf_drake.disturbances.source import (
     BandLimitedNoise,
     Constant,
@@ -18,35 +25,49 @@ from vcbf_drake.disturbances.source import (
     Sinusoid,
     SmoothStep,
 )
-from vcbf_drake.plants.blimp import BlimpParameters
+from vcbf_drake.errors import InvalidValueError, Path, below
+from vcbf_drake.plants.blimp import Blimp, BlimpParameters
 from vcbf_drake.plants.blimp_controller import BlimpControllerParameters
-from vcbf_drake.plants.car import CarParameters
+from vcbf_drake.plants.car import Car, CarParameters
 from vcbf_drake.plants.car_controller import CarControllerParameters
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.settings import FilterSettings
-from vcbf_drake.safety.volume_barrier import VolumeBarrier
 from vcbf_drake.simulation.faults import Faults
 
-# Its module postpones annotations, which makes them strings.
-for _field in fields(VolumeBarrier):
-    _field.type = get_type_hints(VolumeBarrier)[_field.name]
-
-# A file has to give it: the default is there for pydrake.common.yaml only.
-_REQUIRED = {"required": True}
+Fallback = Literal["zero", "brake"]
 
 
 @dataclass
 class InputLimits:
-    """The inputs that the actuators can deliver: a box, and further rows if any."""
+    """The inputs that the actuators can deliver: a box, and further rows if any.
 
-    # Least value of each input, in its unit, (m,).
-    lower: list[float] = field(default_factory=list, metadata=_REQUIRED)
-    # Greatest value of each input, in its unit, (m,).
-    upper: list[float] = field(default_factory=list, metadata=_REQUIRED)
-    # Further limits A u <= b, (k, m): coupled actuators, for example.
+    Attributes:
+        lower: Least value of each input, in its unit, (m,).
+        upper: Greatest value of each input, in its unit, (m,).
+        A: Further limits A u <= b, (k, m): coupled actuators, for example.
+        b: Their right-hand sides, (k,).
+    """
+
+    lower: list[float]
+    upper: list[float]
     A: list[list[float]] = field(default_factory=list)
-    # Their right-hand sides, (k,).
     b: list[float] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        check_finite("lower", self.lower, size=len(self.lower))
+        check_finite("upper", self.upper, size=len(self.upper))
+        if len(self.lower) != len(self.upper):
+            raise InvalidValueError(
+                (),
+                f"{len(self.lower)} numbers in lower and {len(self.upper)} in upper;"
+                " it must be one an input in each",
+            )
+        for j, (least, most) in enumerate(zip(self.lower, self.upper, strict=True)):
+            require(least < most, ("lower", j), least, f"below upper, {most:g}")
+        for i, row in enumerate(self.A):
+            check_finite(("A", i), row, size=len(self.lower))
+        check_finite("b", self.b, size=len(self.A))
+        self.input_set()
 
     def input_set(self) -> InputSet:
         """Returns the set of these inputs.
@@ -65,122 +86,307 @@ class InputLimits:
 
 @dataclass
 class TurnLimit:
-    """A car's steering: ``|omega| <= curvature sqrt(v^2 + smoothing_speed^2)``."""
+    """A car's steering: ``|omega| <= curvature sqrt(v^2 + smoothing_speed^2)``.
 
-    # Greatest curvature of the path [1/m].
+    Attributes:
+        curvature: Greatest curvature of the path [1/m].
+        smoothing_speed: Speed below which the limit stops shrinking [m/s]; makes it
+            smooth at rest.
+    """
+
     curvature: float = 2.0
-    # Speed below which the limit stops shrinking [m/s]; makes it smooth at rest.
     smoothing_speed: float = 0.1
+
+    def __post_init__(self) -> None:
+        check_parameter("curvature", self.curvature)
+        check_parameter("smoothing_speed", self.smoothing_speed)
 
 
 @dataclass
 class Obstacle:
-    """A sphere (for the car, a disc) to keep out of, standing or moving."""
+    """A sphere (for the car, a disc) to keep out of, standing or moving.
 
-    # Centre at time zero [m], one number a dimension.
-    center: list[float] = field(default_factory=list, metadata=_REQUIRED)
-    # Radius [m].
-    radius: float = field(default=0.5, metadata=_REQUIRED)
-    # Velocity of the centre [m/s]; empty for an obstacle that stands.
+    Attributes:
+        center: Centre at time zero [m], one number a dimension.
+        radius: Radius [m].
+        velocity: Velocity of the centre [m/s]; empty for an obstacle that stands.
+        margin: Distance to keep from the surface [m].
+    """
+
+    center: list[float]
+    radius: float
     velocity: list[float] = field(default_factory=list)
-    # Distance to keep from the surface [m].
     margin: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_finite("center", self.center, size=len(self.center))
+        check_parameter("radius", self.radius)
+        if len(self.velocity):
+            check_finite("velocity", self.velocity, size=len(self.center))
+        check_parameter("margin", self.margin, zero_allowed=True)
 
 
 @dataclass
 class BarrierGains:
-    """The barrier of each obstacle: its function and its gains."""
+    """The barrier of each obstacle: its function and its gains.
 
-    # h: "distance" to the surface (E31), or "squared" distance difference (E35).
-    form: str = "distance"
-    # K = (k1, k2) of (E4); s^2 + k1 s + k2 has real negative roots.
+    Attributes:
+        form: h: "distance" to the surface (E31), or "squared" distance difference
+            (E35).
+        gains: K = (k1, k2) of (E4); s^2 + k1 s + k2 has real negative roots.
+    """
+
+    form: SphereForm = "distance"
     gains: list[float] = field(default_factory=lambda: [10.0, 3.55])
+
+    def __post_init__(self) -> None:
+        require_choice("form", self.form, get_args(SphereForm))
+        check_parameter("gains", self.gains, size=len(self.gains))
+        try:
+            decay_rates(np.array(self.gains), "obstacles")
+        except ValueError as error:
+            raise InvalidValueError("gains", f"{self.gains}; {error}") from None
 
 
 @dataclass
 class Integrator:
-    """How the plant is integrated, at fixed steps."""
+    """How the plant is integrated, at fixed steps.
 
-    # One of Drake's integration schemes.
+    Attributes:
+        scheme: One of Drake's integration schemes.
+        max_step: Longest step [s]; 0 means the control period, at most 10 ms.
+    """
+
     scheme: str = "runge_kutta3"
-    # Longest step [s]; 0 means the control period, at most 10 ms.
     max_step: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_choice("scheme", self.scheme, GetIntegrationSchemes())
+        check_parameter("max_step", self.max_step, zero_allowed=True)
 
 
 @dataclass
 class MeasurementNoise:
-    """White Gaussian noise on the measured state, drawn anew at each control tick."""
+    """White Gaussian noise on the measured state, drawn anew at each control tick.
 
-    # Standard deviation for each state, in its unit; empty for none.
+    Attributes:
+        std: Standard deviation for each state, in its unit; empty for none.
+        seed: Seed of the generator.
+    """
+
     std: list[float] = field(default_factory=list)
-    # Seed of the generator.
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_parameter("std", self.std, size=len(self.std), zero_allowed=True)
+        check_parameter("seed", self.seed, zero_allowed=True)
 
 
 @dataclass
 class Hardware:
-    """A vehicle on a bus: what both sides do when messages fail to come."""
+    """A vehicle on a bus: what both sides do when messages fail to come.
 
-    # What a vehicle without commands does: "zero" input, or "brake".
-    fallback: str = "brake"
-    # How fast a braking vehicle's speed decays [1/s].
+    Attributes:
+        fallback: What a vehicle without commands does: "zero" input, or "brake".
+        brake_rate: How fast a braking vehicle's speed decays [1/s].
+        command_timeout: Age at which the vehicle does not follow its last command any
+            more [s].
+        max_state_age: Age at which the controller does not act on a state any more [s].
+        hold_time: How long it then holds its command before it asks for the fallback
+            [s].
+        longest_interval: The longest interval between states that the observer bridges
+            [s].
+        predict: Whether controller and filter act on the state predicted over the
+            link's delays.
+    """
+
+    fallback: Fallback = "brake"
     brake_rate: float = 2.0
-    # Age at which the vehicle does not follow its last command any more [s].
     command_timeout: float = 0.1
-    # Age at which the controller does not act on a state any more [s].
     max_state_age: float = 0.1
-    # How long it then holds its command before it asks for the fallback [s].
     hold_time: float = 0.1
-    # The longest interval between states that the observer bridges [s].
     longest_interval: float = 0.1
-    # Whether controller and filter act on the state predicted over the link's delays.
     predict: bool = False
+
+    def __post_init__(self) -> None:
+        require_choice("fallback", self.fallback, get_args(Fallback))
+        for name in ("brake_rate", "command_timeout", "max_state_age"):
+            check_parameter(name, getattr(self, name))
+        check_parameter("longest_interval", self.longest_interval)
+        check_parameter("hold_time", self.hold_time, zero_allowed=True)
+
+
+# Results are written into a directory of that name.
+_NAME = re.compile(r"\w[\w .+-]{0,99}")
+# Control periods in a run; its log must fit into a computer.
+_MOST_TICKS = 1e7
+# A run that is longer than this is blamed for its ticks; of a shorter one, the period.
+_LONG = 3600.0
 
 
 @dataclass
 class Scenario(FilterSettings):
-    """One run: plant, controller, disturbance, obstacles, start, target, and a filter.
+    """One run: a plant, its disturbance and obstacles, its task, and a safety filter.
 
-    The filter's settings are those of `FilterSettings`.
+    Attributes:
+        name: What results are called; in a file, its top-level key.
+        description: What the run shows; the first line is its title.
+        plant: The plant and its physical parameters.
+        controller: The reference controller, of the same kind as the plant.
+        input_set: What the actuators can deliver.
+        turn_limit: The car's steering limit, if any.
+        disturbance: The disturbance is the sum of these signals [m/s^2].
+        obstacles: What to keep out of.
+        barrier: How: the barrier of each obstacle.
+        initial_state: State at time zero, in the plant's units, (n,).
+        target: Position to reach [m].
+        duration: Length of the run [s].
+        arrival_tolerance: Distance from the target that counts as arrival [m].
+        integrator: The integrator.
+        noise: Noise on the measured state.
+        faults: What is wrong with the loop, unknown to the filter.
+        hardware: The same over LCM, with a vehicle in another process.
     """
 
-    # What results are called; in a file, its top-level key.
     name: str = ""
-    # What the run shows; the first line is its title.
     description: str = ""
-    # The plant and its physical parameters.
     plant: BlimpParameters | CarParameters = field(default_factory=BlimpParameters)
-    # The reference controller, of the same kind as the plant.
     controller: BlimpControllerParameters | CarControllerParameters = field(
         default_factory=BlimpControllerParameters
     )
-    # What the actuators can deliver.
     input_set: InputLimits = field(
         default_factory=lambda: InputLimits([-0.25, -0.25, -0.02], [0.25, 0.25, 0.02])
     )
-    # The car's steering limit, if any.
     turn_limit: TurnLimit | None = None
-    # The disturbance is the sum of these signals [m/s^2].
     disturbance: list[
         Constant | Sinusoid | SmoothStep | BandLimitedNoise | Recorded
     ] = field(default_factory=list)
-    # What to keep out of.
     obstacles: list[Obstacle] = field(default_factory=list)
-    # How: the barrier of each obstacle.
     barrier: BarrierGains = field(default_factory=BarrierGains)
-    # State at time zero, in the plant's units, (n,).
     initial_state: list[float] = field(default_factory=lambda: [0.0] * 8)
-    # Position to reach [m].
     target: list[float] = field(default_factory=lambda: [1.0, 0.0, 1.0])
-    # Length of the run [s].
     duration: float = 20.0
-    # Distance from the target that counts as arrival [m].
     arrival_tolerance: float = 0.3
-    # The integrator.
     integrator: Integrator = field(default_factory=Integrator)
-    # Noise on the measured state.
     noise: MeasurementNoise = field(default_factory=MeasurementNoise)
-    # What is wrong with the loop, unknown to the filter.
     faults: Faults = field(default_factory=Faults)
-    # The same over LCM, with a vehicle in another process.
     hardware: Hardware = field(default_factory=Hardware)
+
+    def __post_init__(self) -> None:
+        require(
+            not self.name or _NAME.fullmatch(self.name) is not None,
+            "name",
+            self.name,
+            "at most 100 letters, digits, spaces and _ . + -, a letter or digit first",
+        )
+        self._check_pairing()
+        self._check_times()
+        super().__post_init__()
+        self._check_sizes()
+        self._check_disturbance()
+        self._check_places()
+
+    @property
+    def plant_class(self) -> Any:
+        """The class of the plant."""
+        return Blimp if isinstance(self.plant, BlimpParameters) else Car
+
+    def _check_pairing(self) -> None:
+        is_car = isinstance(self.plant, CarParameters)
+        wanted = CarControllerParameters if is_car else BlimpControllerParameters
+        found, plant = type(self.controller).__name__, type(self.plant).__name__
+        if not isinstance(self.controller, wanted):
+            raise InvalidValueError(
+                "controller",
+                f"!{found}; it must be !{wanted.__name__}, for the plant is !{plant}",
+            )
+        is_allowed = self.turn_limit is None or is_car
+        rule = f"null, for the plant is !{plant}"
+        require(is_allowed, "turn_limit", self.turn_limit, rule)
+        has_drag = not is_car or self.faults.drag == 1.0
+        rule = f"1, for !{plant} has no drag"
+        require(has_drag, ("faults", "drag"), self.faults.drag, rule)
+
+    def _check_times(self) -> None:
+        for name in ("duration", "period", "arrival_tolerance"):
+            check_parameter(name, getattr(self, name))
+        duration, period = self.duration, self.period
+        most = _MOST_TICKS * period
+        rule = f"at most {most:g} s, {_MOST_TICKS:g} ticks of {period:g} s"
+        require(duration <= max(most, _LONG), "duration", duration, rule)
+        least = duration / _MOST_TICKS
+        rule = f"at least {least:g} s, for {_MOST_TICKS:g} ticks"
+        require(period >= least, "period", period, rule)
+        rule = f"at most the duration, {duration:g} s"
+        require(period <= duration, "period", period, rule)
+        delay = self.faults.measurement_delay
+        require(delay <= duration, ("faults", "measurement_delay"), delay, rule)
+
+    def _check_sizes(self) -> None:
+        plant = self.plant_class(self.plant)
+        states, inputs = plant.state_names, plant.input_names
+        position = [states[i] for i in plant.position_indices]
+        check_finite("initial_state", self.initial_state, names=states)
+        check_finite("target", self.target, names=position)
+        check_finite(("input_set", "lower"), self.input_set.lower, names=inputs)
+        for path, numbers in (
+            (("noise", "std"), self.noise.std),
+            (("faults", "measurement_bias"), self.faults.measurement_bias),
+        ):
+            check_finite(path, numbers, names=states if len(numbers) else ())
+        for i, obstacle in enumerate(self.obstacles):
+            check_finite(("obstacles", i, "center"), obstacle.center, names=position)
+        channels = plant.GetInputPort("disturbance").size()
+        for i, gust in enumerate(self.faults.gusts):
+            where = ("faults", "gusts", i, "amplitude")
+            check_finite(where, gust.amplitude, size=channels)
+
+    def _check_disturbance(self) -> None:
+        channels = self.plant_class(self.plant).GetInputPort("disturbance").size()
+        for i, signal in enumerate(self.disturbance):
+            with below("disturbance", i):
+                found = signal.curve(self.duration).size
+                if found != channels:
+                    raise InvalidValueError(
+                        (),
+                        f"has {found} channels; it must have {channels}, one per"
+                        " disturbed state",
+                    )
+
+    def _check_places(self) -> None:
+        plant = self.plant_class
+        for i, unit in enumerate(plant.state_units):
+            angle, name = self.initial_state[i], plant.state_names[i]
+            rule = f"radians, from -2 pi to 2 pi; was {name} meant in degrees?"
+            is_turn = unit != "rad" or abs(angle) <= 2.0 * math.pi
+            require(is_turn, ("initial_state", i), angle, rule)
+        start = [self.initial_state[i] for i in plant.position_indices]
+        for i, obstacle in enumerate(self.obstacles):
+            _check_outside("initial_state", start, i, obstacle)
+            if not any(obstacle.velocity):
+                _check_outside("target", self.target, i, obstacle)
+
+
+def validate(value: Any, path: Path = ()) -> None:
+    """Checks a scenario, or a part of one, again: its fields may have been assigned.
+
+    Raises:
+        InvalidValueError: A field has a value that is not allowed.
+    """
+    if isinstance(value, list | tuple):
+        for index, item in enumerate(value):
+            validate(item, (*path, index))
+    elif is_dataclass(value):
+        for each in fields(value):
+            validate(getattr(value, each.name), (*path, each.name))
+        if hasattr(value, "__post_init__"):
+            with below(*path):
+                value.__post_init__()
+
+
+def _check_outside(
+    name: str, position: Sequence[float], index: int, obstacle: Obstacle
+) -> None:
+    distance = math.dist(position, obstacle.center) - obstacle.radius - obstacle.margin
+    rule = f"outside obstacles[{index}], margin included; its signed distance is"
+    require(distance > 0.0, name, list(position), f"{rule} {distance:.3g} m")

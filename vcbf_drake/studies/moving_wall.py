@@ -23,6 +23,7 @@ from vcbf_drake.safety import (
     FilterStatus,
     InputSet,
 )
+from vcbf_drake.safety.settings import BetweenTicks
 
 # The wall's way to either side [m] and its rate [rad/s]; the barrier's gains.
 _WALL = (0.5, 2.0)
@@ -51,7 +52,7 @@ def ahead_of_wall(x: Expressions, t: Expression, p: Expressions) -> Expression:
     return distance
 
 
-def press_against_wall(rate: float, between_ticks: str) -> dict[str, Any]:
+def press_against_wall(rate: float, between_ticks: BetweenTicks) -> dict[str, Any]:
     """Returns how near the wall the car came; the keys are those of a run's summary.
 
     Args:

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from vcbf_drake.safety import BETWEEN_TICKS
+from vcbf_drake.simulation.loading import load_scenario
 from vcbf_drake.simulation.run import simulate
-from vcbf_drake.simulation.scenario_file import load_scenario
 from vcbf_drake.studies.moving_wall import press_against_wall
 from vcbf_drake.viz.terminal import rounded_down
 

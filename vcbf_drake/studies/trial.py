@@ -7,10 +7,9 @@ import math
 import shlex
 from typing import Any
 
+from vcbf_drake.simulation.loading import load_scenario, merge_overrides
 from vcbf_drake.simulation.run import simulate
-from vcbf_drake.simulation.scenario import Scenario
-from vcbf_drake.simulation.scenario_file import load_scenario, merge_overrides
-from vcbf_drake.simulation.validation import validate
+from vcbf_drake.simulation.scenario import Scenario, validate
 from vcbf_drake.studies.variation import Draw, Variation
 
 Record = dict[str, Any]

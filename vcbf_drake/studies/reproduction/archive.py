@@ -9,9 +9,9 @@ import math
 from pathlib import Path
 from typing import Any
 
+from vcbf_drake.simulation.loading import dump_scenario
 from vcbf_drake.simulation.result import Result, load_result
 from vcbf_drake.simulation.run import simulate
-from vcbf_drake.simulation.scenario_file import dump_scenario
 from vcbf_drake.studies.monte_carlo import run_study
 from vcbf_drake.studies.trial import Record, Trial
 from vcbf_drake.studies.worker_processes import new_pool

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from vcbf_drake.simulation.scenario_file import load_scenario
+from vcbf_drake.simulation.loading import load_scenario
 from vcbf_drake.studies.reproduction.archive import Archive
 from vcbf_drake.studies.reproduction.section import Records, Section, text
 from vcbf_drake.studies.reproduction.settings import Settings

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from vcbf_drake.simulation.scenario_file import merge_overrides
+from vcbf_drake.simulation.loading import merge_overrides
 from vcbf_drake.studies.reproduction.archive import Archive
 from vcbf_drake.studies.trial import Record, Trial
 

@@ -1,0 +1,330 @@
+"""Scenario files: strict loading of YAML, with the place of every mistake.
+
+PyYAML composes a text into nodes, which remember their place; overrides are merged node
+by node; dataclasses are made of them by their type hints, and check themselves. As for
+``pydrake.common.yaml``, a tag selects a member of a union, the first member needs none,
+and a key at the top level that begins with an underscore is a template.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, fields, is_dataclass
+import difflib
+from functools import reduce
+import math
+from pathlib import Path
+import types
+from typing import (
+    Any,
+    NoReturn,
+    TypeAlias,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+import numpy as np
+from pydrake.common.yaml import yaml_dump
+import yaml
+
+from vcbf_drake.errors import InvalidValueError, ScenarioError, below, written
+from vcbf_drake.errors import Path as KeyPath
+from vcbf_drake.simulation.scenario import Scenario
+
+Node: TypeAlias = Any  # A yaml.Node; PyYAML has no type stubs.
+
+_DIRECTORY = Path(__file__).parent / "scenarios"
+_OVERRIDE = "override"
+# No quantity is as large, in SI units; a product of a few such numbers is still finite.
+_LARGEST = 1e15
+_KINDS = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
+
+
+def shipped_scenarios() -> tuple[str, ...]:
+    """Returns the names of the scenarios that come with the package."""
+    return tuple(sorted(path.stem for path in _DIRECTORY.glob("*.yaml")))
+
+
+def load_scenario(
+    name_or_path: str | Path,
+    overrides: str | Mapping[str, Any] | None = None,
+    scenario_name: str | None = None,
+) -> Scenario:
+    """Loads one scenario.
+
+    Args:
+        name_or_path: A shipped scenario's name, or a YAML file whose top-level keys
+            are scenario names.
+        overrides: Values that replace those of the file, as YAML text or as a
+            mapping. Mappings merge; lists, numbers and tagged mappings replace (in a
+            Python mapping the key ``_tag`` holds the tag, with its ``!``).
+        scenario_name: Which top-level key to load; needed when there are several.
+
+    Raises:
+        ScenarioError: One line that says where (file, line, key), what was found and
+            what is allowed.
+    """
+    path, shipped = Path(name_or_path), shipped_scenarios()
+    if str(name_or_path) in shipped:
+        path = _DIRECTORY / f"{name_or_path}.yaml"
+    elif not path.exists():
+        raise ScenarioError(
+            f"{path}: neither a file nor a shipped scenario ({', '.join(shipped)});"
+            f" {did_you_mean(str(path), shipped)}"
+        )
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ScenarioError(f"{path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ScenarioError(f"{path}: not a UTF-8 text file") from None
+    return parse_scenario(text, str(path), overrides, scenario_name)
+
+
+def parse_scenario(
+    text: str,
+    source: str,
+    overrides: str | Mapping[str, Any] | None = None,
+    scenario_name: str | None = None,
+) -> Scenario:
+    """Returns the scenario of a YAML text from `source`; see `load_scenario`."""
+    try:
+        node = _select(_compose(text, source), source, scenario_name)
+        if overrides is not None:
+            node = _merge(node, _compose(overrides))
+        try:
+            return cast(Scenario, _build(node, Scenario, ()))
+        except InvalidValueError as error:
+            place = f"{_locate(node, error.path)}: {written(error.path)}"
+            raise ScenarioError(f"{place}: {error.problem}") from None
+    except RecursionError:
+        raise ScenarioError(f"{source}: nested too deeply") from None
+
+
+def dump_scenario(scenario: Scenario) -> str:
+    """Returns the whole scenario as YAML text that loads back to the same."""
+    return cast(str, yaml_dump({scenario.name: _plain(scenario, Scenario)}))
+
+
+def merge_overrides(*overrides: str | Mapping[str, Any]) -> str:
+    """Returns overrides, of which the later win, as one line of YAML text.
+
+    Raises:
+        ScenarioError: One is not a mapping in YAML.
+    """
+    node = reduce(_merge, map(_compose, overrides))
+    _put_on_one_line(node)
+    text: str = yaml.serialize(node, Dumper=yaml.SafeDumper, width=math.inf)
+    return text.strip()
+
+
+def did_you_mean(word: str, allowed: Iterable[str]) -> str:
+    """Returns the close matches of a word, or everything that is allowed."""
+    allowed = list(allowed)
+    matches = difflib.get_close_matches(word, allowed, n=2)
+    if matches:
+        return f"did you mean {' or '.join(matches)}?"
+    return f"allowed: {', '.join(allowed) or 'none'}"
+
+
+# Nodes -----------------------------------------------------------------------------
+
+
+def _compose(text: str | Mapping[str, Any], source: str = _OVERRIDE) -> Node:
+    try:
+        loader = yaml.SafeLoader(text if isinstance(text, str) else yaml_dump({**text}))
+        loader.name = source
+        node = loader.get_single_node()
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        raise ScenarioError(f"{_where(mark)}: not YAML: {error.problem}") from None
+    except yaml.YAMLError as error:
+        reason = " ".join(str(error).split())
+        raise ScenarioError(f"{source}: not YAML: {reason}") from None
+    if not isinstance(node, yaml.MappingNode):
+        raise ScenarioError(f"{source}: expected a mapping, got {_shown(node)}")
+    return node
+
+
+def _select(root: Node, source: str, name: str | None) -> Node:
+    """Returns the node of a scenario, which then holds its name."""
+    entries = {k: each for k, each in _entries(root).items() if k[:1] != "_"}
+    problem = ""
+    if misplaced := [key for key in entries if key in get_type_hints(Scenario)]:
+        problem = f"{misplaced[0]} at the top; a scenario's name is missing above it"
+    elif not entries:
+        problem = "holds no scenario"
+    elif name is None and len(entries) > 1:
+        problem = f"holds {len(entries)} scenarios; scenario_name (--scenario-name)"
+        problem += f" must be one of {', '.join(entries)}"
+    elif name is not None and name not in entries:
+        problem = f"no scenario {name!r}; {did_you_mean(name, entries)}"
+    if problem:
+        raise ScenarioError(f"{source}: {problem}")
+    key, node = entries[name or next(iter(entries))]
+    named, mark = _entries(node), key.start_mark
+    text = yaml.ScalarNode("", key.value, mark, style='"')
+    named.setdefault("name", (yaml.ScalarNode("", "name", mark), text))
+    return node
+
+
+def _entries(node: Node, path: KeyPath = ()) -> dict[str, tuple[Node, Node]]:
+    """Returns a mapping's keys and values by name, merge keys (``<<``) resolved."""
+    if not isinstance(node, yaml.MappingNode):
+        _fail(node, path, f"expected a mapping, got {_shown(node)}")
+    if not hasattr(node, "entries"):
+        own: dict[str, tuple[Node, Node]] = {}
+        merged: dict[str, tuple[Node, Node]] = {}
+        for key, value in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                _fail(key, path, f"{_shown(key)} as a key; keys are words")
+            if key.value in own:
+                _fail(key, (*path, key.value), "given twice")
+            if key.tag.endswith(":merge"):
+                is_list = isinstance(value, yaml.SequenceNode)
+                for each in reversed(value.value if is_list else [value]):
+                    merged |= _entries(each, path)
+            else:
+                own[key.value] = (key, value)
+        node.entries = merged | own
+    return cast(dict[str, tuple[Node, Node]], node.entries)
+
+
+def _merge(base: Node, top: Node) -> Node:
+    """Returns the base with the top's values; untagged mappings merge, others replace.
+
+    A node remembers where it was written, so later messages name the right source.
+    """
+    both = isinstance(base, yaml.MappingNode) and isinstance(top, yaml.MappingNode)
+    if not both or top.tag.startswith("!"):
+        return top
+    merged = dict(_entries(base))
+    for name, (key, value) in _entries(top).items():
+        old = merged.get(name)
+        merged[name] = (key, _merge(old[1], value) if old else value)
+    return yaml.MappingNode(base.tag, [*merged.values()], base.start_mark)
+
+
+def _put_on_one_line(node: Node) -> None:
+    if isinstance(node, yaml.CollectionNode):
+        node.flow_style = True
+        for each in node.value:
+            _put_on_one_line(each[1] if isinstance(each, tuple) else each)
+    elif node.style in ("|", ">"):
+        node.style = '"'
+
+
+def _locate(node: Node, path: KeyPath) -> str:
+    """Returns the place of the deepest node on the path that was written down."""
+    mark = node.start_mark
+    for part in path:
+        if isinstance(node, yaml.SequenceNode) and isinstance(part, int):
+            node = node.value[part]
+            mark = node.start_mark
+        elif isinstance(node, yaml.MappingNode) and part in _entries(node):
+            key, node = _entries(node)[str(part)]
+            mark = key.start_mark
+    return _where(mark)
+
+
+def _where(mark: Any) -> str:
+    # An override is short, and a mapping has no lines.
+    return _OVERRIDE if mark.name == _OVERRIDE else f"{mark.name}:{mark.line + 1}"
+
+
+def _fail(node: Node, path: KeyPath, problem: str) -> NoReturn:
+    place = filter(None, (_where(node.start_mark), written(path), problem))
+    raise ScenarioError(": ".join(place))
+
+
+def _shown(node: Node) -> str:
+    if isinstance(node, yaml.CollectionNode):
+        return "a list" if isinstance(node, yaml.SequenceNode) else "a mapping"
+    if node is None or (node.style is None and node.value in ("", "~", "null")):
+        return "nothing"
+    text = repr(node.value if len(node.value) <= 40 else node.value[:37] + "...")
+    return text if node.style is None else f"the text {text}"
+
+
+# Values ----------------------------------------------------------------------------
+
+
+def _members(hint: Any) -> tuple[type, ...]:
+    return get_args(hint) if get_origin(hint) in (types.UnionType, Union) else (hint,)
+
+
+def _build(node: Node, hint: Any, path: KeyPath) -> Any:
+    """Returns what a type hint asks for; only whole numbers may become floats."""
+    members = _members(hint)
+    classes = {f"!{t.__name__}": t for t in members if is_dataclass(t)}
+    hint, *others = members
+    if types.NoneType in others and _shown(node) == "nothing":
+        return None
+    if is_dataclass(hint) or (classes and isinstance(node, yaml.MappingNode)):
+        return _build_object(node, classes, path)
+    if node.tag.startswith("!"):
+        _fail(node, path, f"tag {node.tag}; no tag is expected here")
+    if get_origin(hint) is list:
+        if not isinstance(node, yaml.SequenceNode):
+            _fail(node, path, f"expected a list, got {_shown(node)}")
+        (item,) = get_args(hint)
+        return [_build(each, item, (*path, i)) for i, each in enumerate(node.value)]
+    return _build_scalar(node, hint if hint in _KINDS else str, path)
+
+
+def _build_object(node: Node, classes: Mapping[str, Any], path: KeyPath) -> Any:
+    tag, (first, *others) = node.tag, classes
+    guess = ""
+    if not tag.startswith("!"):
+        tag = first
+        guess = f" (no tag, so read as {first}; or {', '.join(others)})" * bool(others)
+    if tag not in classes:
+        _fail(node, path, f"unknown tag {tag}; {did_you_mean(tag, classes)}")
+    hints, values = get_type_hints(classes[tag]), {}
+    for name, (key, value) in _entries(node, path).items():
+        if name not in hints:
+            suggestion = did_you_mean(name, hints)
+            _fail(key, (*path, name), f"unknown key{guess}; {suggestion}")
+        values[name] = _build(value, hints[name], (*path, name))
+    for each in fields(classes[tag]):
+        needed = each.default is each.default_factory is MISSING
+        if needed and each.name not in values:
+            _fail(node, (*path, each.name), f"missing{guess}")
+    with below(*path):
+        return classes[tag](**values)
+
+
+def _build_scalar(node: Node, kind: Any, path: KeyPath) -> float | int | bool | str:
+    """Returns the scalar; quoted means text, and unquoted numbers are not text."""
+    text, is_plain = node.value, getattr(node, "style", "") is None
+    is_text = node.tag.endswith(":str") or not is_plain
+    try:
+        if kind is str and is_text and isinstance(text, str):
+            return text
+        if kind is bool and is_plain:
+            return bool(yaml.SafeLoader.bool_values[text.lower()])
+        if kind in (int, float) and is_plain:
+            # YAML 1.1 takes 1e-3 for text; .inf and .nan are its own.
+            number = kind(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
+            if _LARGEST < abs(number) < math.inf:
+                rule = f"it must be at most {_LARGEST:g} in size"
+                _fail(node, path, f"{text[:99]}; {rule}")
+            return cast(float, number)
+    except (KeyError, ValueError):
+        pass
+    _fail(node, path, f"expected {_KINDS[kind]}, got {_shown(node)}")
+
+
+def _plain(value: Any, hint: Any) -> Any:
+    """Returns what YAML can hold; a member of a union has its tag."""
+    if is_dataclass(value):
+        hints, tag = get_type_hints(type(value)), f"!{type(value).__name__}"
+        data = {key: _plain(getattr(value, key), hints[key]) for key in hints}
+        is_one_of = sum(map(is_dataclass, _members(hint))) > 1
+        return {"_tag": tag, **data} if is_one_of else data
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(each, *get_args(hint)) for each in value]
+    return value.item() if isinstance(value, np.generic) else value
