@@ -37,7 +37,8 @@ def test_error_is_under_its_bound_at_every_tick(name, period, rate):
 
 @pytest.mark.parametrize(("period", "rate"), [(1e-3, 4.0), (0.05, 4.0), (0.5, 7.0)])
 def test_bound_is_exact_for_a_ramp(period, rate):
-    bounds = DisturbanceBounds(0.5, 0.8, 0.0)
+    """From 0.5; the bound is for starts up to delta1, which the ramp never exceeds."""
+    bounds = DisturbanceBounds(30.0, 0.8, 0.0)
     model = DragModel(1, linear=0.0, cubic=0.0)
     observer = LinearDisturbanceObserver(model, period, bounds, rate)
     bench = Bench(observer)
@@ -45,6 +46,7 @@ def test_bound_is_exact_for_a_ramp(period, rate):
         t = k * period
         bench.measure(t, np.array([0.0, 0.5 * t + 0.8 * t**2 / 2]))
         error = 0.5 + 0.8 * t - bench.output("disturbance_estimate")[0]
+        error += (30.0 - 0.5) * math.exp(-rate * t)
         assert error == pytest.approx(bench.estimate().error_bound, rel=1e-9)
         bench.update()
 
@@ -91,7 +93,8 @@ def test_rate_and_gain():
 
 def test_bound_rate_is_the_derivative_of_the_bound():
     bounds = DisturbanceBounds(0.1, 0.6, 0.9)
-    observer = LinearDisturbanceObserver(MODEL, 0.02, bounds, 2.0)
+    model = DragModel(linear=0.0, cubic=0.0)  # Its means are exact.
+    observer = LinearDisturbanceObserver(model, 0.02, bounds, 2.0)
     bench, h = Bench(observer), 1e-5
     bench.update()
     for t in (0.1, 0.7, 2.0):

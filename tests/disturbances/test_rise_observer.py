@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 import math
 
 import numpy as np
@@ -49,6 +50,7 @@ SIGNALS = {
 }
 STEPS = ("implicit", "saturated", "explicit")
 MODEL = DragModel()
+FREE = DragModel(linear=0.0, cubic=0.0)  # Its means are exact.
 BOUNDS = DisturbanceBounds(0.5, 0.6, 0.9)
 # What is left of the quadrature's and the test plant's own errors.
 ROUNDING = 1e-9
@@ -73,15 +75,18 @@ def worst_error(step, gains, bounds, period, layer, direction):
     """Largest error over bound when d'' always pushes where it hurts.
 
     A plant without drift, so that states are known exactly; d' and d'' are as large
-    as the bounds allow and d starts at delta1.
+    as the bounds allow. d starts at delta1 and grows to what is declared; the bound is
+    that for starts up to delta1.
     """
     q = 2
     model = DragModel(q, linear=0.0, cubic=0.0)
+    growth = 120 * period * bounds.delta2
+    delta1, bounds = bounds.delta1, replace(bounds, delta1=bounds.delta1 + growth)
     observer = RiseObserver(
         model, period, bounds, gains=gains, step=step, boundary_layer=layer
     )
     bench, unit = Bench(observer), np.array([0.6, 0.8])
-    d, rate, v = bounds.delta1 * unit, bounds.delta2 * unit, np.zeros(q)
+    d, rate, v = delta1 * unit, bounds.delta2 * unit, np.zeros(q)
     if direction == "back":
         rate = -rate
     worst = 0.0
@@ -89,7 +94,9 @@ def worst_error(step, gains, bounds, period, layer, direction):
         bench.measure(k * period, np.concatenate((np.zeros(q), v)))
         estimate = bench.output("disturbance_estimate")
         error = d - estimate
-        worst = max(worst, np.linalg.norm(error) / bench.estimate().error_bound)
+        decay = (1.0 + observer.decay_rate * period) ** (-k / 2)
+        bound = bench.estimate().error_bound - growth * decay
+        worst = max(worst, np.linalg.norm(error) / bound)
         bench.update()
         push = {"with": error, "against": -error, "out": unit, "back": -unit}[direction]
         bend = bounds.delta3 * push / max(np.linalg.norm(push), 1e-9)
@@ -188,7 +195,7 @@ def test_estimate_rate_and_gain_explain_how_the_estimate_moves(step):
 @pytest.mark.parametrize("step", STEPS)
 @pytest.mark.parametrize("floor", [True, False])
 def test_bound_rate_is_the_derivative_of_the_bound(step, floor):
-    observer = RiseObserver(MODEL, 0.01, BOUNDS, step=step, floor=floor)
+    observer = RiseObserver(FREE, 0.01, BOUNDS, step=step, floor=floor)
     bench, h = Bench(observer), 1e-5
     bench.update()
     for t in (0.1, 0.7, 2.0):
@@ -269,7 +276,7 @@ def test_gain_conditions():
 
 
 def test_first_tick_takes_the_state_and_starts_the_clock():
-    observer = RiseObserver(MODEL, 0.01, BOUNDS)
+    observer = RiseObserver(FREE, 0.01, BOUNDS)
     bench = Bench(observer)
     bench.measure(7.0, np.array([5.0, -3.0, 2.0, 1.0]))
     bench.update()
@@ -357,11 +364,15 @@ def test_outputs_stay_finite_and_recover_when_measurements_fail(bad):
         bench.update()
         assert np.isfinite(outputs(bench)).all()
         errors.append(np.linalg.norm(d.value(t) - bench.output("disturbance_estimate")))
+        assert errors[-1] <= bench.estimate().error_bound
     assert errors[63] == errors[60]  # The interval that began badly tells nothing.
     assert errors[199] < 1e-9
-    # The clock starts with the first measurement, not with the failed one.
+    assert bench.estimate().refused_intervals == 4.0
+    # The bound decays from the last refused interval, for an estimate of that size.
+    kept = d.value(0.0) * (1.0 - errors[63] / np.linalg.norm(d.value(0.0)))
+    excess = np.linalg.norm(kept) * 1.04 ** (-(199 - 63) / 2)
     assert bench.estimate().error_bound == pytest.approx(
-        bench.observer.error_bound(1.98)
+        bench.observer.error_bound(1.99 - 0.63) + excess
     )
 
 
@@ -436,7 +447,7 @@ def test_blimp_in_a_drake_simulation():
     simulator.AdvanceTo(4.0)
     context = simulator.get_context()
     truth, packed = (log.FindLog(context).data() for log in logs)
-    estimate, _, bound, _ = DisturbanceEstimate.unpack(packed.T)
+    estimate, _, bound, *_ = DisturbanceEstimate.unpack(packed.T)
     estimate = estimate.T
     error = np.linalg.norm(truth - estimate, axis=0)
     assert error.shape == (401,)

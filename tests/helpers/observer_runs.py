@@ -26,6 +26,9 @@ class DragModel:
         drag = (self.linear + self.cubic * (v @ v)) * v
         return np.concatenate((v, -drag)), self.input_matrix
 
+    def difference(self, x_1: Array, x_0: Array) -> Array:
+        return x_1 - x_0
+
     def nominal_rate(self, x: Array, u: Array) -> Array:
         f, g = self.drift_and_input_matrix(x)
         return f + g @ u
@@ -92,7 +95,7 @@ def run(
     for k in range(round(duration / dt) + 1):
         t = start + k * dt
         bench.measure(t, x + noise * generator.normal(size=x.shape))
-        logs.append((t, disturbance(t), *bench.estimate()))
+        logs.append((t, disturbance(t), *bench.estimate()[:4]))
         bench.update()
         u = np.clip(u + 0.3 * generator.normal(size=u.shape), -1.0, 1.0)
         bench.hold(u)

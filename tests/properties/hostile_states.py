@@ -121,7 +121,9 @@ def _signals(
         estimate = _size(rng) * rng.uniform(-0.1, 0.1, q)
         rate = rng.uniform(-0.1, 0.1, q)
         bound = _size(rng) * np.array(rng.uniform(0.0, 0.1))
-        signals["estimate"] = DisturbanceEstimate(estimate, rate, bound, -bound).pack()
+        signals["estimate"] = DisturbanceEstimate(
+            estimate, rate, bound, -bound, np.array(0.0), np.array(0.0)
+        ).pack()
     count = int(rng.integers(0, MOST_OBSTACLES + 1))
     signals["obstacles"] = spheres.pack(
         rng.uniform(-2.0, 2.0, (count, k)),

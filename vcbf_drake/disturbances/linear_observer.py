@@ -91,11 +91,21 @@ class LinearDisturbanceObserver(DisturbanceObserver):
             error_bound=ErrorBound(bounds.delta1 - floor, rate, floor + noise_floor),
             basis="calibrated" if noise else "proven",
             estimate_gain=rate,
+            noise=noise,
             longest_interval=longest_interval,
         )
 
     def _advance(self, memory: Array, mean: Array, elapsed: float) -> Array:
         return mean + math.exp(-self.estimate_gain * elapsed) * (memory - mean)
+
+    def _started_at(self, estimate: Array) -> Array:
+        return estimate
+
+    def _bound_after(self, excess: float, quadrature: float) -> ErrorBound:
+        bound = self._error_bound
+        return ErrorBound(
+            bound.amplitude + excess, bound.rate, bound.floor + quadrature
+        )
 
     def _estimate(self, memory: Array) -> Array:
         return memory

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 import math
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 from pydrake.common.value import Value
@@ -30,6 +31,51 @@ if TYPE_CHECKING:
     from vcbf_drake.model import ControlAffineModel
 
 
+# By how much an interval's mean may exceed delta1 before it is refused.
+_EXCEEDED = 1.05
+# Two measurements differ by less than this, in deviations of each, but for one of 10^8.
+_JUMP_SIGMAS = 10.0
+# What rounding and integrators leave of a state, relative.
+_ROUNDING = 1e-9
+# By which share the curvature of f + g u changes within an interval, but for what the
+# plant's own rate makes of it (E97).
+_CHANGE = 0.05
+# Step of the numeric derivative, relative.
+_DIFFERENCE = 1e-6
+
+
+class IntervalMean(NamedTuple):
+    """What the states at both ends of an interval tell of the disturbance in it.
+
+    Attributes:
+        disturbance: Its mean, shape (q,) [m/s^2].
+        quadrature: How far off that may be, for f + g u is known at a few points only
+            (E97) [m/s^2].
+    """
+
+    disturbance: Array
+    quadrature: float
+
+
+@dataclass(frozen=True)
+class _Posterior:
+    """What an observer knows with the last measurement in.
+
+    Attributes:
+        memory: Of the observer's kind.
+        since: When the bound began to decay [s]; nan before the first measurement.
+        excess: The size of the estimate then [m/s^2].
+        quadrature: The largest error of a mean so far [m/s^2].
+        refused: How many intervals were refused so far.
+    """
+
+    memory: Array
+    since: float
+    excess: float
+    quadrature: float
+    refused: float
+
+
 class DisturbanceObserver(LeafSystem):
     """Estimates d in ``xdot = f(x) + g(x) u + E d`` from sampled states.
 
@@ -49,7 +95,7 @@ class DisturbanceObserver(LeafSystem):
     | ``state`` | n | the measured state |
     | ``input`` | m | the input held since the last tick |
     | ``reset`` | 1 | not 0 at a tick: all that was measured is forgotten there |
-    | ``estimate`` | 2q + 2 | a `DisturbanceEstimate`, with its error bound |
+    | ``estimate`` | 2q + 4 | a `DisturbanceEstimate`, with its error bound |
     | ``disturbance_estimate`` | q | dhat alone, for controllers [m/s^2] |
 
     Only the disturbed channels are observed. At a tick the outputs use the state
@@ -57,11 +103,14 @@ class DisturbanceObserver(LeafSystem):
     ticks they are as if the next tick were now. They are feedthrough of both inputs:
     `input` has to come from a hold. The first tick only takes the state.
 
-    While the state or the input is not finite, the estimate keeps its value, and an
-    interval that begins or ends there tells nothing. The error bound assumes that there
-    are no such gaps; it counts time from the first measurement. After a longer interval
-    than `longest_interval`, or when time goes back, the observer begins anew: its
-    estimate is 0 and its error bound is what it was at first.
+    An interval that begins or ends with a state that is not finite tells nothing, and
+    neither does one whose mean disturbance is beyond what bounds, noise and quadrature
+    allow: the measured state jumped. It is refused: the estimate keeps its value, and
+    the error bound is re-armed, to what is known of an estimate of that size (E96), and
+    decays from there. After a longer interval than `longest_interval`, or when time
+    goes back, the observer begins anew: its estimate is 0 and its error bound is what
+    it was at first. Angles that come round are no jumps, where the model names them
+    (`ControlAffineModel.wrapping_periods`).
 
     Attributes:
         bounds: delta1, delta2 and delta3 (E8).
@@ -87,6 +136,7 @@ class DisturbanceObserver(LeafSystem):
         error_bound: ErrorBound,
         basis: Basis,
         estimate_gain: float,
+        noise: float = 0.0,
         longest_interval: float | None = None,
     ) -> None:
         """Initialises what all observers share.
@@ -99,6 +149,7 @@ class DisturbanceObserver(LeafSystem):
             error_bound: The bound of its error.
             basis: See the attribute.
             estimate_gain: See the attribute.
+            noise: Standard deviation of the measured disturbed channels.
             longest_interval: See the attribute.
 
         Raises:
@@ -114,25 +165,30 @@ class DisturbanceObserver(LeafSystem):
         # What is nearer together is one time [s].
         self._instant = 1e-6 * period
         self._error_bound = error_bound
+        self._noise = noise
         self._disturbed = _left_inverse(model)
+        self._directions = model.disturbance_matrix.T.copy()
+        # The size of a disturbed channel per unit of the states.
+        self._unit = float(np.max(np.abs(self._disturbed), initial=0.0))
         n, m, q = model.num_states, model.num_inputs, model.num_disturbances
         self._state = self.DeclareVectorInputPort("state", n)
         self._input = self.DeclareVectorInputPort("input", m)
         self._reset = self.DeclareVectorInputPort("reset", 1)
         self._memory_start = 2 + n
-        # Times of the first and the last measurement [s], the last measurement, memory.
-        # NaN stands for no measurement.
-        self._nothing = np.concatenate((np.full(2 + n, np.nan), np.zeros(memory_size)))
+        # When the bound's clock began, and the last measurement [s]; that; memory.
+        # NaN stands for no measurement. Then what else a `_Posterior` holds.
+        self._nothing = np.concatenate(
+            (np.full(2 + n, np.nan), np.zeros(memory_size + 3))
+        )
         self.DeclareDiscreteState(self._nothing)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
         self._posterior = self._declare_posterior()
         estimated = {self._posterior.ticket()}
-        clocked = {self.time_ticket(), self.xd_ticket()}
         self.DeclareVectorOutputPort(
             "estimate",
             DisturbanceEstimate.packed_size(q),
             self._calc_estimate,
-            estimated | clocked,
+            estimated | {self.time_ticket()},
         )
         self.DeclareVectorOutputPort(
             "disturbance_estimate", q, self._calc_disturbance_estimate, estimated
@@ -153,12 +209,29 @@ class DisturbanceObserver(LeafSystem):
         """Returns the error bound a time t [s] after the first measurement [m/s^2]."""
         return self._error_bound.value(t)
 
-    def gain_conditions(self) -> tuple[Condition, ...]:
-        """Returns the inequalities that the error bound rests on."""
+    def gain_conditions(self, quadrature: float = 0.0) -> tuple[Condition, ...]:
+        """Returns the inequalities that the error bound rests on.
+
+        Args:
+            quadrature: How far off a mean may be [m/s^2].
+        """
         return ()
 
     def _advance(self, memory: Array, mean: Array, elapsed: float) -> Array:
         """Returns the memory after an interval whose mean disturbance was measured."""
+        raise NotImplementedError
+
+    def _started_at(self, estimate: Array) -> Array:
+        """Returns the memory of an observer that starts with an estimate."""
+        raise NotImplementedError
+
+    def _bound_after(self, excess: float, quadrature: float) -> ErrorBound:
+        """Returns the bound since the last start (E96), (E97).
+
+        Args:
+            excess: The size of the estimate at that start [m/s^2].
+            quadrature: How far off a mean may be [m/s^2].
+        """
         raise NotImplementedError
 
     def _estimate(self, memory: Array) -> Array:
@@ -181,24 +254,55 @@ class DisturbanceObserver(LeafSystem):
 
     def _calc_posterior(self, context: Context, posterior: Any) -> None:
         stored = context.get_discrete_state_vector().CopyToVector()
-        memory = stored[self._memory_start :]
-        elapsed = context.get_time() - float(stored[1])
+        since, last = stored[:2].tolist()
+        memory, past = stored[self._memory_start : -3], stored[-3:].tolist()
+        known = _Posterior(memory, since, *past)
+        elapsed = context.get_time() - last
         if self._is_gap(elapsed):
-            memory = np.zeros_like(memory)
-        elif elapsed > self._instant:
+            nothing = np.zeros_like(memory)
+            known = replace(known, memory=nothing, since=math.nan, excess=0.0)
+        elif elapsed > self._instant or (math.isnan(last) and not math.isnan(since)):
             x_0, x_1 = stored[2 : self._memory_start], self._state.Eval(context)
-            if _is_finite(x_1):
-                mean = self.mean_disturbance(
-                    x_0, x_1, self._input.Eval(context), elapsed
+            mean = self._plausible_mean(x_0, x_1, self._input.Eval(context), elapsed)
+            if mean is None:
+                known = self._re_armed(known, context.get_time())
+            else:
+                known = replace(
+                    known,
+                    memory=self._advance(memory, mean.disturbance, elapsed),
+                    quadrature=max(known.quadrature, mean.quadrature),
                 )
-                if _is_finite(mean):
-                    memory = self._advance(memory, mean, elapsed)
-        memory.setflags(write=False)
-        posterior.set_value(memory)
+        known.memory.setflags(write=False)
+        posterior.set_value(known)
+
+    def _plausible_mean(
+        self, x_0: Array, x_1: Array, u: Array, elapsed: float
+    ) -> IntervalMean | None:
+        """Returns an interval's mean; None where nothing or too much was measured."""
+        if not (_is_finite(x_0) and _is_finite(x_1)):
+            return None
+        mean, delta1 = self.mean_disturbance(x_0, x_1, u, elapsed), self.bounds.delta1
+        blur = _JUMP_SIGMAS * self._noise + _ROUNDING * self._unit * (1 + max(abs(x_1)))
+        most = _EXCEEDED * delta1 + mean.quadrature + blur / elapsed
+        # False where it is not finite, too.
+        is_plausible = np.linalg.norm(mean.disturbance) <= most
+        tells_something = mean.quadrature <= delta1 or delta1 == 0.0
+        return mean if is_plausible and tells_something else None
+
+    def _re_armed(self, known: _Posterior, now: float) -> _Posterior:
+        """Keeps the estimate, forgets how good it was (E96)."""
+        estimate = self._estimate(known.memory)
+        return replace(
+            known,
+            memory=self._started_at(estimate),
+            since=now,
+            excess=float(np.linalg.norm(estimate)),
+            refused=known.refused + 1.0,
+        )
 
     def mean_disturbance(
         self, x_0: Array, x_1: Array, u: Array, elapsed: float
-    ) -> Array:
+    ) -> IntervalMean:
         """Returns the mean of d between two measured states with u held (E46).
 
         The mean of f + g u is Simpson's, with the middle state on the cubic Hermite
@@ -210,12 +314,31 @@ class DisturbanceObserver(LeafSystem):
             u: The input, shape (m,).
             elapsed: The time between them [s].
         """
-        rate = self._model.nominal_rate
+        rate, moved = self._model.nominal_rate, self._model.difference(x_1, x_0)
         rate_0, rate_1 = rate(x_0, u), rate(x_1, u)
-        x_middle = (x_0 + x_1) / 2 + elapsed / 8 * (rate_0 - rate_1)
-        nominal = (rate_0 + 4 * rate(x_middle, u) + rate_1) / 6
-        mean: Array = self._disturbed @ ((x_1 - x_0) / elapsed - nominal)
-        return mean
+        x_middle = x_0 + moved / 2 + elapsed / 8 * (rate_0 - rate_1)
+        rate_middle = rate(x_middle, u)
+        nominal = (rate_0 + 4 * rate_middle + rate_1) / 6
+        mean = self._disturbed @ (moved / elapsed - nominal)
+        bend = self._disturbed @ (rate_0 - 2 * rate_middle + rate_1)
+        slope = elapsed * self._slope(x_1, u, rate_1)
+        drift = elapsed * (self.bounds.delta2 + elapsed * self.bounds.delta3 / 12) / 12
+        change = min(1.0, _CHANGE + slope)
+        rule = change * (1 + slope) / 10 * float(np.linalg.norm(bend))
+        return IntervalMean(mean, slope * drift + rule)
+
+    def _slope(self, x: Array, u: Array, rate: Array) -> float:
+        """Returns how strongly the disturbed rates depend on the disturbed states."""
+        step = _DIFFERENCE * (1.0 + float(np.max(np.abs(x))))
+        columns = [
+            self._disturbed @ (self._model.nominal_rate(x + step * column, u) - rate)
+            for column in self._directions
+        ]
+        q = len(columns)
+        size = np.abs(np.reshape(columns, (q, q)))
+        # The spectral norm is at most the geometric mean of these two.
+        rows, sums = size.sum(axis=1), size.sum(axis=0)
+        return math.sqrt(rows.max(initial=0.0) * sums.max(initial=0.0)) / step
 
     def _update(self, context: Context, discrete: DiscreteValues) -> None:
         """Stores the posterior, and the measurement it ends with."""
@@ -224,38 +347,34 @@ class DisturbanceObserver(LeafSystem):
             return
         now, state = context.get_time(), self._state.Eval(context)
         last = now if _is_finite(state) else math.nan
-        start = self._start(context)
-        first = last if math.isnan(start) else start
-        discrete.set_value(
-            np.concatenate(((first, last), state, self._memory(context)))
-        )
+        known = self._known(context)
+        since = last if math.isnan(known.since) else known.since
+        past = (known.excess, known.quadrature, known.refused)
+        discrete.set_value(np.concatenate(((since, last), state, known.memory, past)))
 
-    def _memory(self, context: Context) -> Array:
-        return cast(Array, self._posterior.Eval(context))
+    def _known(self, context: Context) -> _Posterior:
+        return cast(_Posterior, self._posterior.Eval(context))
 
     def _calc_estimate(self, context: Context, output: BasicVector) -> None:
-        memory, age = self._memory(context), self._age(context)
+        known, age = self._known(context), self._age(context)
+        bound = self._bound_after(known.excess, known.quadrature)
         estimate = DisturbanceEstimate(
-            self._estimate(memory),
-            self._estimate_rate(memory),
-            np.array(self._error_bound.value(age)),
-            np.array(self._error_bound.derivative(age)),
+            self._estimate(known.memory),
+            self._estimate_rate(known.memory),
+            np.array(bound.value(age)),
+            np.array(bound.derivative(age)),
+            np.array(known.refused),
+            np.array(known.quadrature),
         )
         output.SetFromVector(estimate.pack())
 
     def _calc_disturbance_estimate(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._estimate(self._memory(context)))
+        output.SetFromVector(self._estimate(self._known(context).memory))
 
     def _age(self, context: Context) -> float:
-        """Returns the time since the first measurement, 0 before it [s]."""
-        start = self._start(context)
-        return 0.0 if math.isnan(start) else context.get_time() - start
-
-    def _start(self, context: Context) -> float:
-        """Returns the time of the first measurement [s]; nan before it and at a gap."""
-        stored = context.get_discrete_state_vector()
-        is_gap = self._is_gap(context.get_time() - stored[1])
-        return math.nan if is_gap else float(stored[0])
+        """Returns for how long the bound has decayed [s]."""
+        since = self._known(context).since
+        return 0.0 if math.isnan(since) else context.get_time() - since
 
     def _is_gap(self, elapsed: float) -> bool:
         least, most = -self._instant, self.longest_interval + self._instant

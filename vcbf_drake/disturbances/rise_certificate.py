@@ -27,6 +27,7 @@ estimate is kept within δ1, so that it is off by 2 δ1 at most (E94).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 import math
 from typing import Literal, get_args
 
@@ -150,6 +151,24 @@ def gain_conditions(
     return (*conditions, Condition(name, longest, period, longest > period))
 
 
+def with_quadrature(
+    bounds: DisturbanceBounds, quadrature: float, period: float
+) -> DisturbanceBounds:
+    """Returns bounds of a disturbance whose measured means are off a little (E97).
+
+    Args:
+        bounds: Bounds of the disturbance.
+        quadrature: How far off a mean is at most [m/s^2].
+        period: Time between measurements [s].
+    """
+    return DisturbanceBounds(
+        bounds.delta1 + quadrature,
+        bounds.delta2 + 2.0 * quadrature / period,
+        bounds.delta3 + 4.0 * quadrature / period**2,
+    )
+
+
+@lru_cache(maxsize=256)  # It is asked for at every tick.
 def error_bound(
     gains: RiseGains,
     bounds: DisturbanceBounds,

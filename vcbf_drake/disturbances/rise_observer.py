@@ -21,6 +21,7 @@ from vcbf_drake.disturbances.rise_certificate import (
     RiseGains,
     error_bound,
     gain_conditions,
+    with_quadrature,
 )
 
 if TYPE_CHECKING:
@@ -135,10 +136,12 @@ class RiseObserver(DisturbanceObserver):
             error_bound=bound,
             basis=basis,
             estimate_gain=gains.gamma,
+            noise=noise,
             longest_interval=longest_interval,
         )
         self.gains = gains
         self._step = step
+        self._boundary_layer = boundary_layer
         self._layer = boundary_layer if step == "saturated" else 0.0
 
     @property
@@ -146,11 +149,15 @@ class RiseObserver(DisturbanceObserver):
         """lambda_V of (E13) [1/s]."""
         return self.gains.decay_rate
 
-    def gain_conditions(self) -> tuple[Condition, ...]:
-        """Returns the inequalities that the error bound rests on (E13), (E49)."""
-        return gain_conditions(
-            self.gains, self.bounds, self.certified_interval, self._step
-        )
+    def gain_conditions(self, quadrature: float = 0.0) -> tuple[Condition, ...]:
+        """Returns the inequalities that the error bound rests on (E13), (E49), (E97).
+
+        Args:
+            quadrature: How far off a mean may be [m/s^2].
+        """
+        period = self.certified_interval
+        bounds = with_quadrature(self.bounds, quadrature, period)
+        return gain_conditions(self.gains, bounds, period, self._step)
 
     def _advance(self, memory: Array, mean: Array, elapsed: float) -> Array:
         step = self._forward if self._step == "explicit" else self._backward
@@ -179,6 +186,28 @@ class RiseObserver(DisturbanceObserver):
         slope = gains.stiffness * xtil + gains.beta * s
         xtil = xtil + dt * (mean - integral - (gains.alpha + gains.gamma) * xtil)
         return np.concatenate((xtil, integral + dt * slope, np.sign(xtil)))
+
+    def _started_at(self, estimate: Array) -> Array:
+        zero = np.zeros_like(estimate)
+        return np.concatenate((zero, estimate, zero))
+
+    def _bound_after(self, excess: float, quadrature: float) -> ErrorBound:
+        bound = self._error_bound
+        if self.basis == "worst case":
+            return bound
+        if quadrature and self.basis != "published":
+            period = self.certified_interval
+            bounds = with_quadrature(self.bounds, quadrature, period)
+            bound = error_bound(
+                self.gains,
+                bounds,
+                period,
+                self._step,
+                self._boundary_layer,
+                self._noise,
+                self._model.num_disturbances,
+            )
+        return ErrorBound(bound.amplitude + excess, bound.rate, bound.floor)
 
     def _estimate(self, memory: Array) -> Array:
         xtil, integral, _ = memory.reshape(3, -1)

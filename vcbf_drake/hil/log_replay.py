@@ -232,7 +232,7 @@ class TickRecorder:
         means = [
             self._observer.mean_disturbance(
                 states[k - 1], states[k], applied[k], times[k] - times[k - 1]
-            )
+            ).disturbance
             for k in range(1, len(times))
         ]
         if not means:

@@ -85,7 +85,7 @@ class SafetyFilter(LeafSystem):
     | --- | --- | --- |
     | ``state`` | n | the measured state |
     | ``reference`` | m | what the controller would apply |
-    | ``estimate`` | 2q + 2 | the observer's `DisturbanceEstimate` |
+    | ``estimate`` | 2q + 4 | the observer's `DisturbanceEstimate` |
     | ``held_input`` | m | the input applied now; read by the fallbacks only |
     | ``obstacles`` | | what is perceived now: see `PerceivedSpheres` |
     | ``command`` | m | the chosen input: finite and inside the input set, always |

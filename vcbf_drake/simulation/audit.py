@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from vcbf_drake.barriers import BarrierSet
 from vcbf_drake.between_ticks.certified_heights import known_along
 from vcbf_drake.checks import Array
-from vcbf_drake.disturbances import DisturbanceBounds
+from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceObserver
 from vcbf_drake.safety import Assumption, FilterStatus, InputSet, SafetyFilter
 
 # What `audit_margins` has a margin of, in its order.
@@ -30,6 +30,10 @@ PROMISES = {
 }
 # What the theorems ask of a run rather than promise of it.
 CONDITIONS = ("row between ticks", "slack", "feasible", "solver")
+MEASUREMENT = "measurement"
+QUADRATURE = "quadrature"
+# What an estimate's error bound rests on and a run shows; a certificate needs all.
+KNOWLEDGE = ("estimate", MEASUREMENT, QUADRATURE)
 BETWEEN_TICKS = "barrier between ticks"
 VOLUME_DECREASE = "volume decrease"
 AUTHORITY = "authority"
@@ -86,7 +90,11 @@ def audit_margins(
 
 
 def audit_findings(
-    log: Mapping[str, Array], path_time: Array, heights: Array, volume_gain: float
+    log: Mapping[str, Array],
+    path_time: Array,
+    heights: Array,
+    volume_gain: float,
+    observer: DisturbanceObserver | None = None,
 ) -> dict[str, dict[str, Any]]:
     """Returns each watched promise: held or not, worst margin, when it first broke.
 
@@ -99,6 +107,7 @@ def audit_findings(
         path_time: Times of the integrator's steps, shape (S,) [s].
         heights: Every h there, shape (S, N).
         volume_gain: lambda_Vv [1/s].
+        observer: What the method's estimates come from; None where it has none.
     """
     times = log["time"]
     found = {
@@ -108,6 +117,8 @@ def audit_findings(
         )
         if not np.isnan(margins[0])
     }
+    if observer is not None:
+        found |= _of_measurements(log, observer)
     found[BETWEEN_TICKS] = _finding(
         "h >= 0 at every integrator step", path_time, _least_of_each(heights)
     )
@@ -123,6 +134,31 @@ def audit_findings(
         _least_of_each(authority(log)) - LEAST_AUTHORITY,
     )
     return found
+
+
+def _of_measurements(
+    log: Mapping[str, Array], observer: DisturbanceObserver
+) -> dict[str, dict[str, Any]]:
+    """What an error bound rests on, and only the measurements of a run can show."""
+    refused = np.diff(log["refused_intervals"], prepend=0.0)
+    largest = log["quadrature_error"]
+    distinct, which = np.unique(largest, return_inverse=True)
+    spare = [
+        min((c.left - c.right for c in observer.gain_conditions(q)), default=np.inf)
+        for q in distinct.tolist()
+    ]
+    return {
+        MEASUREMENT: _finding(
+            "no interval's mean disturbance was refused as impossible (E96)",
+            log["time"],
+            _yes_or_no(refused <= 0.0),
+        ),
+        QUADRATURE: _finding(
+            "the observer's gains allow for the error of the means (E97)",
+            log["time"],
+            np.array(spare)[which],
+        ),
+    }
 
 
 def authority(log: Mapping[str, Array]) -> Array:

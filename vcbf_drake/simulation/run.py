@@ -29,6 +29,7 @@ from vcbf_drake.safety import (
 )
 from vcbf_drake.simulation.audit import (
     BETWEEN_TICKS,
+    KNOWLEDGE,
     ROUNDING,
     audit_findings,
     reasons_against,
@@ -79,11 +80,18 @@ def simulate(
     summary = summarise(
         scenario, safety_filter, log, times, path["state"], heights, ending
     )
-    summary["certified_min_barrier"] = _certified_least(
-        scenario, diagram, found, log, ending
-    )
+    observer = diagram.GetSubsystemByName("filter_observer")
+    is_estimated = safety_filter.method.disturbance == "estimated"
     summary["assumptions"] = [vars(assumption) for assumption in found]
-    summary["audit"] = audit_findings(log, times, heights, scenario.volume.gain)
+    summary["audit"] = audit_findings(
+        log, times, heights, scenario.volume.gain, observer if is_estimated else None
+    )
+    is_known = all(
+        summary["audit"].get(name, {}).get("held") is not False for name in KNOWLEDGE
+    )
+    summary["certified_min_barrier"] = (
+        _certified_least(scenario, diagram, found, log, ending) if is_known else None
+    )
     summary["reasons_against"] = reasons_against(
         found, summary["audit"], summary["outcome"] == "collision"
     )

@@ -45,6 +45,8 @@ def step_cpu_time(
                 log["estimate_rate"][tick],
                 log["error_bound"][tick],
                 log["error_bound_rate"][tick],
+                log["refused_intervals"][tick],
+                log["quadrature_error"][tick],
             ).pack()
         context.SetTime(float(log["time"][tick]))
         for name, value in values.items():
