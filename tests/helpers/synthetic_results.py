@@ -126,7 +126,9 @@ def blimp_result(method="dob-vcbf-qp", end=19.5, infeasible=False, seed=0, sway=
     )
 
 
-def car_result(method="dob-vcbf-qp", end=11.0, outcome="reached", bend=0.75):
+def car_result(
+    method="dob-vcbf-qp", end=11.0, outcome="reached", bend=0.75, obstacles=None
+):
     """The car from the origin to (5, 0) around three discs, one of them moving."""
     rng = np.random.default_rng(1)
     time = np.arange(int(end * 50) + 1) / 50.0
@@ -141,7 +143,8 @@ def car_result(method="dob-vcbf-qp", end=11.0, outcome="reached", bend=0.75):
         description="A small car drives round discs",
         plant=CarParameters(),
         controller=CarControllerParameters(),
-        obstacles=[
+        obstacles=obstacles
+        or [
             Obstacle([1.6, 0.05], 0.32, margin=0.12),
             Obstacle([3.3, 0.1], 0.33, margin=0.12),
             Obstacle([3.1, 1.6], 0.3, velocity=[0.05, -0.06], margin=0.1),

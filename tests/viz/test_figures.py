@@ -1,21 +1,28 @@
 import dataclasses
+from itertools import combinations
 import struct
 from xml.etree import ElementTree
 
 import matplotlib
 import numpy as np
 import pytest
-from scipy.spatial import ConvexHull, HalfspaceIntersection
+from scipy.spatial import ConvexHull
 
 from tests.helpers.synthetic_results import blimp_result, blimp_results, car_result
 from vcbf_drake.safety.methods import METHODS
+from vcbf_drake.simulation.scenario import InputLimits, Obstacle
 from vcbf_drake.viz import write_figures
-from vcbf_drake.viz.feasible_set import feasible_set_at, telling_times
+from vcbf_drake.viz.feasible_set import (
+    feasible_set_at,
+    polygon,
+    polytope_faces,
+    polytope_vertices,
+    telling_times,
+)
 from vcbf_drake.viz.parallel_view import ParallelView
 from vcbf_drake.viz.runs import label_runs
 from vcbf_drake.viz.series_figures import volume_figure
 from vcbf_drake.viz.style import METHOD_STYLES, figure_style, save_figure
-from vcbf_drake.viz.vertices import polygon, polytope_faces, polytope_vertices
 
 BLIMP_FIGURES = [
     "overview",
@@ -124,27 +131,69 @@ def test_the_failure_is_at_its_tick():
     assert label_runs([blimp_result(end=1.0)])[0].failure_tick is None
 
 
-@pytest.mark.parametrize("inputs", [2, 3])
-@pytest.mark.parametrize("seed", range(8))
-def test_corners_are_those_of_qhull(inputs, seed):
+def corners_by_enumeration(A, b):
+    """Where m rows meet and the others hold."""
+    corners = []
+    for rows in map(list, combinations(range(len(A)), A.shape[1])):
+        if abs(np.linalg.det(A[rows])) > 1e-9:
+            point = np.linalg.solve(A[rows], b[rows])
+            if np.all(A @ point <= b + 1e-9):
+                corners.append(point)
+    return np.array(corners)
+
+
+@pytest.mark.parametrize("inputs", [1, 2, 3, 4])
+@pytest.mark.parametrize("seed", range(6))
+def test_corners_are_where_rows_meet(inputs, seed):
     A, b = random_polytope(np.random.default_rng(seed), inputs)
-    halfspaces = np.column_stack([A, -b])
-    expected = HalfspaceIntersection(halfspaces, np.zeros(inputs)).intersections
-    # Qhull lists a corner once for each simplex that meets there.
-    assert same_points(polytope_vertices(A, b), expected)
+    corners = polytope_vertices(A, b, -np.ones(inputs), np.ones(inputs))
+    assert same_points(corners, corners_by_enumeration(A, b))
+
+
+def test_a_thousand_rows_that_do_not_cut_change_nothing():
+    rng = np.random.default_rng(0)
+    A, b = random_polytope(rng, 3)
+    far = rng.normal(size=(5000, 3))
+    far_sides = np.abs(far).sum(axis=1) + rng.uniform(1e-3, 9.0, 5000)
+    all_rows, sides = np.vstack([far, A]), np.concatenate([far_sides, b])
+    corners = polytope_vertices(all_rows, sides, -np.ones(3), np.ones(3))
+    assert same_points(corners, corners_by_enumeration(A, b))
+
+
+def test_a_thousand_rows_that_cut_leave_a_set_inside_them():
+    rng = np.random.default_rng(0)
+    A = rng.normal(size=(1000, 3))
+    b = np.linalg.norm(A, axis=1)  # All touch the unit ball.
+    corners = polytope_vertices(A, b, -2.0 * np.ones(3), 2.0 * np.ones(3))
+    assert np.all(corners @ A.T <= b + 1e-8)
+    # A little more than the ball that all of them touch.
+    assert ConvexHull(corners).volume == pytest.approx(4.0 / 3.0 * np.pi, rel=0.02)
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-6, 1e6])
 def test_corners_of_a_box_in_any_unit(scale):
     A = np.vstack([np.eye(3), -np.eye(3)])
-    corners = polytope_vertices(A, scale * np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0]))
+    b = scale * np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0])
+    reach = 5.0 * scale * np.ones(3)
+    corners = polytope_vertices(A, b, -reach, reach)
     assert len(corners) == 8
     np.testing.assert_allclose(corners.max(axis=0), scale * np.array([1.0, 2.0, 3.0]))
 
 
+def test_an_input_that_is_fixed_leaves_a_flat_set():
+    A, b = np.array([[1.0, 1.0, 0.0]]), np.array([0.5])
+    low, high = np.array([-1.0, -1.0, 0.3]), np.array([1.0, 1.0, 0.3])
+    corners = polytope_vertices(A, b, low, high)
+    np.testing.assert_allclose(corners[:, 2], 0.3)
+    around = [[-1, -1], [1, -1], [1, -0.5], [-0.5, 1], [-1, 1]]
+    assert same_points(polygon(corners[:, :2]), np.array(around))
+
+
 def test_an_empty_set_has_no_corners():
-    A = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-    assert polytope_vertices(A, np.array([-1.0, -1.0, 1.0, 1.0])).shape == (0, 2)
+    A, reach = np.array([[1.0, 0.0], [-1.0, 0.0]]), np.ones(2)
+    assert polytope_vertices(A, -np.ones(2), -reach, reach).shape == (0, 2)
+    impossible = polytope_vertices(np.zeros((1, 2)), -np.ones(1), -reach, reach)
+    assert impossible.shape == (0, 2)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -161,7 +210,7 @@ def test_a_polygon_is_the_convex_hull_in_order(seed):
 @pytest.mark.parametrize("seed", range(5))
 def test_faces_close_the_polytope(seed):
     A, b = random_polytope(np.random.default_rng(seed), 3)
-    corners = polytope_vertices(A, b)
+    corners = polytope_vertices(A, b, -np.ones(3), np.ones(3))
     volume, edges, faces = 0.0, 0, polytope_faces(A, b, corners)
     for row, face in faces:
         np.testing.assert_allclose(face @ A[row], b[row], atol=1e-9)
@@ -223,3 +272,31 @@ def test_a_ball_hides_what_it_covers():
     assert 0.1 < expected.mean() < 0.6
     disagree = view.hidden(points, center, radius) != expected
     assert disagree.mean() < 0.01  # Grazing lines, between two steps of the march.
+
+
+def crowd(count, dims=2):
+    """So many small obstacles beside the way."""
+    rng = np.random.default_rng(0)
+    low, high = [[0.0, 1.0, 0.0][:dims], [60.0, 31.0, 9.0][:dims]]
+    centers = rng.uniform(low, high, size=(count, dims))
+    return [Obstacle(center.tolist(), 0.2) for center in centers]
+
+
+def test_infinite_limits_are_no_rows(tmp_path):
+    result = car_result(end=3.0)
+    limits = InputLimits([-0.8, -np.inf], [0.8, np.inf], [[0.0, 1.0]], [2.0])
+    scenario = dataclasses.replace(result.scenario, input_set=limits)
+    log = result.log | {"polytope_b": result.log["polytope_b"].copy()}
+    log["polytope_b"][:, [1, 3]] = np.inf
+    result = dataclasses.replace(result, scenario=scenario, log=log)
+    chosen = feasible_set_at(label_runs([result])[0], 1.0)
+    assert np.all(np.isfinite(chosen.corners)) and len(chosen.corners) >= 3
+    assert write_figures([result], tmp_path)
+
+
+@pytest.mark.slow
+def test_a_minute_among_a_thousand_discs_has_figures_within_bounds(tmp_path):
+    result = car_result(end=60.0, obstacles=crowd(1000))
+    assert result.log["polytope_A"].shape == (3001, 1004, 2)
+    paths = write_figures([result], tmp_path)
+    assert max(path.stat().st_size for path in paths) < 3e6

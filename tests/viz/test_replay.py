@@ -10,9 +10,10 @@ import pytest
 from tests.helpers.browser import browser, served
 from tests.helpers.synthetic_results import blimp_result, blimp_results, car_result
 from vcbf_drake.safety.methods import METHODS
+from vcbf_drake.simulation.scenario import Obstacle
 from vcbf_drake.viz import write_replay
 from vcbf_drake.viz.geometry import geometry_of
-from vcbf_drake.viz.mesh import cylinder, lattice, merge, prism, sphere, torus, tube
+from vcbf_drake.viz.mesh import lattice, merge, prism, torus, tube
 from vcbf_drake.viz.runs import label_runs
 from vcbf_drake.viz.stage import MAX_FRAMES, set_stage
 from vcbf_drake.viz.vehicles import BLIMP_LENGTH, BLIMP_WIDTH, blimp, car
@@ -198,12 +199,8 @@ def test_bad_input_is_refused_in_one_line(tmp_path):
 
 
 def test_meshes_look_outwards_and_have_the_right_size():
-    assert signed_volume(sphere(0.7)) == pytest.approx(4 / 3 * np.pi * 0.343, rel=0.02)
     ring = 2.0 * np.pi**2 * 0.9 * 0.1**2
     assert signed_volume(torus(0.9, 0.1)) == pytest.approx(ring, rel=0.12)
-    # A rounded rim and an open bottom, whose plane holds the origin, take little.
-    pillar = cylinder(0.5, 0.3)
-    assert signed_volume(pillar) == pytest.approx(np.pi * 0.25 * 0.3, rel=0.03)
     box = prism([(-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0), (1.0, -1.0)], 0.5)
     assert signed_volume(box) == pytest.approx(4.0)
     two = merge([box, box.moved((5.0, 0.0, 0.0))])
@@ -276,9 +273,10 @@ def test_a_real_browser_shows_it(page_path, fragment, clock, words):
         assert tab.settle(text("clock")).startswith(clock)
         assert re.search(rf"DOB-CBF-QP\s+{words}", tab.settle(text("legend")))
         count = "document.querySelectorAll('{}').length".format
-        assert tab.evaluate(count("#plots figure")) == 3
+        assert tab.evaluate(count("#plots figure")) == 4
         curves = tab.evaluate(count("#plots .curve"))
-        assert curves == 18  # 3 plots, 3 runs, pale and strong.
+        # Barrier, volume and three inputs (the slack is 0); 3 runs, pale and strong.
+        assert curves == 5 * 3 * 2
         assert tab.evaluate("document.querySelector('canvas').width > 100")
         assert not tab.errors
 
@@ -427,3 +425,87 @@ def test_seeking_moves_the_scene(page_path):
         x = np.interp(time, log["time"], log["state"][:, 0])
         assert seen["x"] == pytest.approx(x, abs=0.03)
         assert seen["failure"] == (time > 7.6)
+
+
+# The limits' rectangle, the chosen input, and the reference, all in pixels.
+CHOICE = """(() => {
+  const svg = document.querySelector("#plots figure:last-child svg");
+  const limits = svg?.querySelector(".limits");
+  const number = (node) => (name) => Number(node.getAttribute(name));
+  if (!limits || !svg.querySelector(".primary .stop")) return null;
+  return {
+    limits: ["x", "y", "width", "height"].map(number(limits)),
+    chosen: ["cx", "cy"].map(number(svg.querySelector(".primary .stop"))),
+    corners: svg.querySelector(".primary .set").points.length,
+    words: [...svg.querySelectorAll(".empty")].map((node) => node.textContent),
+  };
+})()"""
+PHONE = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
+
+
+@pytest.mark.slow
+def test_the_feasible_set_is_shown_live_and_a_phone_shows_all_of_it(page_path):
+    result = blimp_results()[2]
+    limits = result.scenario.input_set
+    with browser() as tab:
+        tab.open(page_path.as_uri() + "#t=9")
+        seen = tab.settle(CHOICE)
+        x, y, width, height = seen["limits"]
+        share = [
+            (seen["chosen"][0] - x) / width,
+            1.0 - (seen["chosen"][1] - y) / height,
+        ]
+        low, high = np.array(limits.lower[:2]), np.array(limits.upper[:2])
+        # Up to 400 of the 976 ticks are in the page: the latest of them is shown.
+        inputs = result.log["input"][447:451, :2]
+        distance = np.abs(inputs - (low + np.array(share) * (high - low)))
+        assert (distance / (high - low)).max(axis=1).min() < 2e-3
+        assert seen["corners"] >= 3
+        assert seen["words"] == ["DOB-CBF-QP: empty"]
+        folds = "document.getElementById('card').classList.contains('folded')"
+        assert tab.evaluate(folds)  # The pane is small.
+        tab.evaluate("document.getElementById('fold').click()")
+        tab.call("Page.reload")
+        tab.settle(CHOICE)
+        assert not tab.evaluate(folds)  # As it was left.
+        tab.call("Emulation.setDeviceMetricsOverride", **PHONE)
+        tab.call("Page.reload")
+        tab.settle(CHOICE)
+        assert tab.evaluate("window.innerWidth") == 390
+        boxes = tab.evaluate(
+            "[...document.querySelectorAll('#transport > *, #plots svg')]"
+            ".map((node) => { const box = node.getBoundingClientRect();"
+            " return [box.left, box.top, box.right, box.bottom]; })"
+        )
+        for left, top, right, bottom in boxes:
+            assert 0 <= left < right <= 390 and 0 <= top < bottom <= 844
+        assert not tab.errors
+
+
+def test_a_minute_among_a_thousand_moving_discs_makes_a_small_page(tmp_path):
+    rng = np.random.default_rng(0)
+    discs = [
+        Obstacle(center.tolist(), 0.2, velocity=[0.01, -0.02])
+        for center in rng.uniform([0.0, 1.0], [60.0, 31.0], size=(1000, 2))
+    ]
+    result = car_result(end=60.0, obstacles=discs)
+    path = write_replay([result], tmp_path / "page.html")
+    assert path.stat().st_size < 10e6
+
+
+def test_what_holds_of_the_whole_run_says_so(tmp_path):
+    result = blimp_result(end=2.0)
+    kept = dataclasses.replace(result, summary=result.summary | {"reasons_against": []})
+    page = write_replay([kept], tmp_path / "page.html").read_text()
+    assert "DOB-VCBF-QP (whole run): guaranteed" in page
+
+
+@pytest.mark.parametrize(("slack", "third"), [(0.0, "Inputs"), (0.2, "Slack δ [-]")])
+def test_a_slack_that_is_nothing_makes_room_for_the_inputs(tmp_path, slack, third):
+    result = car_result(end=2.0)
+    result.log["slack"][7] = slack
+    data = page_data(write_replay([result], tmp_path / "page.html").read_text())
+    assert data["plots"][2]["title"] == third
+    if not slack:
+        limits = [lane["limits"] for lane in data["plots"][2]["lanes"]]
+        assert limits == [[-0.8, 0.8], [-0.7, 0.7]]

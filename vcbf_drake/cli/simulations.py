@@ -161,7 +161,9 @@ def write_pictures(
 
 def report_results(results: list[Result], directory: Path) -> None:
     """Prints the summaries, and where the results are."""
+    from vcbf_drake.viz.runs import barrier_unit
     from vcbf_drake.viz.terminal import print_summaries
 
-    print_summaries([result.summary for result in results])
+    unit = barrier_unit(results[0].scenario)
+    print_summaries([result.summary for result in results], unit)
     typer.echo(f"written to {directory}")

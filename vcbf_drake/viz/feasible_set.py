@@ -1,33 +1,36 @@
-"""The inputs that a filter could choose from at one tick, and what it chose."""
+"""The inputs that a filter could choose from at one tick, and its choice."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vcbf_drake.checks import Array
 from vcbf_drake.safety.emptiness import emptiness_certificate
 from vcbf_drake.viz.runs import Run
-from vcbf_drake.viz.vertices import polytope_vertices
+
+if TYPE_CHECKING:
+    from vcbf_drake.simulation.result import Result
 
 
 @dataclass(frozen=True)
 class FeasibleSet:
-    """What a filter may choose at one tick, and what it chose.
+    """The feasible set ``{u : A u <= b}`` of one tick, and the choice from it.
 
     Attributes:
         A: The rows, shape (n, m).
         b: The right-hand sides, shape (n,).
         limits: How many leading rows are the input set's.
-        low: The least inputs, shape (m,).
-        high: The greatest inputs, shape (m,).
+        low: The least inputs to show, shape (m,): the limits where they are finite.
+        high: The greatest inputs to show, shape (m,).
         shape: The inscribed ellipsoid's matrix, shape (m, m); nan when there is none.
         center: Its centre, shape (m,).
         reference: The reference input, shape (m,).
         input: The chosen input, shape (m,).
-        corners: The polytope's corners, shape (k, m).
+        corners: The corners of the set between low and high, shape (k, m).
         volume: The volume barrier V_v; nan when the filter did not know it.
     """
 
@@ -58,24 +61,46 @@ class FeasibleSet:
 
 def feasible_set_at(run: Run, time: float) -> FeasibleSet:
     """The feasible set at the last tick that is not after a time [s]."""
-    log, limits = run.result.log, run.result.scenario.input_set
     tick = max(int(np.searchsorted(run.time, time + 1e-9)) - 1, 0)
+    return feasible_set_of_tick(run.result, tick)
+
+
+def feasible_set_of_tick(result: Result, tick: int) -> FeasibleSet:
+    """The feasible set of a result's tick, counted from 0."""
+    log, limits = result.log, result.scenario.input_set
     A, b = log["polytope_A"][tick], log["polytope_b"][tick]
-    # At an obstacle's very centre its row is not finite.
+    # At an obstacle's very centre its row is not finite; an infinite limit is none.
     finite = np.isfinite(A).all(axis=1) & np.isfinite(b)
-    A, b = A[finite], b[finite]
+    low, high = shown_inputs(result)
     return FeasibleSet(
-        A=A,
-        b=b,
-        limits=2 * len(limits.lower) + len(limits.b),
-        low=np.array(limits.lower),
-        high=np.array(limits.upper),
+        A=A[finite],
+        b=b[finite],
+        limits=int(finite[: 2 * len(limits.lower) + len(limits.b)].sum()),
+        low=low,
+        high=high,
         shape=log["ellipsoid_shape"][tick],
         center=log["ellipsoid_center"][tick],
         reference=log["reference"][tick],
         input=log["input"][tick],
-        corners=polytope_vertices(A, b),
+        corners=polytope_vertices(A[finite], b[finite], low, high),
         volume=float(log["volume"][tick]),
+    )
+
+
+def shown_inputs(result: Result) -> tuple[Array, Array]:
+    """The least and the greatest inputs to show, shape (m,) each.
+
+    They are the input's limits; where these are infinite, what the run asked for and
+    got, with as much again on either side.
+    """
+    limits = result.scenario.input_set
+    low, high = np.array(limits.lower, float), np.array(limits.upper, float)
+    seen = np.vstack([result.log["reference"], result.log["input"]])
+    least, most = np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)
+    room = np.maximum(most - least, 1e-3 + 0.1 * np.abs(most))
+    return (
+        np.where(np.isfinite(low), low, least - room),
+        np.where(np.isfinite(high), high, most + room),
     )
 
 
@@ -93,3 +118,92 @@ def telling_times(runs: Sequence[Run]) -> list[float]:
     first = min(failures)
     period = float(runs[-1].result.scenario.period)
     return sorted({min(2.0, 0.5 * first), first - period, first})
+
+
+def polytope_vertices(A: Array, b: Array, low: Array, high: Array) -> Array:
+    """The corners of ``{u : A u <= b, low <= u <= high}``, found by Drake's Qhull.
+
+    Rows that no point of the box violates are dropped first: among a thousand
+    obstacles a few cut.
+
+    Args:
+        A: The rows, shape (n, m).
+        b: The right-hand sides, shape (n,).
+        low: The box's least corner, shape (m,), finite.
+        high: Its greatest corner, shape (m,), finite.
+
+    Returns:
+        Shape (k, m), no corner twice; k is 0 when the set is empty.
+    """
+    # Importing Drake takes time that a table in a terminal need not spend.
+    from pydrake.geometry.optimization import HPolyhedron, VPolytope
+
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    scale = np.where(half > 0.0, half, 1.0)  # A fixed input has no width.
+    rows, sides, box = A * scale, b - A @ middle, half / scale
+    cuts = sides < np.abs(rows) @ box
+    size = np.linalg.norm(rows, axis=1)
+    if np.any(sides[cuts & (size == 0.0)] < 0.0):
+        return np.empty((0, len(low)))
+    cuts &= size > 0.0
+    axes = np.eye(len(low))
+    rows = np.vstack([axes, -axes, rows[cuts] / size[cuts, None]])
+    sides = np.concatenate([box, box, sides[cuts] / size[cuts]])
+    corners = VPolytope(HPolyhedron(rows, sides)).vertices().T
+    return np.asarray(middle + scale * corners)
+
+
+def polygon(points: Array) -> Array:
+    """The corners of the convex hull of points in the plane, in order around it.
+
+    Args:
+        points: Shape (k, 2).
+
+    Returns:
+        Shape (j, 2), counter-clockwise.
+    """
+    order = points[np.lexsort(points.T[::-1])]
+    if len(order) < 3:
+        return order
+    lower, upper = _chain(order), _chain(order[::-1])
+    return np.array(lower[:-1] + upper[:-1])
+
+
+def polytope_faces(A: Array, b: Array, corners: Array) -> list[tuple[int, Array]]:
+    """The faces of a polytope in space.
+
+    Args:
+        A: The rows, shape (n, 3).
+        b: The right-hand sides, shape (n,).
+        corners: Its corners, shape (k, 3).
+
+    Returns:
+        The row and the corners in order, shape (j, 3), of every face.
+    """
+    faces = []
+    gap = np.abs(corners @ A.T - b)
+    touching = gap <= 1e-7 * (np.abs(b) + np.abs(corners) @ np.abs(A).T)
+    for row, normal in enumerate(A):
+        face = corners[touching[:, row]]
+        if len(face) < 3:
+            continue
+        across = np.linalg.svd(normal[None])[2][1:]
+        x, y = across @ (face - face.mean(axis=0)).T
+        faces.append((row, face[np.argsort(np.arctan2(y, x))]))
+    return faces
+
+
+def _chain(points: Array) -> list[Array]:
+    """The part of a hull from the first point to the last; it turns left all along."""
+    chain: list[Array] = []
+    for point in points:
+        while len(chain) > 1 and _turn(chain[-2], chain[-1], point) <= 0.0:
+            chain.pop()
+        chain.append(point)
+    return chain
+
+
+def _turn(first: Array, second: Array, third: Array) -> float:
+    """Twice the signed area of a triangle, positive when it turns left."""
+    (a, b), (c, d) = second - first, third - first
+    return float(a * d - b * c)

@@ -8,11 +8,15 @@ from typing import Any
 import numpy as np
 
 from vcbf_drake.checks import Array
-from vcbf_drake.viz.feasible_set import FeasibleSet, feasible_set_at
+from vcbf_drake.viz.feasible_set import (
+    FeasibleSet,
+    feasible_set_at,
+    polygon,
+    polytope_vertices,
+)
 from vcbf_drake.viz.geometry import geometry_of
 from vcbf_drake.viz.runs import Run
 from vcbf_drake.viz.style import ALARM, INK, MUTED, PAGE_WIDTH, Style, new_figure
-from vcbf_drake.viz.vertices import polygon, polytope_vertices
 
 MARGIN = 0.35  # Room around the limits [share of their width].
 
@@ -75,7 +79,11 @@ def draw_feasible_set(axes: Any, chosen: FeasibleSet, color: str) -> None:
     if chosen.empty:
         words = dict(ha="center", va="center", color=ALARM, fontsize=12, weight="bold")
         paper = dict(boxstyle="round,pad=0.25", fc="white", ec="none", alpha=0.85)
-        axes.text(*view.mean(axis=0), "empty", **words, bbox=paper, zorder=6)
+        middle, extent = view.mean(axis=0), view[1] - view[0]
+        away = np.abs(chosen.reference[:2] - middle) / extent
+        if away[0] < 0.25 and away[1] < 0.12:  # The ring would be on the word.
+            middle = middle - [0.0, 0.2 * extent[1]]
+        axes.text(*middle, "empty", **words, bbox=paper, zorder=6)
     else:
         outline = polygon(chosen.corners[:, :2])
         axes.add_patch(Polygon(outline, fc=color, alpha=0.2, lw=0, zorder=2))
@@ -106,9 +114,10 @@ def _draw_forbidden(
     middle = 0.5 * (chosen.low + chosen.high)
     normal = chosen.A[row, :2]
     bound = chosen.b[row] - chosen.A[row, 2:] @ middle[2:]
-    box = np.vstack([np.eye(2), -np.eye(2), -normal])
-    sides = np.concatenate([view[1], -view[0], [-bound]])
-    if not np.any(normal) or not len(corners := polytope_vertices(box, sides)):
+    if np.where(normal > 0.0, view[1], view[0]) @ normal <= bound:
+        return  # Nothing of what is shown.
+    corners = polytope_vertices(-normal[None], np.array([-bound]), *view)
+    if len(corners) < 3:
         return
     color = ALARM if conflicting else "#b3bcc7"
     style: Style = dict(

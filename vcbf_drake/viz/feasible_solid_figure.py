@@ -8,12 +8,16 @@ from typing import Any
 import numpy as np
 
 from vcbf_drake.checks import Array
-from vcbf_drake.viz.feasible_set import FeasibleSet, feasible_set_at
+from vcbf_drake.viz.feasible_set import (
+    FeasibleSet,
+    feasible_set_at,
+    polytope_faces,
+    polytope_vertices,
+)
 from vcbf_drake.viz.geometry import geometry_of
 from vcbf_drake.viz.parallel_view import ParallelView
 from vcbf_drake.viz.runs import Run
 from vcbf_drake.viz.style import ALARM, INK, MUTED, PAGE_WIDTH, new_figure
-from vcbf_drake.viz.vertices import polytope_faces, polytope_vertices
 
 _NAME = dict(fontsize=7, color=INK)
 VIEW = ParallelView.from_angles(azimuth=-62.0, elevation=22.0)
@@ -57,13 +61,15 @@ def draw_feasible_solid(
     """
     middle, half = 0.5 * (chosen.low + chosen.high), 0.5 * (chosen.high - chosen.low)
     box_rows, box_sides = np.vstack([np.eye(3), -np.eye(3)]), np.ones(6)
-    box = polytope_vertices(box_rows, box_sides)
+    box = polytope_vertices(box_rows, box_sides, -np.ones(3), np.ones(3))
     dashed = dict(fill=False, ec=MUTED, lw=0.6, ls=(0, (3, 2)), zorder=1)
     for _, face in polytope_faces(box_rows, box_sides, box):
         VIEW.draw_face(axes, face, **dashed)
     if chosen.empty:
         style = dict(ha="center", va="center", color=ALARM, fontsize=12, weight="bold")
-        axes.text(0.0, 0.0, "empty", **style)
+        ring = VIEW.flat((chosen.reference - middle) / half)
+        covered = abs(ring[0]) < 0.6 and -0.3 < ring[1] < 0.3
+        axes.text(0.0, -0.5 if covered else 0.0, "empty", **style)
     else:
         rows, sides = chosen.A * half, chosen.b - chosen.A @ middle
         corners = (chosen.corners - middle) / half

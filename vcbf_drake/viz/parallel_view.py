@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from vcbf_drake.checks import Array
 
 LIGHT = np.array([-0.35, -0.45, 0.82])  # Towards the light, in the world.
-SHADING_PIXELS = 160
 
 
 @dataclass(frozen=True)
@@ -64,22 +63,24 @@ class ParallelView:
         front = np.sqrt(np.clip(radius**2 - across**2, 0.0, None))
         return np.asarray((across < radius) & (along < front))
 
-    def draw_ball(self, axes: Any, center: Array, radius: float, color: str) -> None:
-        """Draws a ball with light from above."""
+    def draw_ball(
+        self, axes: Any, center: Array, radius: float, color: str, pixels: int = 160
+    ) -> None:
+        """Draws a ball, so many pixels wide, with light from above."""
         x, y = self.flat(center)
         axes.imshow(
-            self._shaded(color),
+            self._shaded(color, pixels),
             extent=(x - radius, x + radius, y - radius, y + radius),
             origin="lower",
             interpolation="bilinear",
             zorder=self.order(center),
         )
 
-    def _shaded(self, color: str) -> Array:
+    def _shaded(self, color: str, pixels: int) -> Array:
         """The picture of a ball: red, green, blue and opacity, shape (k, k, 4)."""
         from matplotlib.colors import to_rgb
 
-        side = np.linspace(-1.0, 1.0, SHADING_PIXELS)
+        side = np.linspace(-1.0, 1.0, pixels)
         x, y = np.meshgrid(side, side)
         distance = np.hypot(x, y)
         depth = np.sqrt(np.clip(1.0 - distance**2, 0.0, None))
@@ -91,5 +92,5 @@ class ParallelView:
         picture[..., :3] = np.clip(
             bright[..., None] * np.array(to_rgb(color)), 0.0, 1.0
         )
-        picture[..., 3] = np.clip((1.0 - distance) * SHADING_PIXELS / 2.0, 0.0, 1.0)
+        picture[..., 3] = np.clip((1.0 - distance) * pixels / 2.0, 0.0, 1.0)
         return picture

@@ -106,7 +106,7 @@ def _draw_views(figure: Any, runs: Sequence[Run], cells: list[Any]) -> None:
     draw_plane(above, runs, (0, 1))
     draw_plane(side, runs, (0, 2))
     entries = above.get_legend_handles_labels()
-    options = legend_in_a_row(len(entries[0]))
+    options = legend_in_a_row(entries[1])
     figure.legend(*entries, loc="outside upper left", **options)
 
 
@@ -124,5 +124,5 @@ def _draw_disc(axes: Any, sphere: Sphere, pair: list[int], end: float) -> None:
 
 
 def _legend_above(axes: Any) -> None:
-    options = legend_in_a_row(len(axes.get_legend_handles_labels()[0]))
+    options = legend_in_a_row(axes.get_legend_handles_labels()[1])
     axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), borderpad=0.1, **options)

@@ -23,7 +23,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
 
 from vcbf_drake.viz.mesh import Mesh
-from vcbf_drake.viz.scene import rgba
+from vcbf_drake.viz.replay.scene import rgba
 from vcbf_drake.viz.vehicles import Part
 
 

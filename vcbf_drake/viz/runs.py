@@ -14,6 +14,7 @@ from vcbf_drake.viz.style import METHOD_STYLES
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.result import Result
+    from vcbf_drake.simulation.scenario import Scenario
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,13 @@ class Run:
         return next(failures, None)
 
     @property
+    def caption(self) -> str:
+        """The label, with how the run failed if it did."""
+        if self.failure is None:
+            return self.label
+        return f"{self.label}: {self.failure.text}"
+
+    @property
     def failure_tick(self) -> int | None:
         """The first tick that is not before the failure; the last if there is none."""
         if self.failure is None:
@@ -84,6 +92,11 @@ class Run:
         if self.dashes:
             style["dashes"] = self.dashes
         return style | options
+
+
+def barrier_unit(scenario: Scenario) -> str:
+    """The unit of a scenario's barriers: metres, or squares of them."""
+    return "m²" if scenario.barrier.form == "squared" else "m"
 
 
 def label_runs(results: Sequence[Result]) -> list[Run]:

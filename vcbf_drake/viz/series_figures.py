@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from vcbf_drake.checks import Array
+from vcbf_drake.viz.feasible_set import shown_inputs
 from vcbf_drake.viz.geometry import geometry_of
-from vcbf_drake.viz.runs import Run
+from vcbf_drake.viz.runs import Run, barrier_unit
 from vcbf_drake.viz.style import (
     ALARM,
     INK,
@@ -19,8 +21,8 @@ from vcbf_drake.viz.style import (
     new_figure,
 )
 
-BARRIER_LABEL = {"distance": "barrier $h$ [m]", "squared": "barrier $h$ [m²]"}
 BAND = "#c9d5e3"
+MOST_BARRIERS = 12  # More curves than this tell nothing.
 
 
 def barrier_figure(runs: Sequence[Run]) -> Any:
@@ -67,7 +69,7 @@ def slack_figure(runs: Sequence[Run]) -> Any:
     figure = new_figure(PAGE_WIDTH, 2.2)
     axes = figure.subplots()
     for run in runs:
-        axes.plot(run.time, run.result.log["slack"], **run.line())
+        axes.plot(run.time, run.result.log["slack"], **run.line(label=run.caption))
     greatest = max(float(np.abs(run.result.log["slack"]).max()) for run in runs)
     if greatest == 0.0:
         axes.set_ylim(-0.25, 1.0)
@@ -103,7 +105,8 @@ def disturbance_figure(runs: Sequence[Run]) -> Any:
             run.time, low, high, color=BAND, lw=0, label="estimate ± error bound"
         )
         axes.plot(run.time, true, color=INK, lw=1.2, label="disturbance")
-        style: Style = dict(color=run.color, lw=1.2, ls="--", label="estimate")
+        style: Style = dict(color=run.color, lw=1.2, ls="--")
+        style["label"] = f"estimate, {run.label}"
         axes.plot(run.time, estimate, **style)
         axes.set_ylabel(name)
         _time_axis(axes)
@@ -124,17 +127,19 @@ def input_figure(runs: Sequence[Run]) -> Any:
         The ``matplotlib.figure.Figure``.
     """
     last = runs[-1].result
-    names, limits = geometry_of(last).inputs, last.scenario.input_set
+    names, (lower, upper) = geometry_of(last).inputs, shown_inputs(last)
+    limits = last.scenario.input_set
     figure = new_figure(PAGE_WIDTH, 0.6 + 1.35 * len(names))
     panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
     for channel, (axes, name) in enumerate(zip(panels, names, strict=True)):
-        low, high = limits.lower[channel], limits.upper[channel]
-        for value in (low, high):
-            axes.axhline(value, color=ALARM, lw=0.8, ls=(0, (4, 2)))
+        low, high = lower[channel], upper[channel]
+        for value in (limits.lower[channel], limits.upper[channel]):
+            if np.isfinite(value):
+                axes.axhline(value, color=ALARM, lw=0.8, ls=(0, (4, 2)))
         reference = last.log["reference"][:, channel]
         axes.plot(runs[-1].time, reference, color=MUTED, lw=0.8, label="reference")
         for run in runs:
-            style = run.line(lw=1.2, drawstyle="steps-post")
+            style = run.line(lw=1.2, drawstyle="steps-post", label=run.caption)
             axes.plot(run.time, run.result.log["input"][:, channel], **style)
         axes.set_ylabel(name)
         room = 0.12 * (high - low)
@@ -148,19 +153,25 @@ def input_figure(runs: Sequence[Run]) -> Any:
 
 def draw_barriers(axes: Any, runs: Sequence[Run], every: bool = False) -> None:
     """Draws the least barrier of every run, and thinly every barrier of the last."""
-    form = runs[-1].result.scenario.barrier.form
     if every:
-        barriers = runs[-1].result.log["barriers"]
-        axes.plot(runs[-1].time, barriers, color=runs[-1].color, lw=0.6, alpha=0.45)
+        style: Style = dict(color=runs[-1].color, lw=0.6, alpha=0.45)
+        axes.plot(runs[-1].time, _lowest(runs[-1].result.log["barriers"]), **style)
     for run in runs:
-        axes.plot(run.time, run.least_barrier, **run.line(lw=2.0))
+        axes.plot(run.time, run.least_barrier, **run.line(lw=2.0, label=run.caption))
     _mark_failures(axes, runs, [run.least_barrier for run in runs])
     if every:  # The far obstacles' barriers leave the picture.
         highest = max(float(np.nanmax(run.least_barrier)) for run in runs)
         axes.set_ylim(top=1.4 * highest)
     _shade_below_zero(axes, "unsafe")
     _time_axis(axes)
-    axes.set(xlabel="time [s]", ylabel=BARRIER_LABEL[form])
+    unit = barrier_unit(runs[-1].result.scenario)
+    axes.set(xlabel="time [s]", ylabel=f"barrier $h$ [{unit}]")
+
+
+def _lowest(barriers: Array) -> Array:
+    """The barriers that come lowest, as columns, in their order."""
+    least = np.min(barriers, axis=0, initial=np.inf, where=np.isfinite(barriers))
+    return barriers[:, np.sort(np.argsort(least, kind="stable")[:MOST_BARRIERS])]
 
 
 def draw_estimate_error(axes: Any, run: Run) -> None:
@@ -182,7 +193,7 @@ def draw_estimate_error(axes: Any, run: Run) -> None:
 def draw_volume(axes: Any, runs: Sequence[Run]) -> None:
     """Draws the volume barrier of every run."""
     for run in runs:
-        axes.plot(run.time, run.result.log["volume"], **run.line())
+        axes.plot(run.time, run.result.log["volume"], **run.line(label=run.caption))
     _mark_failures(axes, runs, [run.result.log["volume"] for run in runs])
     labels = {run.result.scenario.volume.label for run in runs}
     is_volume = labels == {"volume"}
@@ -193,30 +204,17 @@ def draw_volume(axes: Any, runs: Sequence[Run]) -> None:
 
 
 def _mark_failures(axes: Any, runs: Sequence[Run], series: Sequence[Any]) -> None:
-    """A cross where a run failed, on the last value its curve has until then."""
-    from matplotlib.patheffects import withStroke
+    """A cross where a run failed, on the last value its curve has until then.
 
-    height = -8.0  # Of the words from their cross [points]: where no curve should be.
+    When and how it failed stands in the legend, where no curve crosses the words.
+    """
     for run, values in zip(runs, series, strict=True):
         if run.failure is None:
             continue
         until = np.isfinite(values) & (run.time <= run.failure.time)
-        if not until.any():
-            continue
-        place = (run.failure.time, values[until][-1])
-        style: Style = dict(ms=8, mfc=run.color, mec="white", zorder=5)
-        axes.plot(*place, "X", **style)
-        axes.annotate(
-            f"{run.failure.kind} {run.failure.time:.1f} s",
-            place,
-            xytext=(7, height),
-            textcoords="offset points",
-            color=run.color,
-            fontsize=7.5,
-            va="center",
-            path_effects=[withStroke(linewidth=2.5, foreground="white")],
-        )
-        height = max(height, -2.0) + 10.0
+        if until.any():
+            style: Style = dict(ms=8, mfc=run.color, mec="white", zorder=5)
+            axes.plot(run.failure.time, values[until][-1], "X", **style)
 
 
 def _shade_below_zero(axes: Any, words: str) -> None:
@@ -246,5 +244,5 @@ def _time_axis(axes: Any) -> None:
 
 
 def _legend_above(axes: Any) -> None:
-    options = legend_in_a_row(len(axes.get_legend_handles_labels()[0]))
+    options = legend_in_a_row(axes.get_legend_handles_labels()[1])
     axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), borderpad=0.1, **options)

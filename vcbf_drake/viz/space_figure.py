@@ -40,8 +40,10 @@ def draw_space(axes: Any, runs: Sequence[Run]) -> None:
     _draw_floor(axes, view, stage)
     _draw_height(axes, view, stage)
     _draw_shadows(axes, view, stage)
+    # Of many balls each is small.
+    pixels = int(np.clip(900.0 / np.sqrt(max(len(stage.spheres), 1)), 24.0, 160.0))
     for sphere in stage.spheres:
-        view.draw_ball(axes, sphere.center, sphere.radius, OBSTACLE)
+        view.draw_ball(axes, sphere.center, sphere.radius, OBSTACLE, pixels)
         if sphere.reach > sphere.radius:
             _draw_shell(axes, view, sphere.center, sphere.reach)
     for run in runs:

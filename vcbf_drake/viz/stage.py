@@ -105,7 +105,8 @@ class Stage:
         floor = [[x, y, low[2]] for x in (low[0], high[0]) for y in (low[1], high[1])]
         up = np.array([0.0, 0.0, 1.0])
         tops = [sphere.center + sphere.reach * up for sphere in self.spheres]
-        paths = [motion.position[::5] for motion in self.motions]
+        rise = up * self.geometry.rise / self.fraction
+        paths = [motion.position[::5] + rise for motion in self.motions]
         return np.vstack([*paths, self.target, floor, *tops])
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -119,15 +119,17 @@ def new_figure(width: float, height: float, **options: Any) -> Any:
     return figure
 
 
-def legend_in_a_row(entries: int) -> Style:
+def legend_in_a_row(labels: Sequence[str]) -> Style:
     """The options of a legend that lies above a figure as wide as the page.
 
     Args:
-        entries: How many it has; six are in two rows.
+        labels: Its entries' words; long ones share their row with fewer.
     """
-    if entries <= 4:
-        return {"ncols": max(entries, 1)}
-    ncols = entries if entries == 5 else 3
+    longest = max(map(len, labels), default=0)
+    ncols = max(min(len(labels), 100 // (longest + 8)), 1)
+    if ncols == len(labels) <= 4:
+        return {"ncols": ncols}
+    ncols = -(-len(labels) // -(-len(labels) // ncols))  # Rows of equal length.
     return {"ncols": ncols, "fontsize": 7.5, "columnspacing": 1.1, "handlelength": 2.2}
 
 

@@ -58,8 +58,15 @@ def print_scenarios(scenarios: Sequence[Scenario]) -> None:
     Console().print(table)
 
 
-def print_summaries(summaries: Sequence[Mapping[str, Any]]) -> None:
-    """Prints the summaries of runs of one scenario, one column a run, and remarks."""
+def print_summaries(
+    summaries: Sequence[Mapping[str, Any]], barrier_unit: str = ""
+) -> None:
+    """Prints the summaries of runs of one scenario, one column a run, and remarks.
+
+    Args:
+        summaries: The summaries.
+        barrier_unit: The unit of the scenario's barriers.
+    """
     console = Console(highlight=False, markup=False)
     width = _METHODS_WIDTH // len(summaries) - 1
     table = Table(box=box.SIMPLE_HEAD, padding=0, show_edge=False)
@@ -67,7 +74,7 @@ def print_summaries(summaries: Sequence[Mapping[str, Any]]) -> None:
     for summary in summaries:
         header = "\n".join(textwrap.wrap(summary["method"], width))
         table.add_column(header, justify="right", no_wrap=True)
-    columns = [_cells(summary) for summary in summaries]
+    columns = [_cells(summary, barrier_unit) for summary in summaries]
     for label in columns[0]:
         table.add_row(label, *(cells[label] for cells in columns))
     console.print(summaries[0]["scenario"])
@@ -91,7 +98,7 @@ def print_assumptions(scenario: Scenario, assumptions: Sequence[Assumption]) -> 
     console.print(table)
 
 
-def _cells(summary: Mapping[str, Any]) -> dict[str, str | Text]:
+def _cells(summary: Mapping[str, Any], barrier_unit: str) -> dict[str, str | Text]:
     outcome, cpu = summary["outcome"], summary["step_cpu_ms"]
     return {
         "outcome": Text(outcome, OUTCOME_STYLES[outcome]),
@@ -100,7 +107,7 @@ def _cells(summary: Mapping[str, Any]) -> dict[str, str | Text]:
         "infeasible s": number_text(summary["infeasible_at"]),
         "collided s": number_text(summary["collided_at"]),
         "guaranteed": _GUARANTEED[summary.get("guaranteed")],
-        "min h": number_text(summary["min_barrier"]),
+        f"min h {barrier_unit}".strip(): number_text(summary["min_barrier"]),
         "min V_v": number_text(summary["min_volume"]),
         "max |slack|": number_text(summary["max_abs_slack"]),
         "distance m": number_text(summary["final_distance"]),

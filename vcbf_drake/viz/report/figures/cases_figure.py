@@ -67,5 +67,5 @@ def _add_legend(figure: Any, panels: Sequence[Any]) -> None:
     for axes in panels:
         handles, labels = axes.get_legend_handles_labels()
         entries |= dict(zip(labels, handles, strict=True))
-    options = legend_in_a_row(len(entries))
+    options = legend_in_a_row(list(entries))
     figure.legend(entries.values(), entries.keys(), loc="outside upper left", **options)

@@ -3,6 +3,7 @@
 
 const THREE = MeshCat.THREE;
 const FILLED = 0.94; // How much of the pane the scene fills.
+const OUTLINE = 2.5; // How thick the outlines of ghosts are [pixels].
 
 /** A point of Drake's world, z up, as Three.js has it, y up. */
 function toThree([x, y, z]) {
@@ -22,6 +23,7 @@ class ReplayScene {
     this.pane = pane;
     this.follows = false;
     this.fitted = true;
+    this.pixel = { value: 0 }; // The size of a pixel at a distance of 1 m [m].
     // The colours on the screen are those of the legend.
     viewer.renderer.toneMapping = THREE.NoToneMapping;
     this.labels = data.labels.map((label) => this.makeLabel(label, labels));
@@ -43,6 +45,7 @@ class ReplayScene {
   show(time) {
     const frame = time * this.data.frames_per_second;
     this.finishMaterials();
+    this.outlineGhosts();
     viewer.animator.pause();
     viewer.animator.seek(time);
     viewer.animator.display_progress(time);
@@ -56,6 +59,9 @@ class ReplayScene {
     viewer.scene.traverse((mesh) => {
       const material = mesh.material;
       if (!mesh.isMesh || material.userData.finished) return;
+      if (mesh.geometry.type === "SphereGeometry" && this.data.round) {
+        mesh.geometry = new THREE.SphereGeometry(mesh.geometry.parameters.radius, 48, 32);
+      }
       material.userData.finished = true;
       material.flatShading = false;
       material.shininess = 22;
@@ -69,6 +75,41 @@ class ReplayScene {
     });
   }
 
+  /**
+   * Gives every vehicle but the last an outline in its colour: a hull behind it, thicker
+   * by some pixels. So both are seen where one is inside the other.
+   */
+  outlineGhosts() {
+    this.data.runs.slice(0, -1).forEach((run, index) => {
+      const node = viewer.scene_tree.find(["drake", "vehicle", String(index)]);
+      const meshes = [];
+      node.object.traverse((mesh) => {
+        if (mesh.isMesh && !mesh.userData.outlined) meshes.push(mesh);
+      });
+      for (const mesh of meshes) {
+        const hull = new THREE.Mesh(mesh.geometry, this.hullMaterial(run.color));
+        for (const each of [mesh, hull]) each.userData.outlined = true;
+        mesh.material.polygonOffset = true; // Where both touch, the solid one is in front.
+        mesh.material.polygonOffsetFactor = mesh.material.polygonOffsetUnits = 4;
+        mesh.add(hull);
+      }
+    });
+  }
+
+  hullMaterial(color) {
+    const material = new THREE.MeshBasicMaterial({ color, side: THREE.BackSide });
+    material.userData.finished = true;
+    material.onBeforeCompile = (shader) => {
+      shader.uniforms.pixel = this.pixel;
+      shader.vertexShader = "uniform float pixel;\n" + shader.vertexShader.replace(
+        "#include <begin_vertex>",
+        `float depth = -(modelViewMatrix * vec4(position, 1.0)).z;
+         vec3 transformed = position + normalize(normal) * ${OUTLINE.toFixed(1)} * pixel * depth;`,
+      );
+    };
+    return material;
+  }
+
   /** Draws only the triangles of the trails that lie before the frame. */
   growTrails(frame) {
     this.data.runs.forEach((run, index) => {
@@ -78,6 +119,14 @@ class ReplayScene {
         const share = frame / (run.path.length - 1);
         mesh.geometry.setDrawRange(0, Math.floor(share * mesh.geometry.index.count));
       });
+    });
+  }
+
+  /** Marks the runs that have less than the least volume at present. */
+  mark(tight) {
+    tight.forEach((on, k) => {
+      this.runLabels[k].textContent = this.data.runs[k].label + (on ? "  Vᵥ < 0" : "");
+      this.runLabels[k].classList.toggle("tight", on);
     });
   }
 
@@ -94,29 +143,39 @@ class ReplayScene {
     }
   }
 
-  /** Puts a label above (side -1), on (0) or below (1) a point, clear of those taken. */
+  /**
+   * Puts a label above (side -1), on (0) or below (1) a point, clear of those taken; below
+   * where there is no room above, and inside the pane if its point is.
+   */
   placeLabel(node, point, side, taken) {
     const place = this.onScreen(point);
-    const edge = this.onScreen([point[0], point[1], point[2] + side * this.reach(node)]);
+    const edge = this.onScreen([point[0], point[1], point[2] + this.reach(node)]);
     const box = { width: node.offsetWidth, height: node.offsetHeight };
+    const away = Math.abs(edge.y - place.y) + 0.5 * box.height + 3;
+    if (place.y - away - 0.5 * box.height < 0) side = Math.abs(side);
     box.x = place.x - 0.5 * box.width;
-    box.y = place.y - 0.5 * box.height;
-    if (side) box.y += side * (Math.abs(edge.y - place.y) + 0.5 * box.height + 3);
+    box.y = place.y - 0.5 * box.height + side * away;
     const clash = () => taken.find((other) =>
       Math.abs(other.x + 0.5 * other.width - place.x) < 0.5 * (other.width + box.width)
       && Math.abs(other.y - box.y) < other.height);
     for (let other = clash(); other && side; other = clash()) {
       box.y = other.y + side * (other.height + 1);
     }
-    taken.push(box);
+    const { clientWidth: width, clientHeight: height } = this.pane;
+    const seen = place.depth < 1 && place.x > 0 && place.x < width && place.y > 0 && place.y < height;
+    if (seen) {
+      box.x = Math.min(Math.max(box.x, 2), width - box.width - 2);
+      box.y = Math.min(Math.max(box.y, 2), height - box.height - 2);
+      taken.push(box);
+    }
     node.style.transform = `translate(${Math.round(box.x)}px, ${Math.round(box.y)}px)`;
-    node.style.visibility = place.depth < 1 ? "visible" : "hidden";
+    node.style.visibility = seen ? "visible" : "hidden";
   }
 
   /** How far what a label names reaches up and down [m]. */
   reach(node) {
     const { vehicle, marker } = this.data.sizes;
-    return node.className === "run" ? vehicle : marker;
+    return node.classList.contains("run") ? vehicle : marker;
   }
 
   /** Where a point is on the pane [pixels]. */
@@ -154,7 +213,7 @@ class ReplayScene {
     const toward = toThree(this.data.camera.direction).normalize();
     const right = new THREE.Vector3(0, 1, 0).cross(toward).normalize();
     const up = toward.clone().cross(right);
-    const slope = Math.tan((0.5 * viewer.camera.fov * Math.PI) / 180);
+    const slope = this.slope();
     const aspect = this.pane.clientWidth / this.pane.clientHeight;
     const target = points[0].clone();
     let distance = 2 * this.data.camera.span;
@@ -183,12 +242,18 @@ class ReplayScene {
     this.place = viewer.camera.position.clone();
   }
 
+  /** Half the height that the camera sees at a distance of 1 m [m]. */
+  slope() {
+    return Math.tan((0.5 * viewer.camera.fov * Math.PI) / 180);
+  }
+
   look(target, offset) {
     viewer.controls.target.copy(target);
     viewer.camera.position.copy(target).add(offset);
     viewer.camera.lookAt(target);
     viewer.camera.updateMatrixWorld();
     viewer.camera.updateProjectionMatrix(); // The labels use it before Meshcat draws.
+    this.pixel.value = this.slope() / (0.5 * Math.max(this.pane.clientHeight, 1));
     viewer.set_dirty();
   }
 

@@ -4,7 +4,10 @@ const data = JSON.parse(document.getElementById("replay-data").textContent);
 const byId = (name) => document.getElementById(name);
 const pane = byId("meshcat-pane");
 const scene = new ReplayScene(data, pane, byId("labels"));
-const plots = data.plots.map((plot) => new Plot(byId("plots"), plot, data, seek));
+const plots = [
+  ...data.plots.map((plot) => new Plot(byId("plots"), plot, data, seek)),
+  new Choice(byId("plots"), data),
+];
 const icons = {
   play: '<svg width="12" height="14"><path d="M0 0L12 7L0 14Z" fill="currentColor"/></svg>',
   pause: '<svg width="12" height="14"><path d="M0 0h4v14h-4zM8 0h4v14h-4z" fill="currentColor"/></svg>',
@@ -32,14 +35,20 @@ function fillLegend() {
   }
 }
 
-/** What the legend says of every run at the present time. */
+/** Tells the legend and the labels how every run fares at the present time. */
 function tellStates() {
-  for (const run of data.runs) {
+  const tight = data.runs.map((run) => {
     const past = run.events.filter((event) => event.time <= time + 1e-9);
-    const event = past.at(-1) ?? { kind: "", text: "under way" };
+    const over = time > run.time.at(-1) + 1e-9;
+    const volume = run.volume[lastIndexUpTo(run.time, time)];
+    const tight = !past.length && !over && volume !== null && volume < 0;
+    const event = past.at(-1)
+      ?? { kind: tight ? "tight" : "", text: tight ? "hardly any room: Vᵥ < 0" : "under way" };
     run.stateCell.textContent = event.text;
     run.stateCell.className = `state ${event.kind}`;
-  }
+    return tight;
+  });
+  scene.mark(tight);
 }
 
 function show() {
@@ -60,6 +69,23 @@ function setPlaying(on) {
   if (on && time >= data.duration) time = 0;
   playing = on;
   byId("play").innerHTML = on ? icons.pause : icons.play;
+}
+
+/** Folds the card or opens it, and remembers which where the browser allows it. */
+function setFolded(folded, remember) {
+  byId("card").classList.toggle("folded", folded);
+  byId("fold").setAttribute("aria-expanded", String(!folded));
+  byId("fold").textContent = folded ? "+" : "–";
+  if (remember) withMemory((memory) => memory.setItem("vcbf_drake.folded", folded));
+}
+
+/** The value of a function of the browser's memory; null in a frame that has none. */
+function withMemory(use) {
+  try {
+    return use(window.localStorage);
+  } catch {
+    return null;
+  }
 }
 
 function setFollow(on) {
@@ -118,9 +144,15 @@ const KEYS = {
   ArrowRight: () => seek(time + 0.5),
   f: () => setFollow(!scene.follows),
   r: () => setFollow(false),
+  c: () => byId("fold").click(),
 };
 
 fillLegend();
+const folded = withMemory((memory) => memory.getItem("vcbf_drake.folded"));
+const small = window.innerWidth < 1400 || window.innerHeight < 760;
+setFolded(folded === null ? small : folded === "true", false);
+byId("fold").addEventListener("click", () =>
+  setFolded(!byId("card").classList.contains("folded"), true));
 byId("scrubber").max = data.duration;
 byId("scrubber").addEventListener("input", (event) => seek(Number(event.target.value)));
 byId("play").addEventListener("click", () => setPlaying(!playing));

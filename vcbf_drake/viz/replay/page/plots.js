@@ -10,6 +10,11 @@ function element(name, attributes, parent) {
   return node;
 }
 
+/** A number in at most two digits. */
+function short(value) {
+  return String(Number(value.toPrecision(2)));
+}
+
 /** Round numbers, at most `count` of them, that cover [low, high]. */
 function ticks(low, high, count) {
   const rough = (high - low) / count;
@@ -37,21 +42,23 @@ function pathThrough(times, values, x, y) {
   return path;
 }
 
-/** The least and the greatest value of a plot, 0 included, with some room. */
-function rangeOf(runs, key) {
+/** The least and the greatest value of a lane, its limits or 0 included, with some room. */
+function rangeOf(runs, { key, limits }) {
   const values = runs.flatMap((run) => run[key].filter((value) => value !== null));
-  const low = Math.min(0, ...values);
-  const high = Math.max(0, ...values) || (low < 0 ? 0 : 1);
-  const room = 0.06 * (high - low);
+  const low = Math.min(limits ? limits[0] : 0, ...values);
+  const high = Math.max(limits ? limits[1] : 0, ...values) || (low < 0 ? 0 : 1);
+  const room = (limits ? 0.12 : 0.06) * (high - low || 1);
   return [low - room, high + room];
 }
 
+/** One or several series over time, each in a lane of its own, above one time axis. */
 class Plot {
   constructor(container, plot, data, seek) {
     const figure = container.appendChild(document.createElement("figure"));
     const caption = figure.appendChild(document.createElement("figcaption"));
     caption.textContent = plot.title + " ";
     caption.appendChild(document.createElement("small")).textContent = plot.note;
+    caption.title = plot.note;
     this.svg = figure.appendChild(element("svg", { role: "img", "aria-label": plot.title }));
     this.plot = plot;
     this.data = data;
@@ -78,50 +85,64 @@ class Plot {
     const { width, height } = this.svg.getBoundingClientRect();
     this.right = width - MARGIN.right;
     const bottom = height - MARGIN.bottom;
-    const [low, high] = rangeOf(this.data.runs, this.plot.key);
     this.x = (t) => MARGIN.left + (t / this.data.duration) * (this.right - MARGIN.left);
-    this.y = (v) => bottom + ((v - low) / (high - low)) * (MARGIN.top - bottom);
     this.svg.replaceChildren();
     this.svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
-    this.drawAxes(low, high, bottom);
-    this.drawCurves(bottom);
-    this.cursor = element(
-      "line", { class: "cursor", y1: MARGIN.top, y2: bottom }, this.svg,
-    );
-    this.dots = this.data.runs.map((run) =>
-      element("circle", { r: 3.5, fill: run.color, class: "stop" }, this.svg));
-  }
-
-  drawAxes(low, high, bottom) {
-    const left = MARGIN.left;
-    const zero = this.y(0);
-    if (this.plot.below) {
-      const size = { x: left, y: zero, width: this.right - left, height: bottom - zero };
-      element("rect", { class: "below", ...size }, this.svg);
-    }
-    for (const value of ticks(low, high, 4)) {
-      const y = this.y(value);
-      const name = value === 0 ? "zero" : "grid";
-      element("line", { class: name, x1: left, x2: this.right, y1: y, y2: y }, this.svg);
-      const place = { x: left - 6, y: y + 4, "text-anchor": "end" };
-      element("text", place, this.svg).textContent = value;
-    }
+    const clip = element("clipPath", { id: `past-${this.plot.lanes[0].key}` }, this.svg);
+    this.past = element("rect", { x: 0, y: 0, height }, clip);
+    const count = this.plot.lanes.length;
+    const gap = count > 1 ? 5 : 0;
+    const share = (bottom - MARGIN.top + gap) / count;
+    this.dots = this.plot.lanes.map((lane, k) => {
+      const top = MARGIN.top + k * share;
+      return this.drawLane(lane, top, top + share - gap);
+    });
     for (const value of ticks(0, this.data.duration, 6)) {
       const place = { x: this.x(value), y: bottom + 14, "text-anchor": "middle" };
       element("text", place, this.svg).textContent = value;
     }
-    const place = { x: (left + this.right) / 2, y: bottom + 27, "text-anchor": "middle" };
+    const place = { x: (MARGIN.left + this.right) / 2, y: bottom + 27, "text-anchor": "middle" };
     element("text", place, this.svg).textContent = "time [s]";
+    this.cursor = element(
+      "line", { class: "cursor", y1: MARGIN.top, y2: bottom }, this.svg,
+    );
+    for (const dot of this.dots.flat()) this.svg.appendChild(dot.node);
+  }
+
+  /** Draws a lane between two heights; its dots, one a run. */
+  drawLane(lane, top, bottom) {
+    const [low, high] = rangeOf(this.data.runs, lane);
+    const y = (v) => bottom + ((v - low) / (high - low)) * (top - bottom);
+    const left = MARGIN.left;
+    if (this.plot.below) {
+      const size = { x: left, y: y(0), width: this.right - left, height: bottom - y(0) };
+      element("rect", { class: "below", ...size }, this.svg);
+    }
+    for (const value of lane.limits ?? ticks(low, high, 4)) {
+      const name = lane.limits ? "limit" : value === 0 ? "zero" : "grid";
+      const line = { class: name, x1: left, x2: this.right, y1: y(value), y2: y(value) };
+      element("line", line, this.svg);
+      const place = { x: left - 6, y: y(value) + 4, "text-anchor": "end" };
+      element("text", place, this.svg).textContent = lane.limits ? short(value) : value;
+    }
+    this.drawCurves(lane, y);
+    if (lane.name) {
+      const place = { class: "lane", x: this.right - 2, y: top + 11, "text-anchor": "end" };
+      writeName(element("text", place, this.svg), lane.name);
+    }
+    return this.data.runs.map((run) => ({
+      run, y, values: run[lane.key],
+      node: element("circle", { r: 3.5, fill: run.color, class: "stop" }, this.svg),
+    }));
   }
 
   /** Every curve twice: pale as a whole, and strong up to the cursor. */
-  drawCurves(bottom) {
-    const clip = element("clipPath", { id: `past-${this.plot.key}` }, this.svg);
-    this.past = element("rect", { x: 0, y: 0, height: bottom + MARGIN.bottom }, clip);
+  drawCurves(lane, y) {
+    const clip = `url(#past-${this.plot.lanes[0].key})`;
     const ahead = element("g", { class: "ahead" }, this.svg);
-    const past = element("g", { "clip-path": `url(#past-${this.plot.key})` }, this.svg);
+    const past = element("g", { "clip-path": clip }, this.svg);
     for (const run of this.data.runs) {
-      const d = pathThrough(run.time, run[this.plot.key], this.x, this.y);
+      const d = pathThrough(run.time, run[lane.key], this.x, y);
       const style = { class: "curve", d, stroke: run.color, "stroke-dasharray": run.dashes };
       element("path", style, ahead);
       element("path", style, past);
@@ -135,13 +156,12 @@ class Plot {
     this.cursor.setAttribute("x1", x);
     this.cursor.setAttribute("x2", x);
     this.past.setAttribute("width", Math.max(0, x));
-    this.data.runs.forEach((run, index) => {
-      const k = lastIndexUpTo(run.time, time);
-      const value = run[this.plot.key][k];
-      this.dots[index].setAttribute("visibility", value === null ? "hidden" : "visible");
-      this.dots[index].setAttribute("cx", this.x(Math.min(time, run.time.at(-1))));
-      this.dots[index].setAttribute("cy", value === null ? 0 : this.y(value));
-    });
+    for (const { run, y, values, node } of this.dots.flat()) {
+      const value = values[lastIndexUpTo(run.time, time)];
+      node.setAttribute("visibility", value === null ? "hidden" : "visible");
+      node.setAttribute("cx", this.x(Math.min(time, run.time.at(-1))));
+      node.setAttribute("cy", value === null ? 0 : y(value));
+    }
   }
 }
 

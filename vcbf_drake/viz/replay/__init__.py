@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vcbf_drake.checks import Array
-from vcbf_drake.viz.mesh import merge, sphere, torus, tube
-from vcbf_drake.viz.overlay import overlay_html, page_title
+from vcbf_drake.viz.mesh import merge, torus, tube
+from vcbf_drake.viz.replay.page_data import overlay_html, page_title
 from vcbf_drake.viz.stage import Stage, set_stage
 from vcbf_drake.viz.style import ALARM
 from vcbf_drake.viz.vehicles import VEHICLES
@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 
     from vcbf_drake.simulation.result import Result
 
-GHOST_OPACITY, GHOST_SCALE = 0.45, 0.96
+GHOST_OPACITY = 0.35
 MAX_TRAIL_POINTS = 1000
 MESHCAT_TITLE = "<title>Drake MeshCat</title>"
+PHONES = '<meta name="viewport" content="width=device-width, initial-scale=1">'
 
 
 def write_replay(results: Sequence[Result], path: Path) -> Path:
@@ -43,7 +44,7 @@ def write_replay(results: Sequence[Result], path: Path) -> Path:
         ValueError: There is no result, or its plant cannot be drawn.
     """
     stage = set_stage(results)
-    title = f"<title>{page_title(stage)}</title>"
+    title = f"{PHONES}<title>{page_title(stage)}</title>"
     page = _meshcat_page(stage).replace(MESHCAT_TITLE, title)
     head, tail = page.rsplit("</body>", 1)
     path = Path(path)
@@ -82,7 +83,7 @@ def _private_meshcat() -> Meshcat:
 
 
 def _draw(meshcat: Meshcat, stage: Stage) -> None:
-    from vcbf_drake.viz import scene
+    from vcbf_drake.viz.replay import scene
 
     scene.add_light(meshcat, stage)
     scene.add_ground(meshcat, stage)
@@ -94,14 +95,16 @@ def _draw(meshcat: Meshcat, stage: Stage) -> None:
 
 def _draw_run(meshcat: Meshcat, stage: Stage, index: int) -> None:
     """Draws a run's vehicle, its trail, and where it failed."""
-    from vcbf_drake.viz.scene import add_mesh
+    from pydrake.geometry import Sphere
+
+    from vcbf_drake.viz.replay.scene import add_mesh, add_shape
 
     run, motion = stage.runs[index], stage.motions[index]
     ghost = run is not stage.runs[-1]
-    # A ghost is a little smaller: where vehicles coincide, the solid one shows.
-    scale = (GHOST_SCALE if ghost else 1.0) / stage.fraction
+    # Where vehicles coincide, the solid one shows, in the ghost's outline (scene.js).
     for part in VEHICLES[stage.geometry.vehicle](run.color):
-        path, mesh = f"vehicle/{index}/{part.name}", part.mesh.scaled(scale)
+        path = f"vehicle/{index}/{part.name}"
+        mesh = part.mesh.scaled(1.0 / stage.fraction)
         alpha = GHOST_OPACITY if ghost else 1.0
         add_mesh(meshcat, path, mesh, part.color, alpha)
     thickness = 0.0022 * stage.span
@@ -111,8 +114,7 @@ def _draw_run(meshcat: Meshcat, stage: Stage, index: int) -> None:
         place, radius = motion.position_at(run.failure.time), 1.5 * stage.reach
         rings = merge([torus(radius, 0.9 * thickness).moved(turn=t) for t in _TURNS])
         add_mesh(meshcat, f"failure/{index}/rings", rings.moved(place), ALARM)
-        halo = sphere(radius).moved(place)
-        add_mesh(meshcat, f"failure/{index}/halo", halo, ALARM, 0.16)
+        add_shape(meshcat, f"failure/{index}/halo", Sphere(radius), place, ALARM, 0.16)
 
 
 def _thinned(points: Array, stage: Stage) -> Array:
@@ -139,7 +141,8 @@ def _record(meshcat: Meshcat, stage: Stage) -> None:
             appears = float(frame / stage.frames_per_second)
             meshcat.SetProperty(path, "visible", True, appears)
     for index, obstacle in enumerate(stage.spheres):
-        for time in stage.motions[-1].time if obstacle.moves else ():
+        # Straight and steady: the page fills in between two poses.
+        for time in (0.0, stage.duration) if obstacle.moves else ():
             pose = RigidTransform(obstacle.center_at(time))
             meshcat.SetTransform(f"obstacles/{index}", pose, time)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from pydrake.geometry import Meshcat, Rgba
+from pydrake.geometry import Cylinder, Meshcat, Rgba, Shape, Sphere
 from pydrake.math import RigidTransform
 
 from vcbf_drake.checks import Array
-from vcbf_drake.viz.mesh import Mesh, cylinder, merge, sphere, torus, tube
+from vcbf_drake.viz.mesh import Mesh, merge, torus, tube
 from vcbf_drake.viz.stage import Stage, multiples
 from vcbf_drake.viz.style import OBSTACLE, START, TARGET
 
@@ -29,6 +29,19 @@ def add_mesh(
 ) -> None:
     """Puts a mesh into the scene."""
     meshcat.SetTriangleMesh(path, mesh.vertices.T, mesh.faces.T, rgba(color, alpha))
+
+
+def add_shape(
+    meshcat: Meshcat,
+    path: str,
+    shape: Shape,
+    place: Array,
+    color: str,
+    alpha: float = 1.0,
+) -> None:
+    """Puts one of Drake's shapes into the scene, upright, its middle at a place."""
+    meshcat.SetObject(path, shape, rgba(color, alpha))
+    meshcat.SetTransform(path, RigidTransform(place))
 
 
 def add_light(meshcat: Meshcat, stage: Stage) -> None:
@@ -71,14 +84,18 @@ def add_ground(meshcat: Meshcat, stage: Stage) -> None:
 
 def add_obstacles(meshcat: Meshcat, stage: Stage) -> None:
     """The obstacles, and around each the distance that has to be kept."""
+    height = 0.04 * stage.span
     for index, obstacle in enumerate(stage.spheres):
         path = f"obstacles/{index}"
         meshcat.SetTransform(path, RigidTransform(obstacle.center))
-        body = _solid(stage, obstacle.radius)
-        add_mesh(meshcat, f"{path}/body", body, OBSTACLE)
+        _add_solid(meshcat, f"{path}/body", stage, obstacle.radius, height)
         if obstacle.reach > obstacle.radius:
-            shell = _solid(stage, obstacle.reach).scaled([1.0, 1.0, 1.02])
-            add_mesh(meshcat, f"{path}/keep_out", shell, SHELL, 0.2)
+            low = 0.4 * height  # So that the obstacle stands out.
+            shell = f"{path}/keep_out"
+            _add_solid(meshcat, shell, stage, obstacle.reach, low, SHELL, 0.2)
+            if stage.geometry.dimensions == 2:
+                ring = torus(obstacle.reach, 0.0015 * stage.span).moved(turn=UPRIGHT)
+                add_mesh(meshcat, f"{path}/edge", ring, SHELL)
 
 
 def add_markers(meshcat: Meshcat, stage: Stage) -> None:
@@ -92,20 +109,32 @@ def add_markers(meshcat: Meshcat, stage: Stage) -> None:
     ):
         ring = torus(reach, 0.25 * size).moved(turn=UPRIGHT)
         foot = np.array([place[0], place[1], ground])
-        add_mesh(meshcat, f"{name}/centre", sphere(size, sides=20).moved(place), color)
+        add_shape(meshcat, f"{name}/centre", Sphere(size), place, color)
         add_mesh(meshcat, f"{name}/ring", ring.moved(foot), color)
-        if place[2] - ground > size:
-            pole = tube(np.linspace(foot, place, 2), 0.2 * size)
-            add_mesh(meshcat, f"{name}/pole", pole, color)
-    add_mesh(meshcat, "target/halo", sphere(radius).moved(stage.target), TARGET, 0.16)
+        if (height := place[2] - ground) > size:
+            pole = Cylinder(0.2 * size, height)
+            add_shape(meshcat, f"{name}/pole", pole, 0.5 * (foot + place), color)
+    add_shape(meshcat, "target/halo", Sphere(radius), stage.target, TARGET, 0.16)
     way = _dashes(stage.start, stage.target, 0.15 * size)
     add_mesh(meshcat, "plan", way, PLAN)
 
 
-def _solid(stage: Stage, radius: float) -> Mesh:
-    """An obstacle's shape: a ball in space, a pillar in the plane."""
-    flat = stage.geometry.dimensions == 2
-    return cylinder(radius, 0.04 * stage.span) if flat else sphere(radius)
+def _add_solid(
+    meshcat: Meshcat,
+    path: str,
+    stage: Stage,
+    radius: float,
+    height: float,
+    color: str = OBSTACLE,
+    alpha: float = 1.0,
+) -> None:
+    """Adds an obstacle's shape: a ball in space, a pillar in the plane."""
+    if stage.geometry.dimensions == 2:
+        middle = np.array([0.0, 0.0, 0.5 * height])
+        shape: Shape = Cylinder(radius, height)
+    else:
+        middle, shape = np.zeros(3), Sphere(radius)
+    add_shape(meshcat, path, shape, middle, color, alpha)
 
 
 def _dashes(start: Array, end: Array, radius: float) -> Mesh:
