@@ -5,11 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 import heapq
+import hmac
+import ipaddress
 import itertools
 import math
 import os
+from pathlib import Path
+import re
+import socket
 import time
 from typing import Protocol
+from urllib.parse import SplitResult, urlsplit
 
 import numpy as np
 from pydrake.lcm import DrakeLcm
@@ -122,10 +128,15 @@ DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
 
 # Takes a message's bytes and the time of its arrival [us].
 Handler = Callable[[bytes, int], None]
+# Told that a message came at a time [us] without the signature that it must have.
+Refusal = Callable[[int], None]
 # Takes the time [us], the channel and the bytes of a message.
 Tap = Callable[[int, str, bytes], None]
 
 _BETWEEN_PROCESSES = ("udpm://", "tcpq://")
+_SIGNATURE = 32  # Bytes of HMAC-SHA256.
+_LEAST_KEY = 16  # Bytes.
+_LONGEST_NAME = 48  # LCM's channels have at most 63 characters.
 _CHECK_CHANNEL = "VCBF_BUS_CHECK"
 _CHECK_PATIENCE = 1.0  # [s]
 
@@ -144,6 +155,10 @@ class Bus:
         lcm: The bus; shared by both halves for ``memq://``, which is private to it.
         clock: Stamps what is sent and what arrives.
         faults: Injected into what arrives; none by default.
+        name: The vehicle's: its channels end with a slash and this, so that several
+            vehicles share a bus. Empty for none.
+        key: With a key, everything that is sent ends with a signature, and what
+            arrives without the right one is refused.
 
     Attributes:
         lcm: The bus.
@@ -159,37 +174,60 @@ class Bus:
         lcm: DrakeLcm | None = None,
         clock: Clock | None = None,
         faults: LinkFaults | None = None,
+        *,
+        name: str = "",
+        key: bytes = b"",
     ) -> None:
+        check_name(name)
+        self.name, self._key = name, key
         self.lcm = lcm or DrakeLcm(DEFAULT_URL)
         self.clock = clock or WallClock()
         self.session = self.clock.utime()
         self.taps: list[Tap] = []
         self._link = FaultyLink(faults or LinkFaults())
-        self._handlers: dict[str, list[Handler]] = {}
+        self._handlers: dict[str, list[tuple[Handler, Refusal]]] = {}
 
     @property
     def subscribed(self) -> tuple[str, ...]:
         """The channels that someone listens to here."""
         return tuple(self._handlers)
 
+    def channel(self, base: str) -> str:
+        """Returns what a channel is called on this bus: with the vehicle's name."""
+        return f"{base}/{self.name}" if self.name else base
+
     def begin_session(self) -> None:
         """Makes what is sent from now on newer than anything that others send now."""
         self.session = self.clock.utime()
 
     def publish(self, channel: str, data: bytes) -> None:
-        """Sends the bytes."""
-        self._tell_taps(self.clock.utime(), channel, data)
-        self.lcm.Publish(channel, data)
+        """Sends the bytes on a channel, given without the vehicle's name."""
+        full = self.channel(channel)
+        self._tell_taps(self.clock.utime(), full, data)
+        self.lcm.Publish(full, data + self._signature(full, data))
 
-    def subscribe(self, channel: str, handler: Handler) -> None:
-        """Calls the handler with whatever bytes arrive on the channel."""
-        if channel not in self._handlers:
-            self._handlers[channel] = []
+    def subscribe(
+        self, channel: str, handler: Handler, refuse: Refusal = lambda now: None
+    ) -> None:
+        """Calls the handler with whatever bytes arrive on the channel.
+
+        Args:
+            channel: Without the vehicle's name.
+            handler: Gets the bytes, without their signature.
+            refuse: Told of bytes that have not the right signature.
+        """
+        full = self.channel(channel)
+        if full not in self._handlers:
+            self._handlers[full] = []
             self.lcm.Subscribe(
-                channel,
-                lambda data: self._link.put(self.clock.utime(), channel, data),
+                full, lambda data: self._link.put(self.clock.utime(), full, data)
             )
-        self._handlers[channel].append(handler)
+        self._handlers[full].append((handler, refuse))
+
+    def _signature(self, channel: str, data: bytes) -> bytes:
+        if not self._key:
+            return b""
+        return hmac.digest(self._key, channel.encode() + b"\0" + data, "sha256")
 
     def poll(self) -> int:
         """Handles what has arrived and returns how many messages that were."""
@@ -218,14 +256,56 @@ class Bus:
         for channel, data in self._link.due(self.clock.utime()):
             arrived += 1
             now = self.clock.utime()
+            if self._key:
+                data, signature = data[:-_SIGNATURE], data[-_SIGNATURE:]
+                if not hmac.compare_digest(signature, self._signature(channel, data)):
+                    for _, refuse in self._handlers[channel]:
+                        refuse(now)
+                    continue
             self._tell_taps(now, channel, data)
-            for handler in self._handlers[channel]:
+            for handler, _ in self._handlers[channel]:
                 handler(data, now)
         return arrived
 
     def _tell_taps(self, now: int, channel: str, data: bytes) -> None:
         for tap in self.taps:
             tap(now, channel, data)
+
+
+def check_name(name: str) -> None:
+    """Checks that a vehicle's name may end a channel's.
+
+    Raises:
+        BusError: It may not.
+    """
+    if not re.fullmatch(rf"[A-Za-z0-9_-]{{0,{_LONGEST_NAME}}}", name):
+        raise BusError(
+            f"name {name!r}: a vehicle's name has at most {_LONGEST_NAME} letters,"
+            " digits, _ and -"
+        )
+
+
+def vehicle_name(scenario_name: str) -> str:
+    """Returns what a scenario's vehicle is called on a bus."""
+    return re.sub(r"[^A-Za-z0-9_-]", "_", scenario_name)[:_LONGEST_NAME]
+
+
+def read_key(path: str | Path) -> bytes:
+    """Returns the key in a file, which is all of its bytes.
+
+    Raises:
+        BusError: The file cannot be read, or is too short to be a key.
+    """
+    try:
+        key = Path(path).read_bytes()
+    except OSError as error:
+        raise BusError(f"key_file {path}: {error.strerror}") from None
+    if len(key) < _LEAST_KEY:
+        raise BusError(
+            f"key_file {path}: has {len(key)} bytes; a key has at least {_LEAST_KEY}:"
+            f" head -c 32 /dev/urandom > {path}"
+        )
+    return key
 
 
 def check_bus(url: str, patience: float = _CHECK_PATIENCE) -> None:
@@ -243,6 +323,9 @@ def check_bus(url: str, patience: float = _CHECK_PATIENCE) -> None:
     if not url.startswith(_BETWEEN_PROCESSES):
         allowed = " and ".join(_BETWEEN_PROCESSES)
         raise BusError(f"{url} is no bus between processes; {allowed} are")
+    address = urlsplit(url)
+    if address.scheme == "tcpq":
+        _check_server(url, address.hostname or "localhost", address.port or 7700)
     sender, receiver = DrakeLcm(url), DrakeLcm(url)
     token = f"{os.getpid()} {time.monotonic_ns()}".encode()
     arrived: list[bytes] = []
@@ -250,10 +333,38 @@ def check_bus(url: str, patience: float = _CHECK_PATIENCE) -> None:
     deadline = time.monotonic() + patience
     while token not in arrived:
         if time.monotonic() > deadline:
-            raise BusError(
-                f"{url} carries no messages: there is probably no route for multicast."
-                " On Linux: sudo ip link set lo up;"
-                " sudo ip route add 224.0.0.0/4 dev lo"
-            )
+            raise BusError(f"{url} carries no messages: {_probable_cause(address)}")
         sender.Publish(_CHECK_CHANNEL, token)
         receiver.HandleSubscriptions(20)
+
+
+def _check_server(url: str, host: str, port: int) -> None:
+    try:
+        socket.create_connection((host, port), timeout=_CHECK_PATIENCE).close()
+    except OSError as error:
+        raise BusError(
+            f"{url}: no LCM server answers at {host}:{port} ({error.strerror or error});"
+            " start one there, for example lcm-tcpq-server or"
+            " java -cp lcm.jar lcm.lcm.TCPService"
+        ) from None
+
+
+def _probable_cause(address: SplitResult) -> str:
+    if address.scheme == "tcpq":
+        return "what answers there is probably no LCM server"
+    if not _is_multicast(address.hostname or ""):
+        return (
+            f"{address.hostname} is no multicast address; udpm needs one,"
+            " 224.0.0.0 to 239.255.255.255"
+        )
+    return (
+        "there is probably no route for multicast. On Linux: sudo ip link set lo up;"
+        " sudo ip route add 224.0.0.0/4 dev lo"
+    )
+
+
+def _is_multicast(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_multicast
+    except ValueError:
+        return False

@@ -48,12 +48,8 @@ class VehicleMode(IntEnum):
     """Nothing more: this is its last message."""
 
 
-VERSION = 1
+VERSION = 2
 
-# How far the clocks of two computers may be apart [us].
-MAX_CLOCK_SKEW = 100_000
-# No sender numbers messages faster than this [Hz].
-_MAX_RATE = 10_000
 # No state, input or time is as large as this, in SI units.
 _MAX_NUMBER = 1e6
 _MAX_BYTES = 65_536
@@ -64,13 +60,17 @@ class Reason(Enum):
 
     LENGTH = "wrong length"
     TYPE = "another type"
+    SIGNATURE = "not signed with our key"
     VERSION = "unknown version"
     SIZE = "array of another size"
     NUMBER = "not a finite number of sensible size"
     CODE = "unknown code"
     STAMPS = "contradictory time stamps or sequence"
     FUTURE = "from the future"
-    SESSION = "of an earlier session"
+    PAST = "from the past"
+    CLOCK = "contradicts its sender's clock"
+    ADDRESS = "meant for another"
+    SESSION = "of another sender than the one followed"
     REPEATED = "repeated"
     OVERTAKEN = "overtaken by a newer one"
     OLD = "too old"
@@ -81,6 +81,13 @@ class Rejection:
     """What takes the place of a message that must not be acted on."""
 
     reason: Reason
+    detail: str = field(default="", compare=False)
+
+    @property
+    def words(self) -> str:
+        """The reason, and what is known beyond it."""
+        reason = self.reason.value
+        return f"{reason} ({self.detail})" if self.detail else reason
 
 
 @dataclass(frozen=True)
@@ -94,6 +101,7 @@ class MessageFormat:
         codes: Fields that are codes 0, 1, ..., and how many codes there are.
         numbers: Fields that hold finite numbers.
         gaps: Fields whose numbers may be nan.
+        last_mode: The mode of a sender's last message, where it has one.
     """
 
     channel: str
@@ -102,16 +110,12 @@ class MessageFormat:
     codes: dict[str, int] = field(default_factory=dict)
     numbers: tuple[str, ...] = ()
     gaps: tuple[str, ...] = ()
+    last_mode: int | None = None
 
-    def decode(self, data: bytes, now: int) -> Any | Rejection:
-        """Returns the message, or why it must not be acted on.
-
-        Args:
-            data: Whatever came.
-            now: The time of its arrival [us].
-        """
+    def decode(self, data: bytes) -> Any | Rejection:
+        """Returns the message, or why it must not be acted on."""
         if len(data) > _MAX_BYTES:
-            return Rejection(Reason.LENGTH)
+            return Rejection(Reason.LENGTH, f"{len(data)} bytes")
         try:
             message = self.type.decode(data)
         except struct.error:
@@ -120,32 +124,43 @@ class MessageFormat:
             return Rejection(Reason.TYPE)
         if len(message.encode()) != len(data):
             return Rejection(Reason.LENGTH)
-        fault = next(self._faults(message, now), None)
-        return message if fault is None else Rejection(fault)
+        fault = next(self._faults(message), None)
+        return message if fault is None else fault
 
-    def _faults(self, message: Any, now: int) -> Iterator[Reason]:
+    def is_last(self, message: Any) -> bool:
+        """Returns whether its sender ends with it."""
+        return self.last_mode is not None and message.mode == self.last_mode
+
+    def _faults(self, message: Any) -> Iterator[Rejection]:
         if message.version != VERSION:
-            yield Reason.VERSION
-        if any(getattr(message, name) != size for name, size in self.sizes.items()):
-            yield Reason.SIZE
+            found = f"{message.version}, ours is {VERSION}"
+            yield Rejection(Reason.VERSION, found)
+        for name, size in self.sizes.items():
+            if getattr(message, name) != size:
+                found = f"{name} is {getattr(message, name)}, not {size}"
+                yield Rejection(Reason.SIZE, found)
         if not _has_its_sizes(message):
-            yield Reason.SIZE
-        if not all(map(_is_sensible, self._values(message, self.numbers))):
-            yield Reason.NUMBER
-        if any(math.isinf(value) for value in self._values(message, self.gaps)):
-            yield Reason.NUMBER
-        if not all(0 <= getattr(message, name) < n for name, n in self.codes.items()):
-            yield Reason.CODE
-        if message.utime > now + MAX_CLOCK_SKEW:
-            yield Reason.FUTURE
-        if not _is_consistent(message):
-            yield Reason.STAMPS
+            yield Rejection(Reason.SIZE)
+        for name in self.numbers:
+            if not all(map(_is_sensible, _numbers(message, name))):
+                yield Rejection(Reason.NUMBER, name)
+        for name in self.gaps:
+            if any(map(math.isinf, _numbers(message, name))):
+                yield Rejection(Reason.NUMBER, name)
+        for name, n in self.codes.items():
+            if not 0 <= getattr(message, name) < n:
+                yield Rejection(Reason.CODE, f"{name} {getattr(message, name)}")
+        measured = getattr(message, "utime_measured", message.utime)
+        is_ordered = message.session > 0 and message.sequence >= 0
+        if not (is_ordered and 0 < measured <= message.utime):
+            yield Rejection(Reason.STAMPS)
+        if getattr(message, "time", 0.0) < 0.0:
+            yield Rejection(Reason.STAMPS, "time is negative")
 
-    @staticmethod
-    def _values(message: Any, names: tuple[str, ...]) -> Iterator[float]:
-        for name in names:
-            value = getattr(message, name)
-            yield from (value,) if isinstance(value, float) else value
+
+def _numbers(message: Any, name: str) -> Iterator[float]:
+    value = getattr(message, name)
+    yield from (value,) if isinstance(value, float) else value
 
 
 def _is_sensible(value: float) -> bool:
@@ -161,21 +176,12 @@ def _has_its_sizes(message: Any) -> bool:
     )
 
 
-def _is_consistent(message: Any) -> bool:
-    """Whether session, sequence and times can be true together.
-
-    What a message claims is bounded by how long its sender runs: a forged number would
-    otherwise keep the true ones out, as having gone back, for ever.
-    """
-    runs_for = message.utime - message.session
-    elapsed = getattr(message, "time", 0.0)
-    measured = getattr(message, "utime_measured", message.utime)
-    return (
-        message.session > 0
-        and 0 <= message.sequence <= 1 + runs_for * 1e-6 * _MAX_RATE
-        and message.session <= measured <= message.utime
-        and 0.0 <= elapsed <= (runs_for + MAX_CLOCK_SKEW) * 1e-6
-    )
+# Before the first state, or before a round trip, these are nan.
+_STATUS_GAPS = (
+    *("state_age", "reference", "slack", "volume", "barriers"),
+    *("disturbance_estimate", "error_bound", "disturbance_bound"),
+    *("clock_offset", "clock_uncertainty"),
+)
 
 
 def state_format(num_states: int, num_inputs: int) -> MessageFormat:
@@ -186,6 +192,7 @@ def state_format(num_states: int, num_inputs: int) -> MessageFormat:
         sizes={"num_states": num_states, "num_inputs": num_inputs},
         codes={"mode": len(VehicleMode)},
         numbers=("time", "state", "input_integral"),
+        last_mode=VehicleMode.ENDED,
     )
 
 
@@ -197,6 +204,7 @@ def command_format(num_inputs: int) -> MessageFormat:
         sizes={"num_inputs": num_inputs},
         codes={"mode": len(CommandMode)},
         numbers=("input",),
+        last_mode=CommandMode.END,
     )
 
 
@@ -213,13 +221,13 @@ def status_format(
             "num_disturbances": num_disturbances,
         },
         codes={"mode": len(CommandMode), "filter_status": len(FilterStatus)},
-        numbers=("time", "state_age", "input", "disturbance_estimate", "error_bound"),
-        gaps=("reference", "slack", "volume", "barriers"),
+        numbers=("time", "input"),
+        gaps=_STATUS_GAPS,
     )
 
 
 def obstacles_format(num_obstacles: int, num_dimensions: int) -> MessageFormat:
-    """Returns the format of a vehicle's obstacles."""
+    """Returns the format of a vehicle's obstacles, as many as that."""
     return MessageFormat(
         channel="VCBF_OBSTACLES",
         type=vcbf_obstacles,
@@ -227,5 +235,15 @@ def obstacles_format(num_obstacles: int, num_dimensions: int) -> MessageFormat:
             "num_obstacles": num_obstacles,
             "num_coordinates": num_obstacles * num_dimensions,
         },
-        numbers=("time", "radius", "position", "velocity"),
+        numbers=_OBSTACLE_NUMBERS,
     )
+
+
+def perceived_format() -> MessageFormat:
+    """Returns the format of perceived obstacles, however many."""
+    return MessageFormat(
+        "VCBF_OBSTACLES", vcbf_obstacles, {}, numbers=_OBSTACLE_NUMBERS
+    )
+
+
+_OBSTACLE_NUMBERS = ("time", "radius", "position", "velocity")

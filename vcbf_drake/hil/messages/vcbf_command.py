@@ -10,16 +10,16 @@ import struct
 class vcbf_command(object):
     """ What a vehicle is to apply until the next command comes. """
 
-    __slots__ = ["version", "session", "sequence", "utime", "state_session", "state_sequence", "state_utime", "mode", "num_inputs", "input"]
+    __slots__ = ["version", "session", "sequence", "utime", "state_session", "state_sequence", "state_utime", "state_age", "takes_over", "mode", "num_inputs", "input"]
 
-    __typenames__ = ["int32_t", "int64_t", "int64_t", "int64_t", "int64_t", "int64_t", "int64_t", "int8_t", "int32_t", "double"]
+    __typenames__ = ["int32_t", "int64_t", "int64_t", "int64_t", "int64_t", "int64_t", "int64_t", "int64_t", "boolean", "int8_t", "int32_t", "double"]
 
-    __dimensions__ = [None, None, None, None, None, None, None, None, None, ["num_inputs"]]
+    __dimensions__ = [None, None, None, None, None, None, None, None, None, None, None, ["num_inputs"]]
 
     def __init__(self):
         self.version = 0
         """
-        Version of these messages: 1.
+        Version of these messages: 2.
         LCM Type: int32_t
         """
 
@@ -43,7 +43,8 @@ class vcbf_command(object):
 
         self.state_session = 0
         """
-        The state this answers: its session, sequence and utime; -1 for none.
+        The state this answers: its session, sequence and utime. A vehicle obeys only
+        commands that answer its own session.
         LCM Type: int64_t
         """
 
@@ -51,6 +52,18 @@ class vcbf_command(object):
         """ LCM Type: int64_t """
         self.state_utime = 0
         """ LCM Type: int64_t """
+        self.state_age = 0
+        """
+        How long before this message that state came [us].
+        LCM Type: int64_t
+        """
+
+        self.takes_over = False
+        """
+        Whether to follow this controller although another one speaks.
+        LCM Type: boolean
+        """
+
         self.mode = 0
         """
         0 apply the input; 1 too, but it is held, for the state is old; 2 use your own
@@ -74,7 +87,7 @@ class vcbf_command(object):
         return buf.getvalue()
 
     def _encode_one(self, buf):
-        buf.write(struct.pack(">iqqqqqqbi", self.version, self.session, self.sequence, self.utime, self.state_session, self.state_sequence, self.state_utime, self.mode, self.num_inputs))
+        buf.write(struct.pack(">iqqqqqqqbbi", self.version, self.session, self.sequence, self.utime, self.state_session, self.state_sequence, self.state_utime, self.state_age, self.takes_over, self.mode, self.num_inputs))
         buf.write(struct.pack('>%dd' % self.num_inputs, *self.input[:self.num_inputs]))
 
     @staticmethod
@@ -90,14 +103,16 @@ class vcbf_command(object):
     @staticmethod
     def _decode_one(buf):
         self = vcbf_command()
-        self.version, self.session, self.sequence, self.utime, self.state_session, self.state_sequence, self.state_utime, self.mode, self.num_inputs = struct.unpack(">iqqqqqqbi", buf.read(57))
+        self.version, self.session, self.sequence, self.utime, self.state_session, self.state_sequence, self.state_utime, self.state_age = struct.unpack(">iqqqqqqq", buf.read(60))
+        self.takes_over = bool(struct.unpack('b', buf.read(1))[0])
+        self.mode, self.num_inputs = struct.unpack(">bi", buf.read(5))
         self.input = struct.unpack('>%dd' % self.num_inputs, buf.read(self.num_inputs * 8))
         return self
 
     @staticmethod
     def _get_hash_recursive(parents):
         if vcbf_command in parents: return 0
-        tmphash = (0x66c6131dd3812a16) & 0xffffffffffffffff
+        tmphash = (0x4d3c7d37e892ec22) & 0xffffffffffffffff
         tmphash  = (((tmphash<<1)&0xffffffffffffffff) + (tmphash>>63)) & 0xffffffffffffffff
         return tmphash
     _packed_fingerprint = None

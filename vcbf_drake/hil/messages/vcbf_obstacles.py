@@ -19,7 +19,7 @@ class vcbf_obstacles(object):
     def __init__(self):
         self.version = 0
         """
-        Version of these messages: 1.
+        Version of these messages: 2.
         LCM Type: int32_t
         """
 

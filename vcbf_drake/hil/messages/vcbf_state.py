@@ -10,16 +10,16 @@ import struct
 class vcbf_state(object):
     """ What a vehicle measured. Every utime: microseconds since 1970. """
 
-    __slots__ = ["version", "session", "sequence", "utime", "utime_measured", "time", "mode", "command_sequence", "command_utime", "command_age", "num_states", "state", "num_inputs", "input_integral"]
+    __slots__ = ["version", "session", "sequence", "utime", "utime_measured", "time", "mode", "command_session", "command_sequence", "command_utime", "command_age", "num_states", "state", "num_inputs", "input_integral"]
 
-    __typenames__ = ["int32_t", "int64_t", "int64_t", "int64_t", "int64_t", "double", "int8_t", "int64_t", "int64_t", "int64_t", "int32_t", "double", "int32_t", "double"]
+    __typenames__ = ["int32_t", "int64_t", "int64_t", "int64_t", "int64_t", "double", "int8_t", "int64_t", "int64_t", "int64_t", "int64_t", "int32_t", "double", "int32_t", "double"]
 
-    __dimensions__ = [None, None, None, None, None, None, None, None, None, None, None, ["num_states"], None, ["num_inputs"]]
+    __dimensions__ = [None, None, None, None, None, None, None, None, None, None, None, None, ["num_states"], None, ["num_inputs"]]
 
     def __init__(self):
         self.version = 0
         """
-        Version of these messages: 1.
+        Version of these messages: 2.
         LCM Type: int32_t
         """
 
@@ -59,12 +59,15 @@ class vcbf_state(object):
         LCM Type: int8_t
         """
 
-        self.command_sequence = 0
+        self.command_session = 0
         """
-        The last command that came, -1 for none, and its utime.
+        The last command that was accepted: its session and sequence, -1 for none, and
+        its utime.
         LCM Type: int64_t
         """
 
+        self.command_sequence = 0
+        """ LCM Type: int64_t """
         self.command_utime = 0
         """ LCM Type: int64_t """
         self.command_age = 0
@@ -97,7 +100,7 @@ class vcbf_state(object):
         return buf.getvalue()
 
     def _encode_one(self, buf):
-        buf.write(struct.pack(">iqqqqdbqqqi", self.version, self.session, self.sequence, self.utime, self.utime_measured, self.time, self.mode, self.command_sequence, self.command_utime, self.command_age, self.num_states))
+        buf.write(struct.pack(">iqqqqdbqqqqi", self.version, self.session, self.sequence, self.utime, self.utime_measured, self.time, self.mode, self.command_session, self.command_sequence, self.command_utime, self.command_age, self.num_states))
         buf.write(struct.pack('>%dd' % self.num_states, *self.state[:self.num_states]))
         buf.write(struct.pack(">i", self.num_inputs))
         buf.write(struct.pack('>%dd' % self.num_inputs, *self.input_integral[:self.num_inputs]))
@@ -115,7 +118,7 @@ class vcbf_state(object):
     @staticmethod
     def _decode_one(buf):
         self = vcbf_state()
-        self.version, self.session, self.sequence, self.utime, self.utime_measured, self.time, self.mode, self.command_sequence, self.command_utime, self.command_age, self.num_states = struct.unpack(">iqqqqdbqqqi", buf.read(73))
+        self.version, self.session, self.sequence, self.utime, self.utime_measured, self.time, self.mode, self.command_session, self.command_sequence, self.command_utime, self.command_age, self.num_states = struct.unpack(">iqqqqdbqqqqi", buf.read(81))
         self.state = struct.unpack('>%dd' % self.num_states, buf.read(self.num_states * 8))
         self.num_inputs = struct.unpack(">i", buf.read(4))[0]
         self.input_integral = struct.unpack('>%dd' % self.num_inputs, buf.read(self.num_inputs * 8))
@@ -124,7 +127,7 @@ class vcbf_state(object):
     @staticmethod
     def _get_hash_recursive(parents):
         if vcbf_state in parents: return 0
-        tmphash = (0x6025333d42ddbbcc) & 0xffffffffffffffff
+        tmphash = (0xc696bde2c8b9f177) & 0xffffffffffffffff
         tmphash  = (((tmphash<<1)&0xffffffffffffffff) + (tmphash>>63)) & 0xffffffffffffffff
         return tmphash
     _packed_fingerprint = None

@@ -10,16 +10,16 @@ import struct
 class vcbf_status(object):
     """ What the safety filter did at one tick, and how the states arrive. """
 
-    __slots__ = ["version", "session", "sequence", "utime", "state_sequence", "time", "state_age", "mode", "reason", "method", "filter_status", "num_inputs", "input", "reference", "slack", "volume", "num_barriers", "barriers", "num_disturbances", "disturbance_estimate", "error_bound", "num_conflicts", "conflicts", "states_accepted", "states_lost", "states_late", "states_rejected"]
+    __slots__ = ["version", "session", "sequence", "utime", "state_sequence", "time", "state_age", "mode", "reason", "followed", "method", "filter_status", "num_inputs", "input", "reference", "slack", "volume", "num_barriers", "barriers", "num_disturbances", "disturbance_estimate", "error_bound", "disturbance_bound", "num_findings", "findings", "num_conflicts", "conflicts", "states_accepted", "states_lost", "states_late", "states_rejected", "deadlines_missed", "clock_offset", "clock_uncertainty"]
 
-    __typenames__ = ["int32_t", "int64_t", "int64_t", "int64_t", "int64_t", "double", "double", "int8_t", "string", "string", "int8_t", "int32_t", "double", "double", "double", "double", "int32_t", "double", "int32_t", "double", "double", "int32_t", "string", "int64_t", "int64_t", "int64_t", "int64_t"]
+    __typenames__ = ["int32_t", "int64_t", "int64_t", "int64_t", "int64_t", "double", "double", "int8_t", "string", "boolean", "string", "int8_t", "int32_t", "double", "double", "double", "double", "int32_t", "double", "int32_t", "double", "double", "double", "int32_t", "string", "int32_t", "string", "int64_t", "int64_t", "int64_t", "int64_t", "int64_t", "double", "double"]
 
-    __dimensions__ = [None, None, None, None, None, None, None, None, None, None, None, None, ["num_inputs"], ["num_inputs"], None, None, None, ["num_barriers"], None, ["num_disturbances"], None, None, ["num_conflicts"], None, None, None, None]
+    __dimensions__ = [None, None, None, None, None, None, None, None, None, None, None, None, None, ["num_inputs"], ["num_inputs"], None, None, None, ["num_barriers"], None, ["num_disturbances"], None, None, None, ["num_findings"], None, ["num_conflicts"], None, None, None, None, None, None, None]
 
     def __init__(self):
         self.version = 0
         """
-        Version of these messages: 1.
+        Version of these messages: 2.
         LCM Type: int32_t
         """
 
@@ -53,12 +53,18 @@ class vcbf_status(object):
         """ LCM Type: double """
         self.mode = 0
         """
-        As in vcbf_command, and in words why; no words with mode 0.
+        As in vcbf_command, and in words why, or what else is wrong; empty if nothing is.
         LCM Type: int8_t
         """
 
         self.reason = ""
         """ LCM Type: string """
+        self.followed = False
+        """
+        Whether the vehicle's last state says that it takes our commands.
+        LCM Type: boolean
+        """
+
         self.method = ""
         """
         The safety filter's name.
@@ -111,10 +117,20 @@ class vcbf_status(object):
         """ LCM Type: double[num_disturbances] """
         self.error_bound = 0.0
         """
-        Of the estimate's error.
+        Of the estimate's error, and what is declared of the disturbance itself.
         LCM Type: double
         """
 
+        self.disturbance_bound = 0.0
+        """ LCM Type: double """
+        self.num_findings = 0
+        """
+        What the measurements refute, in words; empty if nothing.
+        LCM Type: int32_t
+        """
+
+        self.findings = []
+        """ LCM Type: string[num_findings] """
         self.num_conflicts = 0
         """
         Rows that exclude each other, by name; none unless infeasible.
@@ -136,6 +152,21 @@ class vcbf_status(object):
         """ LCM Type: int64_t """
         self.states_rejected = 0
         """ LCM Type: int64_t """
+        self.deadlines_missed = 0
+        """
+        Ticks that ended after the control period was over.
+        LCM Type: int64_t
+        """
+
+        self.clock_offset = 0.0
+        """
+        By how much the vehicle's clock is ahead of ours, and how far off that may be [s];
+        nan while not known.
+        LCM Type: double
+        """
+
+        self.clock_uncertainty = 0.0
+        """ LCM Type: double """
 
     def encode(self):
         buf = BytesIO()
@@ -149,6 +180,7 @@ class vcbf_status(object):
         buf.write(struct.pack('>I', len(__reason_encoded)+1))
         buf.write(__reason_encoded)
         buf.write(b"\0")
+        buf.write(struct.pack(">b", self.followed))
         __method_encoded = self.method.encode('utf-8')
         buf.write(struct.pack('>I', len(__method_encoded)+1))
         buf.write(__method_encoded)
@@ -160,13 +192,19 @@ class vcbf_status(object):
         buf.write(struct.pack('>%dd' % self.num_barriers, *self.barriers[:self.num_barriers]))
         buf.write(struct.pack(">i", self.num_disturbances))
         buf.write(struct.pack('>%dd' % self.num_disturbances, *self.disturbance_estimate[:self.num_disturbances]))
-        buf.write(struct.pack(">di", self.error_bound, self.num_conflicts))
+        buf.write(struct.pack(">ddi", self.error_bound, self.disturbance_bound, self.num_findings))
+        for i0 in range(self.num_findings):
+            __findings_encoded = self.findings[i0].encode('utf-8')
+            buf.write(struct.pack('>I', len(__findings_encoded)+1))
+            buf.write(__findings_encoded)
+            buf.write(b"\0")
+        buf.write(struct.pack(">i", self.num_conflicts))
         for i0 in range(self.num_conflicts):
             __conflicts_encoded = self.conflicts[i0].encode('utf-8')
             buf.write(struct.pack('>I', len(__conflicts_encoded)+1))
             buf.write(__conflicts_encoded)
             buf.write(b"\0")
-        buf.write(struct.pack(">qqqq", self.states_accepted, self.states_lost, self.states_late, self.states_rejected))
+        buf.write(struct.pack(">qqqqqdd", self.states_accepted, self.states_lost, self.states_late, self.states_rejected, self.deadlines_missed, self.clock_offset, self.clock_uncertainty))
 
     @staticmethod
     def decode(data: bytes):
@@ -184,6 +222,7 @@ class vcbf_status(object):
         self.version, self.session, self.sequence, self.utime, self.state_sequence, self.time, self.state_age, self.mode = struct.unpack(">iqqqqddb", buf.read(53))
         __reason_len = struct.unpack('>I', buf.read(4))[0]
         self.reason = buf.read(__reason_len)[:-1].decode('utf-8', 'replace')
+        self.followed = bool(struct.unpack('b', buf.read(1))[0])
         __method_len = struct.unpack('>I', buf.read(4))[0]
         self.method = buf.read(__method_len)[:-1].decode('utf-8', 'replace')
         self.filter_status, self.num_inputs = struct.unpack(">bi", buf.read(5))
@@ -193,18 +232,23 @@ class vcbf_status(object):
         self.barriers = struct.unpack('>%dd' % self.num_barriers, buf.read(self.num_barriers * 8))
         self.num_disturbances = struct.unpack(">i", buf.read(4))[0]
         self.disturbance_estimate = struct.unpack('>%dd' % self.num_disturbances, buf.read(self.num_disturbances * 8))
-        self.error_bound, self.num_conflicts = struct.unpack(">di", buf.read(12))
+        self.error_bound, self.disturbance_bound, self.num_findings = struct.unpack(">ddi", buf.read(20))
+        self.findings = []
+        for i0 in range(self.num_findings):
+            __findings_len = struct.unpack('>I', buf.read(4))[0]
+            self.findings.append(buf.read(__findings_len)[:-1].decode('utf-8', 'replace'))
+        self.num_conflicts = struct.unpack(">i", buf.read(4))[0]
         self.conflicts = []
         for i0 in range(self.num_conflicts):
             __conflicts_len = struct.unpack('>I', buf.read(4))[0]
             self.conflicts.append(buf.read(__conflicts_len)[:-1].decode('utf-8', 'replace'))
-        self.states_accepted, self.states_lost, self.states_late, self.states_rejected = struct.unpack(">qqqq", buf.read(32))
+        self.states_accepted, self.states_lost, self.states_late, self.states_rejected, self.deadlines_missed, self.clock_offset, self.clock_uncertainty = struct.unpack(">qqqqqdd", buf.read(56))
         return self
 
     @staticmethod
     def _get_hash_recursive(parents):
         if vcbf_status in parents: return 0
-        tmphash = (0x4649caabcd621246) & 0xffffffffffffffff
+        tmphash = (0xf081040ef24aebc7) & 0xffffffffffffffff
         tmphash  = (((tmphash<<1)&0xffffffffffffffff) + (tmphash>>63)) & 0xffffffffffffffff
         return tmphash
     _packed_fingerprint = None
