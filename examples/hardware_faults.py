@@ -21,7 +21,7 @@ import time
 from pydrake.lcm import DrakeLcm
 
 from vcbf_drake import load_scenario
-from vcbf_drake.hil import Bus, BusError, ControllerProcess, check_bus
+from vcbf_drake.hil import Bus, BusError, check_bus, controller_of
 from vcbf_drake.hil.messages import vcbf_state
 
 SCENARIO = "blimp-multiple-obstacles"
@@ -71,7 +71,7 @@ def load_standby(url: str) -> subprocess.Popen:
 def stand_by(url: str) -> None:
     """What a standby runs: everything a controller is, but its first word."""
     scenario = load_scenario(SCENARIO, {"period": 1.0 / RATE})
-    process = ControllerProcess(scenario, Bus(DrakeLcm(url)))
+    process = controller_of(scenario, Bus(DrakeLcm(url), name=SCENARIO))
     print("ready", flush=True)
     sys.stdin.readline()
     process.run()
@@ -81,7 +81,10 @@ def stand_by(url: str) -> None:
 def wait_for_flight(url: str, instant: float) -> None:
     """Listens to the vehicle until a time of its flight [s]."""
     lcm, heard = DrakeLcm(url), [0.0]
-    lcm.Subscribe("VCBF_STATE", lambda data: heard.append(vcbf_state.decode(data).time))
+    lcm.Subscribe(
+        f"VCBF_STATE/{SCENARIO}",
+        lambda data: heard.append(vcbf_state.decode(data).time),
+    )
     while heard[-1] < instant:
         lcm.HandleSubscriptions(100)
 

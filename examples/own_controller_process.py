@@ -57,7 +57,8 @@ class WaypointDriver:
 
 def drive(url: str) -> None:
     """Answers every state with a command, until the vehicle ends."""
-    bus, driver, last = Bus(DrakeLcm(url)), WaypointDriver(), None
+    bus = Bus(DrakeLcm(url), name="car-avoidance")
+    driver, last = WaypointDriver(), None
     states = Inbox(bus, state_format(num_states=4, num_inputs=2), max_age=0.1)
     commands = Outbox(bus, command_format(num_inputs=2).channel)
     while last is None or last.mode != VehicleMode.ENDED:

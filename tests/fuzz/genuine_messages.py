@@ -33,7 +33,7 @@ def genuine(form: MessageFormat, now: int, sequence: int) -> Any:
         sequence: Its number in the session.
     """
     message = form.type()
-    message.version, message.session = 1, SESSION
+    message.version, message.session = 2, SESSION
     message.sequence, message.utime = sequence, now
     for name, size in form.sizes.items():
         setattr(message, name, size)

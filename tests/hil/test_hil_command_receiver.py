@@ -53,6 +53,7 @@ class Vehicle:
     def send(self, number: int, mode: CommandMode = CommandMode.APPLY) -> None:
         message = vcbf_command()
         message.mode, message.num_inputs = int(mode), 2
+        message.state_session, message.state_utime = self.bus.session, self.clock.now
         message.input = [float(number), 0.0]
         self._outbox.send(message)
         self.bus.poll()
@@ -172,6 +173,9 @@ def test_a_vehicle_that_wakes_late_follows_its_controller() -> None:
         message = vcbf_command()
         message.mode = int(CommandMode.APPLY if tick < 50 else CommandMode.FALLBACK)
         message.num_inputs, message.input = 3, [-0.04, 0.0, 0.0]
+        message.state_session = run.plant.bus.session
+        message.state_utime = run.clock.now
+        message.takes_over = True
         outbox.send(message)
         run.plant.bus.poll()
         run.plant.advance_to(0.2 + tick * 0.01)

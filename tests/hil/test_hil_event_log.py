@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+import os
 from pathlib import Path
 import struct
+import time
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -28,7 +31,7 @@ EVENTS = [
 
 
 def written(path, events=EVENTS):
-    with EventLogWriter(path) as log:
+    with EventLogWriter(path, force=True) as log:
         for event in events:
             log(*event)
     return path
@@ -68,12 +71,66 @@ def test_what_lcm_writes_is_read(tmp_path) -> None:
     assert read_event_log(tmp_path / "a.log") == (EVENTS, "")
 
 
-def test_an_event_is_in_the_file_before_the_next_one(tmp_path) -> None:
+def test_an_event_is_in_the_file_soon_and_before_the_log_is_closed(tmp_path) -> None:
     log = EventLogWriter(tmp_path / "a.log")
     for count, event in enumerate(EVENTS, start=1):
         log(*event)
-        assert read_event_log(tmp_path / "a.log").events == EVENTS[:count]
+        deadline = time.monotonic() + 30.0
+        while (found := _events(tmp_path / "a.log")) != EVENTS[:count]:
+            assert time.monotonic() < deadline, found
+            time.sleep(1e-3)
     log.close()
+
+
+def _events(path: Path) -> list[Event]:
+    return read_event_log(path).events if path.stat().st_size else []
+
+
+def test_a_log_that_is_there_is_not_replaced(tmp_path) -> None:
+    """What a service manager's restart would destroy is the log of the crash."""
+    path = tmp_path / "flight.log"
+    contents = [EVENTS[:1], EVENTS[1:2], EVENTS[2:]]
+    for content in contents:
+        with EventLogWriter(path) as log:
+            for event in content:
+                log(*event)
+    names = ["flight.log", "flight.log.01", "flight.log.02"]
+    assert sorted(each.name for each in tmp_path.iterdir()) == names
+    assert [read_event_log(tmp_path / name).events for name in names] == contents
+    with EventLogWriter(path, force=True) as log:
+        log(*EVENTS[3])
+        assert log.path == path
+    assert read_event_log(path).events == [EVENTS[3]]
+
+
+def test_a_disk_that_stalls_costs_log_and_not_flight(tmp_path) -> None:
+    """A pipe whose reader pauses: nothing waits, and what is missing is counted."""
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    log = EventLogWriter(path, capacity=50)
+    for number in range(1000):
+        log(number, "A", bytes(4096))  # More than pipe and queue hold.
+    log.close(patience=0.05)
+    assert 800 < log.lost < 1000
+    assert (
+        log.failure == f"{path}: the disk was too slow, {log.lost} events are missing"
+    )
+    while log.is_open:  # The disk works again.
+        with suppress(BlockingIOError):
+            os.read(reader, 65_536)
+    os.close(reader)
+
+
+def test_a_disk_that_is_full_ends_the_log_in_one_line() -> None:
+    if not os.path.exists("/dev/full"):
+        pytest.skip("no /dev/full here")
+    with EventLogWriter("/dev/full") as log:
+        for event in EVENTS:
+            log(*event)
+    assert log.failure == (
+        "/dev/full: No space left on device; the log ends after 0 events"
+    )
 
 
 def test_a_log_cut_off_anywhere_keeps_its_whole_events(tmp_path) -> None:

@@ -123,7 +123,7 @@ class Attacker:
 
     def _version(self, now: int) -> bytes:
         message = self._template(now)
-        message.version = int(self._rng.choice([-1, 0, 2, 2**31 - 1]))
+        message.version = int(self._rng.choice([-1, 0, 1, 2**31 - 1]))
         data: bytes = message.encode()
         return data
 

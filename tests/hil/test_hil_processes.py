@@ -64,9 +64,9 @@ def start() -> Iterator[Callable[..., subprocess.Popen]]:
         process.communicate()
 
 
-def report(process: subprocess.Popen) -> dict:
+def report(process: subprocess.Popen, status: int = 0) -> dict:
     out, err = process.communicate(timeout=120.0)
-    assert process.returncode == 0, err
+    assert process.returncode == status, err
     return json.loads(out)
 
 
@@ -91,13 +91,19 @@ def test_two_processes_drive_the_car_and_report(start) -> None:
 
 @needs_bus
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_stopped_controller_leaves_the_fallback_as_its_last_command(
     number, start
 ) -> None:
     lcm, commands, states = DrakeLcm(URL), [], []
-    lcm.Subscribe("VCBF_COMMAND", lambda d: commands.append(vcbf_command.decode(d)))
-    lcm.Subscribe("VCBF_STATE", lambda d: states.append(vcbf_state.decode(d)))
+    for channel, kind, heard in (
+        ("VCBF_COMMAND/car-avoidance", vcbf_command, commands),
+        ("VCBF_STATE/car-avoidance", vcbf_state, states),
+    ):
+        lcm.Subscribe(
+            channel,
+            lambda data, kind=kind, heard=heard: heard.append(kind.decode(data)),
+        )
 
     def listen_until(condition: Callable[[], bool]) -> None:
         deadline = time.monotonic() + 60.0
@@ -111,9 +117,9 @@ def test_a_stopped_controller_leaves_the_fallback_as_its_last_command(
     listen_until(lambda: commands[-1].mode == CommandMode.END)
     assert not any(commands[-1].input)
     listen_until(lambda: states[-1].mode == VehicleMode.FALLBACK)
-    assert report(controller)["changes"][-1]["mode"] == "end"
+    assert report(controller, 128 + number)["changes"][-1]["mode"] == "end"
     plant.send_signal(number)
-    assert report(plant)["changes"][-1]["mode"] == "fallback"
+    assert report(plant, 128 + number)["changes"][-1]["mode"] == "fallback"
     assert commands[-1].mode == CommandMode.END
 
 

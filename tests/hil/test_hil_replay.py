@@ -52,7 +52,7 @@ def recorded(loaded, duration: float, **options) -> list[Event]:
 
 
 def write(path, events, loaded=None):
-    with EventLogWriter(path) as log:
+    with EventLogWriter(path, force=True) as log:
         if loaded is not None:
             text = dump_scenario(loaded).encode()
             log(events[0].utime, "VCBF_SCENARIO", text)
@@ -311,7 +311,7 @@ def test_both_sides_log_what_they_say_and_what_was_asked(
     bus = Bus(DrakeLcm("memq://"), SimulatedClock())
     monkeypatch.setattr(hardware_module, "_open_bus", lambda *options: bus)
     monkeypatch.setattr(
-        hardware_module, "_run", lambda process, side, as_json: bus.publish("A", b"b")
+        hardware_module, "_run", lambda *arguments: bus.publish("A", b"b")
     )
     path = tmp_path / "a.log"
     arguments = [side, "car-avoidance", "--duration", "3", "--log", str(path)]

@@ -9,11 +9,11 @@ from vcbf_drake import Blimp, Car, ControlAffineModel, InputSet, load_scenario
 from vcbf_drake.hil import (
     Bus,
     CommandMode,
-    ControllerProcess,
     InProcess,
     LinkFaults,
     PlantProcess,
     VehicleMode,
+    controller_of,
 )
 from vcbf_drake.hil.messages import vcbf_command, vcbf_status
 from vcbf_drake.hil.vehicle_side import fallback_input
@@ -103,7 +103,8 @@ def test_the_input_that_is_applied_is_inside_its_limits() -> None:
     run.kill_controller()
     run.advance_to(0.1)
     message = vcbf_command()
-    message.version, message.session = 1, run.clock.now
+    message.version, message.session = 2, run.clock.now
+    message.state_session = run.plant.bus.session
     message.utime, message.num_inputs = run.clock.now, 2
     message.input = [1e5, -1e5]
     run.lcm.Publish("VCBF_COMMAND", message.encode())
@@ -170,13 +171,14 @@ def test_a_vehicle_among_other_obstacles_is_sent_into_its_fallback() -> None:
     other = load_scenario("blimp-multiple-obstacles")
     other.obstacles[2].center[1] += 0.4
     other.obstacles[2].radius -= 0.1
-    run.controller = ControllerProcess(other, Bus(run.lcm, run.clock))
+    run.controller = controller_of(other, Bus(run.lcm, run.clock))
     statuses = heard(run, vcbf_status)
     run.advance_to(1.1)
     assert run.plant.mode is VehicleMode.FALLBACK
     assert statuses[-1].mode == CommandMode.FALLBACK
     assert statuses[-1].reason == (
-        "the vehicle's obstacle 3 is 0.40 m away from the scenario's and +0.10 m larger"
+        "the vehicle's obstacle 3 is 0.400 m away from the scenario's and +0.100 m"
+        " larger"
     )
 
 
@@ -184,7 +186,7 @@ def test_a_vehicle_with_fewer_obstacles_is_sent_into_its_fallback() -> None:
     run = loop()
     other = load_scenario("blimp-multiple-obstacles")
     other.obstacles.pop()
-    run.controller = ControllerProcess(other, Bus(run.lcm, run.clock))
+    run.controller = controller_of(other, Bus(run.lcm, run.clock))
     statuses = heard(run, vcbf_status)
     run.advance_to(0.6)
     assert run.plant.mode is VehicleMode.FALLBACK
@@ -208,7 +210,7 @@ def test_the_last_command_asks_for_the_fallback() -> None:
 def test_a_vehicle_that_sends_faster_than_the_period_is_sampled() -> None:
     run = loop("{period: 0.005}")
     slow = load_scenario("blimp-multiple-obstacles", {"period": 0.02})
-    run.controller = ControllerProcess(slow, Bus(run.lcm, run.clock))
+    run.controller = controller_of(slow, Bus(run.lcm, run.clock))
     commands, statuses = heard(run, vcbf_command), heard(run, vcbf_status)
     run.advance_to(1.0)
     assert len(commands) == pytest.approx(51, abs=1)

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 import json
+import math
+import os
 from pathlib import Path
 import signal
-from typing import TYPE_CHECKING, Annotated
+import sys
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -23,6 +26,9 @@ if TYPE_CHECKING:
     from vcbf_drake.hil import Bus, ControllerProcess, PlantProcess
     from vcbf_drake.simulation.scenario import Scenario
 
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+# Of a run without an end; it has to fit into a computer.
+_MOST_TICKS = 9e6
 _UrlOption = Annotated[
     str | None,
     typer.Option(
@@ -34,7 +40,10 @@ _UrlOption = Annotated[
 ]
 _DurationOption = Annotated[
     float | None,
-    typer.Option(show_default="the scenario's", help="When to end, in seconds."),
+    typer.Option(
+        show_default="the scenario's",
+        help="When to end, in seconds of the motion; inf for never.",
+    ),
 ]
 _RateOption = Annotated[
     float | None,
@@ -59,6 +68,30 @@ _LogOption = Annotated[
         help="Write an LCM log of what this side sends and receives.",
     ),
 ]
+_ForceOption = Annotated[
+    bool, typer.Option("--force", help="Replace a log that is there.")
+]
+_NameOption = Annotated[
+    str | None,
+    typer.Option(
+        "--name",
+        show_default="the scenario's",
+        help="The vehicle's, with which its channels end.",
+    ),
+]
+_WaitOption = Annotated[
+    float,
+    typer.Option(
+        "--wait",
+        min=0.0,
+        show_default="for ever",
+        help="How long to wait for the other side, in seconds.",
+    ),
+]
+_TakeOverOption = Annotated[
+    bool,
+    typer.Option("--take-over", help="Be followed although another controller speaks."),
+]
 _PredictOption = Annotated[
     bool | None,
     typer.Option(
@@ -75,26 +108,32 @@ def plant(
     scenario: ScenarioArgument,
     override: OverrideOption = None,
     lcm_url: _UrlOption = None,
+    name: _NameOption = None,
     duration: _DurationOption = None,
     rate: _RateOption = None,
+    wait: _WaitOption = math.inf,
     drop: _DropOption = 0.0,
     delay: _DelayOption = 0.0,
     jitter: _JitterOption = 0.0,
     fault_seed: _SeedOption = 0,
     log: _LogOption = None,
+    force: _ForceOption = False,
     as_json: _JsonOption = False,
 ) -> None:
     """Simulate a vehicle in real time on an LCM bus: states out, commands in.
 
     It stands until the first command comes. When commands cease, it falls back to what
     the scenario says, and recovers by itself. Ctrl-C ends it.
+
+    Exit status: 0 at its end, 3 collision, 5 nobody commanded it, 128 + signal.
     """
+    _die_quietly()
     chosen = _load(scenario, override, None, duration, rate)
-    bus = _open_bus(lcm_url, drop, delay, jitter, fault_seed)
+    bus = _open_bus(chosen, lcm_url, name, LinkOptions(drop, delay, jitter, fault_seed))
     from vcbf_drake.hil import PlantProcess
 
-    with _logging(bus, chosen, log):
-        _run(PlantProcess(chosen, bus), "vehicle", as_json)
+    with _logging(bus, chosen, log, force):
+        _run(PlantProcess(chosen, bus), "vehicle", chosen, wait, as_json)
 
 
 def controller(
@@ -102,14 +141,18 @@ def controller(
     method: MethodOption = None,
     override: OverrideOption = None,
     lcm_url: _UrlOption = None,
+    name: _NameOption = None,
     duration: _DurationOption = None,
     rate: _RateOption = None,
+    wait: _WaitOption = math.inf,
+    take_over: _TakeOverOption = False,
     drop: _DropOption = 0.0,
     delay: _DelayOption = 0.0,
     jitter: _JitterOption = 0.0,
     fault_seed: _SeedOption = 0,
     predict: _PredictOption = None,
     log: _LogOption = None,
+    force: _ForceOption = False,
     as_json: _JsonOption = False,
 ) -> None:
     """Control a vehicle on an LCM bus: states in, commands and status out.
@@ -117,15 +160,34 @@ def controller(
     It acts on every state that comes, and ends with the vehicle. When states cease, it
     holds its last command, then asks for the vehicle's fallback, and recovers by
     itself. Ctrl-C ends it; its last command asks for the fallback.
+
+    Exit status: 0 at its end, 4 if no input was feasible then, 5 no vehicle spoke,
+    128 + signal.
     """
+    _die_quietly()
     chosen = _load(scenario, override, method, duration, rate)
     if predict is not None:
         chosen.hardware.predict = predict
-    bus = _open_bus(lcm_url, drop, delay, jitter, fault_seed)
-    from vcbf_drake.hil import ControllerProcess
+    bus = _open_bus(chosen, lcm_url, name, LinkOptions(drop, delay, jitter, fault_seed))
+    from vcbf_drake.hil import controller_of
 
-    with _logging(bus, chosen, log):
-        _run(ControllerProcess(chosen, bus), "controller", as_json)
+    with _logging(bus, chosen, log, force):
+        process = controller_of(chosen, bus)
+        process.takes_over = take_over
+        if duration is not None:
+            process.duration = duration
+        _run(process, "controller", chosen, wait, as_json)
+
+
+def _die_quietly() -> None:
+    """Until a process can say farewell, a signal ends it with one line."""
+    for number in _SIGNALS:
+        signal.signal(number, _end_at_once)
+
+
+def _end_at_once(number: int, *_: object) -> None:
+    os.write(2, b"vcbf-drake: interrupted\n")
+    os._exit(128 + number)
 
 
 def _load(
@@ -138,31 +200,53 @@ def _load(
     from vcbf_drake.simulation.scenario import validate
 
     chosen = load(scenario, override, method)
-    if duration is not None:
-        chosen.duration = duration
     if rate is not None:
         chosen.period = 1.0 / rate
+    if duration is not None:
+        is_endless = math.isinf(duration)
+        chosen.duration = _MOST_TICKS * chosen.period if is_endless else duration
     validate(chosen)
     return chosen
 
 
+class LinkOptions(NamedTuple):
+    """The faults that are injected into what arrives."""
+
+    drop: float
+    delay: float
+    jitter: float
+    seed: int
+
+
 def _open_bus(
-    url: str | None, drop: float, delay: float, jitter: float, seed: int
+    scenario: Scenario, url: str | None, name: str | None, options: LinkOptions
 ) -> Bus:
     from pydrake.lcm import DrakeLcm
 
-    from vcbf_drake.hil import DEFAULT_URL, Bus, LinkFaults, check_bus
+    from vcbf_drake.hil import (
+        DEFAULT_URL,
+        Bus,
+        LinkFaults,
+        check_bus,
+        read_key,
+        vehicle_name,
+    )
 
     try:
-        faults = LinkFaults(drop, delay, jitter, seed)
+        faults = LinkFaults(*options)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
+    chosen = vehicle_name(scenario.name) if name is None else name
+    key_file = scenario.hardware.key_file
+    key = read_key(key_file) if key_file else b""
     check_bus(url or DEFAULT_URL)
-    return Bus(DrakeLcm(url or DEFAULT_URL), faults=faults)
+    return Bus(DrakeLcm(url or DEFAULT_URL), faults=faults, name=chosen, key=key)
 
 
 @contextmanager
-def _logging(bus: Bus, scenario: Scenario, path: Path | None) -> Iterator[None]:
+def _logging(
+    bus: Bus, scenario: Scenario, path: Path | None, force: bool
+) -> Iterator[None]:
     """Logs what the bus sends and receives, if that is wanted."""
     if path is None:
         yield
@@ -170,23 +254,47 @@ def _logging(bus: Bus, scenario: Scenario, path: Path | None) -> Iterator[None]:
     from vcbf_drake.hil import EventLogError, start_log
 
     try:
-        log = start_log(bus, scenario, path)
+        log = start_log(bus, scenario, path, force=force)
     except EventLogError as error:
         raise typer.BadParameter(str(error)) from None
-    with log:
-        yield
-    typer.echo(log.failure or f"log written to {path}", err=True)
+    try:
+        with log:
+            yield
+    finally:
+        typer.echo(f"log written to {log.path}", err=True)
+        if log.failure:
+            typer.echo(log.failure, err=True)
 
 
-def _run(process: PlantProcess | ControllerProcess, side: str, as_json: bool) -> None:
+def _run(
+    process: PlantProcess | ControllerProcess,
+    side: str,
+    scenario: Scenario,
+    patience: float,
+    as_json: bool,
+) -> None:
+    """Runs a process and exits with the status of its ending."""
+    from vcbf_drake.hil import EXIT_STATUSES
     from vcbf_drake.viz.hardware_report import print_hardware_report
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, process.stop)
-    url = process.bus.lcm.get_lcm_url()
-    typer.echo(f"{side} of {process.scenario.name} on {url}", err=True)
-    process.run()
+    signals: list[int] = []
+
+    def stop(number: int, *_: object) -> None:
+        signals.append(number)
+        process.stop()
+
+    for number in _SIGNALS:
+        signal.signal(number, stop)
+    url, name = process.bus.lcm.get_lcm_url(), process.bus.name
+    typer.echo(f"{side} of {scenario.name} on {url} as {name}", err=True)
+    process.tell = lambda line: typer.echo(f"{side}: {line}", err=True)
+    if sys.stderr.isatty():
+        process.progress = lambda line: typer.echo(line, err=True)
+    process.run(patience)
+    report = {"scenario": scenario.name, "ending": process.ending, **process.report()}
     if as_json:
-        typer.echo(json.dumps(plain_json(process.report()), indent=2))
+        typer.echo(json.dumps(plain_json(report), indent=2))
     else:
-        print_hardware_report(side, process.report())
+        print_hardware_report(side, report)
+    status = EXIT_STATUSES[process.ending] + (signals[0] if signals else 0)
+    raise typer.Exit(status)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from vcbf_drake.cli.options import OverrideOption, load, out_option
 from vcbf_drake.cli.outputs import whole_or_not_at_all
 from vcbf_drake.cli.simulations import report_results, write_pictures
+
+if TYPE_CHECKING:
+    from vcbf_drake.hil import LogReplay
 
 
 def replay_log(
@@ -25,6 +28,10 @@ def replay_log(
         ),
     ] = None,
     override: OverrideOption = None,
+    name: Annotated[
+        str | None,
+        typer.Option(help="Of which vehicle.", show_default="the only one"),
+    ] = None,
     out: Annotated[Path | None, out_option("out/FILE")] = None,
     replay: Annotated[
         bool, typer.Option("--replay/--no-replay", help="Write a Meshcat replay.")
@@ -45,7 +52,7 @@ def replay_log(
         raise typer.BadParameter("--override needs a SCENARIO")
     chosen = None if scenario is None else load(scenario, override, None)
     try:
-        found = replay_log(log, chosen)
+        found = replay_log(log, chosen, name)
     except EventLogError as error:
         raise typer.BadParameter(str(error)) from None
     directory = out or Path("out") / log.stem
@@ -54,5 +61,19 @@ def replay_log(
         write_pictures([found.result], staging, replay=replay, figures=figures)
     if found.damage:
         typer.echo(found.damage, err=True)
+    _hint_at_the_period(found)
     report_results([found.result], directory)
     print_hardware_report("controller", found.report)
+
+
+def _hint_at_the_period(found: LogReplay) -> None:
+    """Says so when the log's commands are not a control period apart."""
+    logged, period = found.report["period"], found.result.scenario.period
+    if logged is None or abs(logged - period) <= 0.1 * period:
+        return
+    override = f'--override "{{period: {logged:.6g}}}"'
+    typer.echo(
+        f"the log's commands are {1e3 * logged:.4g} ms apart, and the control period is"
+        f" {1e3 * period:.4g} ms: give the scenario, and {override}",
+        err=True,
+    )

@@ -13,8 +13,16 @@ from vcbf_drake.hil.bus import (
     SimulatedClock,
     WallClock,
     check_bus,
+    read_key,
+    vehicle_name,
 )
-from vcbf_drake.hil.controller_side import command_message, make_hardware_loop
+from vcbf_drake.hil.controller_side import (
+    CommandSender,
+    VehicleLink,
+    Watchdog,
+    command_message,
+    make_hardware_loop,
+)
 from vcbf_drake.hil.decoding import (
     CommandMode,
     MessageFormat,
@@ -35,14 +43,25 @@ from vcbf_drake.hil.event_log import (
 )
 from vcbf_drake.hil.log_replay import LoggedController, LogReplay, replay_log, start_log
 from vcbf_drake.hil.mailbox import Inbox, Outbox
-from vcbf_drake.hil.processes import ControllerProcess, InProcess, PlantProcess
+from vcbf_drake.hil.processes import (
+    EXIT_STATUSES,
+    ControllerProcess,
+    InProcess,
+    PlantProcess,
+    controller_of,
+    say_farewell,
+)
+from vcbf_drake.hil.state_receiver import ObstacleReceiver, StateReceiver
 from vcbf_drake.hil.vehicle_side import make_vehicle
+from vcbf_drake.hil.watchdogs import LiveAudit, StateWatchdog, Verdict
 
 __all__ = [
     "DEFAULT_URL",
+    "EXIT_STATUSES",
     "Bus",
     "BusError",
     "CommandMode",
+    "CommandSender",
     "ControllerProcess",
     "Event",
     "EventLog",
@@ -51,25 +70,36 @@ __all__ = [
     "InProcess",
     "Inbox",
     "LinkFaults",
+    "LiveAudit",
     "LogReplay",
     "LoggedController",
     "MessageFormat",
+    "ObstacleReceiver",
     "Outbox",
     "PlantProcess",
     "Reason",
     "Rejection",
     "SimulatedClock",
+    "StateReceiver",
+    "StateWatchdog",
+    "VehicleLink",
     "VehicleMode",
+    "Verdict",
     "WallClock",
+    "Watchdog",
     "check_bus",
     "command_format",
     "command_message",
+    "controller_of",
     "make_hardware_loop",
     "make_vehicle",
     "obstacles_format",
     "read_event_log",
+    "read_key",
     "replay_log",
+    "say_farewell",
     "start_log",
     "state_format",
     "status_format",
+    "vehicle_name",
 ]

@@ -343,9 +343,9 @@ def _check_server(url: str, host: str, port: int) -> None:
         socket.create_connection((host, port), timeout=_CHECK_PATIENCE).close()
     except OSError as error:
         raise BusError(
-            f"{url}: no LCM server answers at {host}:{port} ({error.strerror or error});"
-            " start one there, for example lcm-tcpq-server or"
-            " java -cp lcm.jar lcm.lcm.TCPService"
+            f"{url}: no LCM server answers at {host}:{port}"
+            f" ({error.strerror or error}); start one there, for example"
+            " lcm-tcpq-server or java -cp lcm.jar lcm.lcm.TCPService"
         ) from None
 
 

@@ -1,42 +1,40 @@
-"""The controller's side of the bus as Drake systems: states in, commands out."""
+"""The controller's side of the bus: what sends commands, and the filter's loop."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 import math
-from typing import Any, NamedTuple
+from typing import Protocol
 
 import numpy as np
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import (
-    BasicVector,
     Context,
     Diagram,
     DiagramBuilder,
     DiscreteValues,
-    EventStatus,
     LeafSystem,
-    State,
+    OutputPort,
 )
 
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceEstimate
 from vcbf_drake.hil.bus import Bus
-from vcbf_drake.hil.decoding import (
-    CommandMode,
-    VehicleMode,
-    command_format,
-    state_format,
-    status_format,
-)
-from vcbf_drake.hil.mailbox import Inbox, Outbox
+from vcbf_drake.hil.decoding import CommandMode, command_format, status_format
+from vcbf_drake.hil.mailbox import Outbox
 from vcbf_drake.hil.messages import vcbf_command, vcbf_state, vcbf_status
 from vcbf_drake.hil.prediction import StatePredictor
-from vcbf_drake.hil.timing import RoundTrip, check_timing
-from vcbf_drake.hil.watchdogs import ObstacleWatch, StateWatchdog, Verdict
+from vcbf_drake.hil.state_receiver import ObstacleReceiver, StateReceiver, StateStamp
+from vcbf_drake.hil.timing import check_timing
+from vcbf_drake.hil.watchdogs import (
+    FINDINGS,
+    LiveAudit,
+    ObstacleWatch,
+    StateWatchdog,
+    Verdict,
+)
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import (
+    METHODS,
     AddedSafetyFilter,
     FilterStatus,
     SafetyFilter,
@@ -44,177 +42,20 @@ from vcbf_drake.safety import (
 )
 from vcbf_drake.simulation.fault_systems import lose_answers
 from vcbf_drake.simulation.loop import add_controller_and_filter
-from vcbf_drake.simulation.parts import make_observer, make_plant, make_source
-from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.simulation.parts import (
+    make_observer,
+    make_plant,
+    make_source,
+    perceived_spheres,
+)
+from vcbf_drake.simulation.scenario import Hardware, Scenario
 
 
-class StateStamp(NamedTuple):
-    """Which state it is.
+class Watchdog(Protocol):
+    """What may ask for a vehicle's fallback."""
 
-    Attributes:
-        session: The sender's session [us].
-        sequence: Its number there.
-        utime: When it was sent [us].
-        time: When it was measured, since the motion began [s].
-    """
-
-    session: float
-    sequence: float
-    utime: float
-    time: float
-
-
-@dataclass(frozen=True)
-class _Measured:
-    """The last state that was taken over, and what goes with it.
-
-    Attributes:
-        message: The state's message.
-        applied_input: The mean input that was applied before it.
-        delays: Its delay, and that of the last command that the vehicle tells of [s].
-    """
-
-    message: Any
-    applied_input: Array
-    delays: Array
-
-
-class StateReceiver(LeafSystem):
-    """Takes the place of a plant: its outputs are what the vehicle said last.
-
-    .. pydrake_system::
-
-        name: StateReceiver
-        output_ports:
-        - state
-        - applied_input
-        - stamp
-        - delays
-
-    | port | size | |
-    | --- | --- | --- |
-    | ``state`` | n | the newest measured state; zeros before the first |
-    | ``applied_input`` | m | the mean of what was applied since the state before |
-    | ``stamp`` | 4 | what that state's message says, a `StateStamp`; nan before |
-    | ``delays`` | 2 | the state's, and the last command's that it tells of [s] |
-
-    Messages are taken over at the beginning of a simulator's step, or at a forced
-    event; between events the outputs are constant.
-
-    Args:
-        bus: Where states come from.
-        num_states: n.
-        num_inputs: m.
-        max_age: How old a state may be when it arrives [s].
-
-    Attributes:
-        inbox: What arrived.
-        round_trip: From sending a command to learning that it came.
-    """
-
-    def __init__(
-        self, bus: Bus, num_states: int, num_inputs: int, max_age: float
-    ) -> None:
-        super().__init__()
-        self.round_trip = RoundTrip()
-        self._bus = bus
-        self._sizes = num_states, num_inputs
-        self._last_command = -1
-        self.inbox = Inbox(
-            bus, state_format(num_states, num_inputs), max_age, self._take_times
-        )
-        # A tuple of the message or of none: newer pydrake's values are never None.
-        index = self.DeclareAbstractState(AbstractValue.Make(()))
-        self._measured_index = index
-        self.DeclarePerStepUnrestrictedUpdateEvent(self._take_over)
-        self.DeclareForcedUnrestrictedUpdateEvent(self._take_over)
-        needs = {self.abstract_state_ticket(index)}
-        self.DeclareVectorOutputPort("state", num_states, self._calc_state, needs)
-        self.DeclareVectorOutputPort("delays", 2, self._calc_delays, needs)
-        self.DeclareVectorOutputPort(
-            "applied_input", num_inputs, self._calc_applied_input, needs
-        )
-        size = len(StateStamp._fields)
-        self.DeclareVectorOutputPort("stamp", size, self._calc_stamp, needs)
-
-    def message(self, context: Context) -> Any:
-        """Returns the message that the outputs show, None before the first."""
-        measured = self._measured(context)
-        return None if measured is None else measured.message
-
-    def has_news(self, context: Context) -> bool:
-        """Returns whether a newer message has come than the outputs show."""
-        shown, newest = self.message(context), self.inbox.newest
-        # A context holds copies: they are told apart by their numbers.
-        return newest is not None and (
-            shown is None
-            or (newest.session, newest.sequence) != (shown.session, shown.sequence)
-        )
-
-    def time(self, context: Context) -> float:
-        """Returns the vehicle's time of the state, 0 before the first [s]."""
-        measured = self._measured(context)
-        return 0.0 if measured is None else float(measured.message.time)
-
-    def _measured(self, context: Context) -> _Measured | None:
-        held: tuple[_Measured, ...] = context.get_abstract_state(
-            self._measured_index
-        ).get_value()
-        return held[0] if held else None
-
-    def _take_over(self, context: Context, state: State) -> EventStatus:
-        self._bus.poll()
-        if not self.has_news(context):
-            return EventStatus.DidNothing()
-        last, newest = self._measured(context), self.inbox.newest
-        applied = np.zeros(self._sizes[1])
-        if last is not None and newest.time > last.message.time:
-            change = np.subtract(newest.input_integral, last.message.input_integral)
-            applied = change / (newest.time - last.message.time)
-        state.get_mutable_abstract_state(self._measured_index).set_value(
-            (_Measured(newest, applied, self._measured_delays()),)
-        )
-        return EventStatus.Succeeded()
-
-    def _calc_state(self, context: Context, output: BasicVector) -> None:
-        measured = self._measured(context)
-        zeros = np.zeros(self._sizes[0])
-        output.SetFromVector(zeros if measured is None else measured.message.state)
-
-    def _calc_applied_input(self, context: Context, output: BasicVector) -> None:
-        measured = self._measured(context)
-        zeros = np.zeros(self._sizes[1])
-        output.SetFromVector(zeros if measured is None else measured.applied_input)
-
-    def _calc_stamp(self, context: Context, output: BasicVector) -> None:
-        message = self.message(context)
-        output.SetFromVector(
-            [
-                math.nan if message is None else getattr(message, name)
-                for name in StateStamp._fields
-            ]
-        )
-
-    def _calc_delays(self, context: Context, output: BasicVector) -> None:
-        measured = self._measured(context)
-        output.SetFromVector(np.zeros(2) if measured is None else measured.delays)
-
-    def _measured_delays(self) -> Array:
-        """The delays [s]; zeros while the vehicle does not follow our commands."""
-        state = self.inbox.newest
-        is_ours = state.command_utime >= self._bus.session
-        if state.mode != VehicleMode.FOLLOWING or not is_ours:
-            return np.zeros(2)
-        state_delay = self.inbox.received_at - state.utime_measured
-        command_delay = state.utime - state.command_age - state.command_utime
-        return 1e-6 * np.array([state_delay, command_delay])
-
-    def _take_times(self, message: Any, now: int) -> None:
-        """Notes the round trip of a command that the vehicle mentions first now."""
-        is_ours = message.command_utime >= self._bus.session
-        if is_ours and message.command_sequence > self._last_command:
-            self._last_command = message.command_sequence
-            self.round_trip.add(now - message.command_utime - message.command_age)
+    def verdict(self) -> Verdict:
+        """Returns what to ask of the vehicle now, and why."""
 
 
 class CommandSender(LeafSystem):
@@ -233,48 +74,58 @@ class CommandSender(LeafSystem):
         - feasible_set
         - estimate
         - stamp
+        - finding
 
     `input` is the held input; everything else is sampled at the ticks. It sends
-    periodically and at forced events, from the first tick on. A `StateWatchdog` says
-    whether the input may be applied. An infeasible tick whose policy is ``stop`` asks
-    for the vehicle's fallback, too, and so do obstacles that the filter does not know.
+    periodically and at forced events: a status from the start on, commands from the
+    first tick on. Watchdogs say whether the input may be applied. An infeasible tick
+    whose policy is ``stop`` asks for the vehicle's fallback, too, and so does, with the
+    setting `Hardware.audit` ``fallback``, what the measurements refute.
 
     Args:
         bus: Where to.
         safety_filter: The filter whose ports are connected.
-        num_disturbances: q of the observer.
+        delta1: What is declared of the disturbance (E8).
         period: The control period [s].
-        states: The states that arrived, for the status.
-        watchdog: Looks at their age.
-        obstacles: Compares the vehicle's with those of the filter.
-        method: The filter's name.
+        receiver: Where states arrive, for the status.
+        settings: How old a state may be, and what a finding of the audit leads to.
+        watchdogs: Asked before the one of the state's age.
 
     Attributes:
         ending: Whether the controller is about to end.
+        takes_over: Whether its vehicle is asked to leave another controller.
+        period: The control period [s].
         last_status: The status that was sent last, None before the first.
+        deadlines_missed: Control periods that had no tick of their own, for the status;
+            whoever drives the diagram counts them.
     """
 
     def __init__(
         self,
         bus: Bus,
         safety_filter: SafetyFilter,
-        num_disturbances: int,
+        delta1: float,
         period: float,
-        states: Inbox,
-        watchdog: StateWatchdog,
-        obstacles: ObstacleWatch,
-        method: str,
+        receiver: StateReceiver,
+        settings: Hardware,
+        watchdogs: Sequence[Watchdog] = (),
     ) -> None:
         super().__init__()
-        self.ending = False
+        self.ending = self.takes_over = False
+        self.period = period
         self.last_status: vcbf_status | None = None
-        self._filter, self._states, self._watchdog = safety_filter, states, watchdog
-        self._obstacles, self._method = obstacles, method
-        m, n_barriers = safety_filter.model.num_inputs, safety_filter.barrier_set.size
-        self._commands = Outbox(bus, command_format(m).channel)
-        self._statuses = Outbox(
-            bus, status_format(m, n_barriers, num_disturbances).channel
+        self.deadlines_missed = 0
+        self._bus, self._filter, self._receiver = bus, safety_filter, receiver
+        self._delta1, self._settings = delta1, settings
+        self._watchdogs = tuple(watchdogs)
+        self._method = next(
+            name for name, each in METHODS.items() if each is safety_filter.method
         )
+        self._state_watchdog = StateWatchdog(receiver.inbox, bus.clock, settings)
+        m, n_barriers = safety_filter.model.num_inputs, safety_filter.barrier_set.size
+        q = safety_filter.model.num_disturbances
+        self._commands = Outbox(bus, command_format(m).channel)
+        self._statuses = Outbox(bus, status_format(m, n_barriers, q).channel)
         self._input = self.DeclareVectorInputPort("input", m)
         sizes = {
             "reference": m,
@@ -283,8 +134,9 @@ class CommandSender(LeafSystem):
             "barriers": n_barriers,
             "status": 1,
             "feasible_set": safety_filter.GetOutputPort("feasible_set").size(),
-            "estimate": DisturbanceEstimate.packed_size(num_disturbances),
+            "estimate": DisturbanceEstimate.packed_size(q),
             "stamp": len(StateStamp._fields),
+            "finding": 1,
         }
         self._sampled = [
             self.DeclareVectorInputPort(name, size) for name, size in sizes.items()
@@ -298,15 +150,22 @@ class CommandSender(LeafSystem):
 
     def states_are_old(self) -> bool:
         """Returns whether the newest state is too old to act on."""
-        return self._watchdog.verdict().mode is not CommandMode.APPLY
+        return self._state_watchdog.verdict().mode is not CommandMode.APPLY
 
     def verdict(self, context: Context) -> Verdict:
         """Returns what is asked of the vehicle now, and why."""
         if self.ending:
             return Verdict(CommandMode.END, "the controller ends")
-        if self._obstacles.difference:
-            return Verdict(CommandMode.FALLBACK, self._obstacles.difference)
-        verdict = self._watchdog.verdict()
+        verdict = self._state_watchdog.verdict()
+        if verdict.mode is CommandMode.FALLBACK:
+            return verdict
+        for watchdog in self._watchdogs:
+            theirs = watchdog.verdict()
+            if theirs.mode is not CommandMode.APPLY:
+                return theirs
+        findings = self.findings(context)
+        if findings and self._settings.audit == "fallback":
+            return Verdict(CommandMode.FALLBACK, f"refuted: {findings[0]}")
         stops = self._filter.settings.infeasible == "stop"
         if verdict.mode is CommandMode.APPLY and stops:
             conflicts = self.conflicts(context)
@@ -314,6 +173,11 @@ class CommandSender(LeafSystem):
                 reason = f"no input satisfies {', '.join(conflicts)}"
                 return Verdict(CommandMode.FALLBACK, reason)
         return verdict
+
+    def findings(self, context: Context) -> tuple[str, ...]:
+        """Returns what the measurements refuted at the last tick, in words."""
+        finding = self._sample_of(context)["finding"][0]
+        return (FINDINGS[int(finding)],) if finding >= 0.0 else ()
 
     def conflicts(self, context: Context) -> tuple[str, ...]:
         """Returns the rows that excluded each other at the last tick, by name."""
@@ -337,26 +201,52 @@ class CommandSender(LeafSystem):
 
     def _send(self, context: Context) -> None:
         sample = self._sample_of(context)
-        state = StateStamp(*sample["stamp"].tolist())
-        if math.isnan(state.sequence):  # There was no tick yet.
-            return
+        stamp = StateStamp(*sample["stamp"].tolist())
         verdict, u = self.verdict(context), self._input.Eval(context)
-        self._commands.send(command_message(u, verdict.mode, state))
-        status = self._status(sample, u, state)
-        status.mode, status.reason = int(verdict.mode), verdict.reason
+        is_ticking = not math.isnan(stamp.sequence)
+        if is_ticking:
+            command = command_message(u, verdict.mode, stamp)
+            command.state_age = self._held_for(stamp)
+            command.takes_over = self.takes_over
+            self._commands.send(command)
+        status = self._status(sample, u if is_ticking else np.zeros_like(u), stamp)
+        status.mode = int(verdict.mode)
+        status.reason = self._reason(verdict, is_ticking)
         status.conflicts = list(self.conflicts(context))
         status.num_conflicts = len(status.conflicts)
+        status.findings = list(self.findings(context))
+        status.num_findings = len(status.findings)
         self._statuses.send(status)
         self.last_status = status
 
+    def _held_for(self, stamp: StateStamp) -> int:
+        """How long ago the state that is answered came [us]."""
+        newest, inbox = self._receiver.inbox.newest, self._receiver.inbox
+        came = inbox.utime(int(stamp.utime))
+        if newest is not None and newest.sequence == stamp.sequence:
+            came = inbox.received_at
+        return max(0, self._bus.clock.utime() - came)
+
+    def _reason(self, verdict: Verdict, is_ticking: bool) -> str:
+        """Why, who else speaks, and what was wrong with states that came."""
+        notices = [verdict.reason, self._receiver.notice() if is_ticking else ""]
+        if verdict.mode is CommandMode.FALLBACK:
+            now = self._bus.clock.utime()
+            notices.append(self._receiver.inbox.complaint(now))
+        return "; ".join(each for each in notices if each)
+
     def _status(
-        self, sample: dict[str, Array], u: Array, state: StateStamp
+        self, sample: dict[str, Array], u: Array, stamp: StateStamp
     ) -> vcbf_status:
-        message = vcbf_status()
+        message, inbox = vcbf_status(), self._receiver.inbox
         message.method = self._method
-        message.state_sequence, message.time = int(state.sequence), state.time
-        message.state_age = self._watchdog.state_age()
-        message.filter_status = int(sample["status"][0])
+        is_ticking = not math.isnan(stamp.sequence)
+        message.state_sequence = int(stamp.sequence) if is_ticking else -1
+        message.time = stamp.time if is_ticking else 0.0
+        age = self._state_watchdog.state_age()
+        message.state_age = age if math.isfinite(age) else math.nan
+        message.followed = self._receiver.is_followed
+        message.filter_status = int(np.nan_to_num(sample["status"][0]))
         message.num_inputs, message.input = len(u), u.tolist()
         message.reference = sample["reference"].tolist()
         message.slack = float(sample["slack"][0])
@@ -367,10 +257,17 @@ class CommandSender(LeafSystem):
         message.disturbance_estimate = estimate.disturbance.tolist()
         message.num_disturbances = len(message.disturbance_estimate)
         message.error_bound = float(estimate.error_bound)
-        message.states_accepted = self._states.accepted
-        message.states_lost = self._states.lost
-        message.states_late = self._states.late
-        message.states_rejected = self._states.rejected
+        message.disturbance_bound = self._delta1
+        message.states_accepted = inbox.accepted
+        message.states_lost = inbox.lost
+        message.states_late = inbox.late
+        message.states_rejected = inbox.rejected
+        message.deadlines_missed = self.deadlines_missed
+        message.clock_offset = message.clock_uncertainty = math.nan
+        if inbox.peer_clock is not None:
+            message.clock_offset = 1e-6 * inbox.peer_clock.offset
+            if math.isfinite(inbox.peer_clock.uncertainty):
+                message.clock_uncertainty = 1e-6 * inbox.peer_clock.uncertainty
         return message
 
 
@@ -395,12 +292,107 @@ def command_message(
     return message
 
 
+class VehicleLink:
+    """A vehicle on a bus in the place of a plant: its state here, its commands there.
+
+    Adds a `StateReceiver` to a diagram, whose ports a controller and a safety filter
+    are connected to, and, when these are there, what answers the vehicle: a `LiveAudit`
+    and a `CommandSender` with its watchdogs.
+
+    Args:
+        builder: The diagram's.
+        bus: Carries states in and commands out.
+        model: The vehicle's f, g, E.
+        period: The control period [s].
+        settings: What to do when messages fail to come.
+
+    Attributes:
+        state: The measured state's port, (n,).
+        applied_input: The port of the mean input that was applied before it, (m,).
+        receiver: What takes the states.
+    """
+
+    def __init__(
+        self,
+        builder: DiagramBuilder,
+        bus: Bus,
+        model: ControlAffineModel,
+        period: float,
+        settings: Hardware | None = None,
+    ) -> None:
+        self._builder, self._bus, self._model = builder, bus, model
+        self._period, self._settings = period, settings or Hardware()
+        self.receiver: StateReceiver = builder.AddNamedSystem(
+            "state_receiver",
+            StateReceiver(bus, model.num_states, model.num_inputs, self._settings),
+        )
+        self.state = self.receiver.GetOutputPort("state")
+        self.applied_input = self.receiver.GetOutputPort("applied_input")
+
+    def answer(
+        self,
+        safety: AddedSafetyFilter,
+        reference: OutputPort,
+        *,
+        watchdogs: Sequence[Watchdog] = (),
+        noise: Array | None = None,
+    ) -> CommandSender:
+        """Adds what sends the filter's input, and what watches.
+
+        Args:
+            safety: What `AddSafetyFilter` returned, with ``plant=None``.
+            reference: The controller's port.
+            watchdogs: Further ones, as for the obstacles.
+            noise: The standard deviations of the measured state, (n,).
+        """
+        builder, settings = self._builder, self._settings
+        audit = builder.AddNamedSystem(
+            "live_audit",
+            LiveAudit(
+                self._model,
+                safety.filter.input_set,
+                safety.observer.bounds,
+                self._period,
+                settings.longest_interval,
+                noise,
+            ),
+        )
+        sender: CommandSender = builder.AddNamedSystem(
+            "command_sender",
+            CommandSender(
+                self._bus,
+                safety.filter,
+                safety.observer.bounds.delta1,
+                self._period,
+                self.receiver,
+                settings,
+                watchdogs,
+            ),
+        )
+        ports = {
+            "input": safety.hold.get_output_port(),
+            "reference": reference,
+            "finding": audit.get_output_port(),
+            "state": self.state,
+            "applied_input": self.applied_input,
+            "stamp": self.receiver.GetOutputPort("stamp"),
+        }
+        for name in ("slack", "volume", "barriers", "status", "feasible_set"):
+            ports[name] = safety.filter.GetOutputPort(name)
+        ports["estimate"] = safety.observer.GetOutputPort("estimate")
+        for system in (audit, sender):
+            for name, port in ports.items():
+                if system.HasInputPort(name):
+                    builder.Connect(port, system.GetInputPort(name))
+        return sender
+
+
 def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
     """Returns controller, filter, hold and observer between two ends of an LCM bus.
 
-    The systems are those of `make_loop`, with state_receiver and command_sender where
-    plant and disturbance were. The observer has the control period, for states come no
-    faster, and is told what the vehicle really applied.
+    The systems are those of `make_loop`, with state_receiver, live_audit and
+    command_sender where plant and disturbance were. The observer has the control
+    period, for states come no faster, and is told what the vehicle really applied.
     It bridges lost states up to `Hardware.longest_interval` and begins anew after
     longer gaps; the filter's margin for the hold covers that interval, too.
 
@@ -419,12 +411,24 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
     builder = DiagramBuilder()
     model = ControlAffineModel.from_system(make_plant(scenario))
     bounds, settings = make_source(scenario).bounds, scenario.hardware
-    receiver = builder.AddNamedSystem(
-        "state_receiver",
-        StateReceiver(bus, model.num_states, model.num_inputs, settings.max_state_age),
-    )
-    measured = receiver.GetOutputPort("state")
-    predictor = _add_predictor(builder, scenario, model) if settings.predict else None
+    link = VehicleLink(builder, bus, model, scenario.period, settings)
+    predictor = None
+    if settings.predict:
+        predictor = builder.AddNamedSystem(
+            "state_predictor",
+            StatePredictor(model, scenario.period, settings.max_state_age),
+        )
+    watchdogs: list[Watchdog] = []
+    obstacles = None
+    if settings.obstacles == "perceived":
+        seeing = builder.AddNamedSystem(
+            "obstacle_receiver",
+            ObstacleReceiver(bus, perceived_spheres(scenario), settings),
+        )
+        obstacles = seeing.get_output_port()
+        watchdogs.append(seeing)
+    else:
+        watchdogs.append(ObstacleWatch(bus, scenario))
     observer = builder.AddNamedSystem(
         "filter_observer",
         make_observer(
@@ -436,56 +440,29 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
         ),
     )
     # What was measured, where the filter acts on a prediction of it.
-    builder.Connect(measured, observer.GetInputPort("state"))
+    builder.Connect(link.state, observer.GetInputPort("state"))
     controller, loop = add_controller_and_filter(
         builder,
         scenario,
         model,
         bounds,
-        state=predictor.get_output_port() if predictor else measured,
+        state=predictor.get_output_port() if predictor else link.state,
         observer=observer,
-        applied_input=receiver.GetOutputPort("applied_input"),
+        applied_input=link.applied_input,
+        obstacles=obstacles,
     )
     if predictor is not None:
-        _connect_predictor(builder, predictor, receiver, loop)
-    watchdog = StateWatchdog(receiver.inbox, bus.clock, settings)
-    sender = builder.AddNamedSystem(
-        "command_sender",
-        CommandSender(
-            bus,
-            loop.filter,
-            model.num_disturbances,
-            scenario.period,
-            receiver.inbox,
-            watchdog,
-            ObstacleWatch(bus, scenario),
-            scenario.method,
-        ),
+        _connect_predictor(builder, predictor, link.receiver, loop)
+    link.answer(
+        loop,
+        controller.GetOutputPort("reference"),
+        watchdogs=watchdogs,
+        noise=np.array(scenario.noise.std),
     )
-    builder.Connect(loop.hold.get_output_port(), sender.GetInputPort("input"))
-    builder.Connect(
-        controller.GetOutputPort("reference"), sender.GetInputPort("reference")
-    )
-    for name in ("slack", "volume", "barriers", "status", "feasible_set"):
-        builder.Connect(loop.filter.GetOutputPort(name), sender.GetInputPort(name))
-    builder.Connect(
-        loop.observer.GetOutputPort("estimate"), sender.GetInputPort("estimate")
-    )
-    builder.Connect(receiver.GetOutputPort("stamp"), sender.GetInputPort("stamp"))
     lose_answers(builder, scenario, loop)
     diagram = builder.Build()
     diagram.set_name(f"{scenario.name}_controller")
     return diagram
-
-
-def _add_predictor(
-    builder: DiagramBuilder, scenario: Scenario, model: ControlAffineModel
-) -> StatePredictor:
-    longest = scenario.hardware.max_state_age
-    predictor: StatePredictor = builder.AddNamedSystem(
-        "state_predictor", StatePredictor(model, scenario.period, longest)
-    )
-    return predictor
 
 
 def _connect_predictor(

@@ -14,10 +14,15 @@ The format is that of ``lcm-logger``; every number in it is big-endian:
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
+from io import FileIO
+import itertools
 import mmap
 import os
 from pathlib import Path
+import queue
 import struct
+import threading
 from types import TracebackType
 from typing import NamedTuple
 
@@ -25,6 +30,9 @@ from vcbf_drake.errors import VcbfError
 
 _SYNC = bytes.fromhex("eda1da01")
 _HEADER = struct.Struct(">4sqqii")
+# Events that may wait for the disk; half a minute of a loop at 200 Hz.
+_CAPACITY = 20_000
+_PATIENCE = 2.0  # [s]
 _LONGEST_CHANNEL = 63  # LCM's own limit.
 
 
@@ -49,45 +57,86 @@ class Event(NamedTuple):
 class EventLogWriter:
     """Writes an event log; called with an event's parts, as a `Bus` calls its taps.
 
-    Every event is handed to the system at once: a process that is killed loses none.
-    A disk that fails ends the log, not the flight.
+    A thread of its own writes, from a queue that holds `capacity` events, and hands
+    each to the system at once: a process that is killed loses no more than the queue. A
+    disk that stalls costs events of the log, which are counted; one that fails ends the
+    log. Neither stops the flight.
 
     Args:
-        path: The file, which is replaced.
+        path: The file. One that is there is never replaced: then the log is FILE.01,
+            FILE.02, ..., much as with ``lcm-logger --increment``.
+        force: Whether to replace it all the same.
+        capacity: How many events may wait for the disk.
 
     Attributes:
-        failure: Why the log ended early, in one line; empty when it did not.
+        path: The file that is written.
+        lost: How many events found the queue full.
 
     Raises:
         EventLogError: The file cannot be written.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        self.failure = ""
-        self._path, self._count = path, 0
-        try:
-            self._file = open(path, "wb", buffering=0)
-        except OSError as error:
-            raise EventLogError(f"{path}: {error.strerror}") from None
+    def __init__(
+        self, path: str | Path, *, force: bool = False, capacity: int = _CAPACITY
+    ) -> None:
+        self.lost = 0
+        self._error, self._count = "", 0
+        self.path, self._file = _opened(Path(path), force)
+        self._queue: queue.Queue[Event | None] = queue.Queue(capacity)
+        self._closing = False
+        self._thread = threading.Thread(target=self._write, daemon=True)
+        self._thread.start()
+
+    @property
+    def failure(self) -> str:
+        """What is missing and why, in one line; empty for nothing."""
+        if self._error:
+            after = f"the log ends after {self._count} events"
+            return f"{self.path}: {self._error}; {after}"
+        if self.lost:
+            return f"{self.path}: the disk was too slow, {self.lost} events are missing"
+        return ""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether something still waits to be written, or the log is not closed."""
+        return self._thread.is_alive()
 
     def __call__(self, utime: int, channel: str, data: bytes) -> None:
-        """Appends an event, unless the log has failed."""
-        if self.failure:
+        """Appends an event, unless the log has failed or its queue is full."""
+        if self._error:
             return
-        name = channel.encode()
-        header = _HEADER.pack(_SYNC, self._count, utime, len(name), len(data))
         try:
-            self._file.write(header + name + data)
-        except OSError as error:
-            self.failure = (
-                f"{self._path}: {error.strerror}; the log ends after"
-                f" {self._count} events"
-            )
-        self._count += 1
+            self._queue.put_nowait(Event(utime, channel, data))
+        except queue.Full:
+            self.lost += 1
 
-    def close(self) -> None:
-        """Closes the file."""
-        self._file.close()
+    def _write(self) -> None:
+        """Writes what is in the queue, until the log is closed and the queue empty."""
+        with self._file:
+            while not (self._closing and self._queue.empty()):
+                event = self._queue.get()
+                if event is not None and not self._error:
+                    self._write_event(event)
+
+    def _write_event(self, event: Event) -> None:
+        name = event.channel.encode()
+        sizes = len(name), len(event.data)
+        header = _HEADER.pack(_SYNC, self._count, event.utime, *sizes)
+        try:
+            self._file.write(header + name + event.data)
+            self._count += 1
+        except OSError as error:
+            self._error = str(error.strerror)
+
+    def close(self, patience: float = _PATIENCE) -> None:
+        """Writes what waits, at the longest for `patience` [s], and closes the file."""
+        self._closing = True
+        with suppress(queue.Full):
+            self._queue.put_nowait(None)  # Wakes the thread.
+        self._thread.join(patience)
+        if self._thread.is_alive():
+            self.lost += self._queue.qsize()
 
     def __enter__(self) -> EventLogWriter:
         return self
@@ -99,6 +148,21 @@ class EventLogWriter:
         traceback: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def _opened(path: Path, force: bool) -> tuple[Path, FileIO]:
+    """Opens a file that is not there yet: this one, or the next number."""
+    for number in itertools.count():
+        numbered = path.with_name(f"{path.name}.{number:02}") if number else path
+        is_device = numbered.exists() and not numbered.is_file()
+        try:
+            # Nothing is lost of a pipe or a device.
+            return numbered, FileIO(numbered, "w" if force or is_device else "x")
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise EventLogError(f"{numbered}: {error.strerror}") from None
+    raise AssertionError  # The numbers do not end.
 
 
 class EventLog(NamedTuple):

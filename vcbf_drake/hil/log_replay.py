@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+import struct
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,6 @@ from vcbf_drake.hil.decoding import (
     Rejection,
     VehicleMode,
     command_format,
-    obstacles_format,
     state_format,
 )
 from vcbf_drake.hil.event_log import (
@@ -30,8 +30,8 @@ from vcbf_drake.hil.event_log import (
     read_event_log,
 )
 from vcbf_drake.hil.mailbox import Inbox
-from vcbf_drake.hil.messages import vcbf_command
-from vcbf_drake.hil.processes import ControllerProcess
+from vcbf_drake.hil.messages import vcbf_command, vcbf_state, vcbf_status
+from vcbf_drake.hil.processes import ControllerProcess, controller_of
 from vcbf_drake.safety import Assumption, SafetyFilter
 from vcbf_drake.simulation.loading import dump_scenario, parse_scenario
 from vcbf_drake.simulation.loop import COLLISION_MONITOR, logged_ports
@@ -44,6 +44,7 @@ from vcbf_drake.simulation.summary import Ending, summarise
 
 # Session and sequence of a message.
 _Key = tuple[int, int]
+_OBSTACLES = "VCBF_OBSTACLES"
 
 
 class LoggedController:
@@ -57,7 +58,7 @@ class LoggedController:
 
     Args:
         scenario: A validated scenario.
-        events: The log's events.
+        events: The log's events, of one vehicle.
 
     Attributes:
         controllers: The controllers, one after the other.
@@ -73,11 +74,9 @@ class LoggedController:
         self.controllers: list[ControllerProcess] = []
         self.sent: dict[_Key, vcbf_command] = {}
         self._scenario, self._events = scenario, list(events)
-        m = len(scenario.input_set.lower)
-        self._states = state_format(len(scenario.initial_state), m).channel
-        sizes = len(scenario.obstacles), len(scenario.target)
-        self._obstacles = obstacles_format(*sizes).channel
-        self._commands = command_format(m)
+        n, m = len(scenario.initial_state), len(scenario.input_set.lower)
+        self._states = state_format(n, m).channel
+        self._commands, self._statuses = command_format(m), "VCBF_STATUS"
         self.logged: dict[_Key, vcbf_command] = {}
         self._repeated: dict[_Key, vcbf_command] = {}
         for command in self._logged_commands():
@@ -89,15 +88,19 @@ class LoggedController:
 
     def run(self) -> None:
         """Drives the controller through the whole log."""
-        first = min(self.logged.values(), key=lambda c: c.session, default=None)
-        self._start(first.session if first else self._events[0].utime)
+        first = min((c.session for c in self.logged.values()), default=None)
+        self._start(self._events[0].utime if first is None else first)
         for event in self._events:
+            if first is not None and event.utime < first:
+                continue  # Nobody listened yet.
             if event.channel == self._states:
                 self._take_state(event)
-            elif event.channel == self._obstacles:
+            elif event.channel == _OBSTACLES:
                 self._hear(event)
             elif event.channel == self._commands.channel:
                 self._repeat(event)
+            elif event.channel == self._statuses:
+                self._wait(event)
 
     def differences(self) -> list[float]:
         """Returns how far the commands made are from those logged, state by state.
@@ -110,10 +113,26 @@ class LoggedController:
             if state in self.sent
         ]
 
+    def period(self) -> float | None:
+        """Returns the median time between the commands, by the vehicle's time [s]."""
+        answered = set(self.logged)
+        times = []
+        for event in self._events:
+            if event.channel == self._states:
+                try:
+                    state = vcbf_state.decode(event.data)
+                except (ValueError, struct.error):
+                    continue
+                if not answered or _key(state) in answered:
+                    times.append(state.time)
+        gaps = np.diff(times)
+        gaps = gaps[gaps > 0.0]
+        return float(np.median(gaps)) if len(gaps) else None
+
     def _logged_commands(self) -> Iterator[vcbf_command]:
         for event in self._events:
             if event.channel == self._commands.channel:
-                message = self._commands.decode(event.data, event.utime)
+                message = self._commands.decode(event.data)
                 if not isinstance(message, Rejection):
                     yield message
 
@@ -121,7 +140,7 @@ class LoggedController:
         self._clock = SimulatedClock(session)
         self._bus = Bus(DrakeLcm("memq://"), self._clock)
         self._bus.taps.append(self._take_command)
-        controller = ControllerProcess(self._scenario, self._bus)
+        controller = controller_of(self._scenario, self._bus)
         receiver = controller.diagram.GetSubsystemByName("state_receiver")
         self._inbox: Inbox = receiver.inbox
         self.controllers.append(controller)
@@ -150,9 +169,19 @@ class LoggedController:
 
     def _repeat(self, event: Event) -> None:
         """Has a command sent again that was sent without a new state."""
-        message = self._commands.decode(event.data, event.utime)
+        message = self._commands.decode(event.data)
         if not isinstance(message, Rejection) and _key(message) in self._repeated:
             self._clock.now = message.utime
+            self.controllers[-1].step()
+
+    def _wait(self, event: Event) -> None:
+        """Has a status sent again that was sent before the first state."""
+        try:
+            status = vcbf_status.decode(event.data)
+        except (ValueError, struct.error):
+            return
+        if status.state_sequence < 0 and status.session == self._bus.session:
+            self._clock.now = status.utime
             self.controllers[-1].step()
 
     def _take_command(self, utime: int, channel: str, data: bytes) -> None:
@@ -246,19 +275,23 @@ class TickRecorder:
 SCENARIO_CHANNEL = "VCBF_SCENARIO"
 
 
-def start_log(bus: Bus, scenario: Scenario, path: str | Path) -> EventLogWriter:
+def start_log(
+    bus: Bus, scenario: Scenario, path: str | Path, *, force: bool = False
+) -> EventLogWriter:
     """Logs a scenario, and from now on whatever a bus sends and receives.
 
     Args:
         bus: The bus of a vehicle's or a controller's process, before that is made.
         scenario: What is run.
-        path: The file, which is replaced.
+        path: The file; see `EventLogWriter`.
+        force: Whether to replace one that is there.
 
     Raises:
         EventLogError: The file cannot be written.
     """
-    log = EventLogWriter(path)
-    log(bus.clock.utime(), SCENARIO_CHANNEL, dump_scenario(scenario).encode())
+    log = EventLogWriter(path, force=force)
+    channel, text = bus.channel(SCENARIO_CHANNEL), dump_scenario(scenario)
+    log(bus.clock.utime(), channel, text.encode())
     bus.taps.append(log)
     return log
 
@@ -272,7 +305,8 @@ class LogReplay:
             again from the logged states. `disturbance` is what the states tell with
             hindsight, `input` what left the filter, and the path the measured states.
         damage: What in the file was no events, in one line; empty for nothing.
-        report: The scenario; how the states arrived (`arrived`); what was asked of the
+        report: The scenario; the log's `period`, the median time between its commands
+            [s]; how the states arrived (`arrived`); what was asked of the
             vehicle, when and why (`changes`); and `commands`: to how many states the
             log has one, how many of these came out again bit for bit, and the largest
             difference [input units], infinite for another mode.
@@ -283,18 +317,23 @@ class LogReplay:
     report: dict[str, Any]
 
 
-def replay_log(path: str | Path, scenario: Scenario | None = None) -> LogReplay:
+def replay_log(
+    path: str | Path, scenario: Scenario | None = None, name: str | None = None
+) -> LogReplay:
     """Returns the run that a log tells of; of several motions, the last.
 
     Args:
         path: A file of `start_log`, or any LCM log with the messages of this package.
         scenario: What was run; by default what the log says.
+        name: The vehicle's, where the log is of several.
 
     Raises:
-        EventLogError: There is no such file, no scenario or no state in it.
+        EventLogError: There is no such file, no scenario or no state in it, or it is of
+            several vehicles.
         ScenarioError: The scenario in it does not load.
     """
     events, damage = read_event_log(path)
+    events = _of_one_vehicle(path, events, name)
     scenario = scenario or logged_scenario(path, events)
     logged = LoggedController(scenario, events)
     account = _Account(scenario)
@@ -307,6 +346,7 @@ def replay_log(path: str | Path, scenario: Scenario | None = None) -> LogReplay:
     differences = logged.differences()
     about = {
         "scenario": scenario.name,
+        "period": logged.period(),
         "arrived": arrived,
         "changes": [change for report in reports for change in report["changes"]],
         "commands": {
@@ -316,6 +356,28 @@ def replay_log(path: str | Path, scenario: Scenario | None = None) -> LogReplay:
         },
     }
     return LogReplay(account.result(), damage, about)
+
+
+def _of_one_vehicle(
+    path: str | Path, events: Sequence[Event], name: str | None
+) -> list[Event]:
+    """The events of one vehicle, on channels without its name."""
+    parts = [event.channel.partition("/") for event in events]
+    names = sorted({end for base, _, end in parts if base == "VCBF_STATE"})
+    if name is None and len(names) > 1:
+        found = ", ".join(each or "one without a name" for each in names)
+        raise EventLogError(
+            f"{path}: is of several vehicles: {found}; --name says which"
+        )
+    wanted = name if name is not None else (names or [""])[0]
+    if name is not None and name not in names:
+        found = ", ".join(each or "one without a name" for each in names) or "none"
+        raise EventLogError(f"{path}: has no vehicle {name}; it has {found}")
+    return [
+        event._replace(channel=base)
+        for event, (base, _, end) in zip(events, parts, strict=True)
+        if end == wanted or base == SCENARIO_CHANNEL
+    ]
 
 
 def logged_scenario(path: str | Path, events: Sequence[Event]) -> Scenario:

@@ -141,9 +141,18 @@ class Inbox:
         clock = self.peer_clock
         return peer_utime if clock is None else peer_utime - clock.offset
 
-    def forget_the_start(self) -> None:
-        """Counts anew: what came before anybody listened is no loss."""
+    def begin_anew(self) -> None:
+        """Forgets all that came."""
+        self.newest, self.received_at = None, 0
+        self._senders.clear()
+        self._followed = None
         self._start_counting()
+
+    def forget_the_start(self) -> None:
+        """Forgets what was lost or late so far: nobody acted on it yet."""
+        self.lost = 0
+        for reason in _LATE:
+            del self.rejections[reason]
 
     def complaint(self, now: int, within: float = 1.0) -> str:
         """Returns what was wrong with what came lately; empty for nothing.

@@ -98,7 +98,7 @@ class StatePredictor(LeafSystem):
     def _calc(self, context: Context, output: BasicVector) -> None:
         x, d = self._state.Eval(context), self._estimate.Eval(context)
         for duration, u in self._applied(context):
-            x = self._step(x, u, d, duration)
+            x = runge_kutta_step(self._model, x, u, d, duration)
         output.SetFromVector(x)
 
     def _applied(self, context: Context) -> Iterator[tuple[float, Array]]:
@@ -116,18 +116,29 @@ class StatePredictor(LeafSystem):
             if following > arrival:
                 yield following - arrival, u
 
-    def _step(self, x: Array, u: Array, d: Array, h: float) -> Array:
-        """A step of Runge and Kutta's fourth order."""
-        k_1 = self._rate(x, u, d)
-        k_2 = self._rate(x + h / 2 * k_1, u, d)
-        k_3 = self._rate(x + h / 2 * k_2, u, d)
-        k_4 = self._rate(x + h * k_3, u, d)
-        return x + h / 6 * (k_1 + 2 * k_2 + 2 * k_3 + k_4)
 
-    def _rate(self, x: Array, u: Array, d: Array) -> Array:
-        model = self._model
-        rate: Array = model.nominal_rate(x, u) + model.disturbance_matrix @ d
-        return rate
+def runge_kutta_step(
+    model: ControlAffineModel, x: Array, u: Array, d: Array, h: float
+) -> Array:
+    """Returns the state after a step of Runge and Kutta's fourth order.
+
+    Args:
+        model: f, g, E.
+        x: The state at its beginning, (n,).
+        u: The input, held, (m,).
+        d: The disturbance, held, (q,).
+        h: How long it is [s].
+    """
+    push = model.disturbance_matrix @ d
+
+    def rate(at: Array) -> Array:
+        return np.asarray(model.nominal_rate(at, u) + push)
+
+    k_1 = rate(x)
+    k_2 = rate(x + h / 2 * k_1)
+    k_3 = rate(x + h / 2 * k_2)
+    k_4 = rate(x + h * k_3)
+    return np.asarray(x + h / 6 * (k_1 + 2 * k_2 + 2 * k_3 + k_4))
 
 
 _REMEMBERED = 65_536

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+import math
 import time
 from typing import Any
 
 import numpy as np
 from pydrake.lcm import DrakeLcm
 from pydrake.systems.analysis import SimulatorStatus
-from pydrake.systems.framework import Context
+from pydrake.systems.framework import Context, Diagram
 
 from vcbf_drake.hil.bus import Bus, LinkFaults, SimulatedClock, Tap
-from vcbf_drake.hil.controller_side import (
-    CommandSender,
-    StateReceiver,
-    make_hardware_loop,
-)
+from vcbf_drake.hil.controller_side import CommandSender, make_hardware_loop
 from vcbf_drake.hil.decoding import CommandMode, VehicleMode
+from vcbf_drake.hil.mailbox import Inbox
 from vcbf_drake.hil.prediction import PredictionRecord
 from vcbf_drake.hil.report import ControllerRecord, controller_report, plant_report
+from vcbf_drake.hil.state_receiver import StateReceiver
 from vcbf_drake.hil.timing import Timeline
 from vcbf_drake.hil.vehicle_side import CommandReceiver, StateSender, make_vehicle
 from vcbf_drake.safety import (
+    FilterStatus,
     chebyshev_ball,
     emptiness_certificate,
     inscribed_ellipsoid,
@@ -32,6 +32,18 @@ from vcbf_drake.simulation.run import make_simulator
 from vcbf_drake.simulation.scenario import Scenario
 
 _TIMES, _PAUSE = 10, 0.05  # [s]
+# Messages that are thrown away at the start, at most.
+_DRAINED = 100
+
+# Why a process ended, and its exit status.
+EXIT_STATUSES = {
+    "duration": 0,
+    "vehicle ended": 0,
+    "collision": 3,
+    "infeasible": 4,
+    "no peer": 5,
+    "stopped": 128,  # And the signal's number.
+}
 
 
 def say_farewell(send: Callable[[], None]) -> None:
@@ -66,7 +78,51 @@ def warm_up(num_inputs: int) -> None:
     emptiness_certificate(A, -b)
 
 
-class PlantProcess:
+class _Process:
+    """What both processes share: how they end, and what they say on the way.
+
+    Attributes:
+        bus: The bus.
+        ending: Why `run` ended, one of the keys of `EXIT_STATUSES`; empty before.
+        tell: Called with a line whenever something changes.
+        progress: Called with a line once a second.
+    """
+
+    def __init__(self, bus: Bus) -> None:
+        self.bus = bus
+        self.ending = ""
+        self.tell: Callable[[str], None] = lambda line: None
+        self.progress: Callable[[str], None] = lambda line: None
+        self._stopping = False
+        self._told: dict[str, str] = {}
+        self._progress_at = 0
+
+    def stop(self, *_: object) -> None:
+        """Makes `run` end soon; fit to be a signal's handler."""
+        self._stopping = True
+
+    def _begin_session(self, inbox: Inbox) -> None:
+        """What came before is no loss: nobody listened."""
+        for _ in range(_DRAINED):
+            if not self.bus.poll():
+                break
+        self.bus.begin_session()
+        inbox.begin_anew()
+
+    def _tell_change(self, subject: str, text: str, line: str) -> None:
+        """Tells a line if the subject's text is another one than before."""
+        if self._told.get(subject, "") != text:
+            self._told[subject] = text
+            self.tell(line)
+
+    def _tell_progress(self, line: Callable[[], str]) -> None:
+        now = self.bus.clock.utime()
+        if now - self._progress_at >= 1_000_000:
+            self._progress_at = now
+            self.progress(line())
+
+
+class PlantProcess(_Process):
     """Simulates a scenario's plant behind a bus: states out, commands in.
 
     The plant stands at its initial state until a first command comes.
@@ -77,14 +133,15 @@ class PlantProcess:
 
     Attributes:
         scenario: What is run.
-        bus: The bus.
         diagram: The vehicle.
         collided: Whether a barrier became negative, which ends the motion.
+        deadlines_missed: How often it woke later than a control period.
     """
 
     def __init__(self, scenario: Scenario, bus: Bus) -> None:
-        self.bus = bus
+        super().__init__(bus)
         self.collided = False
+        self.deadlines_missed = 0
         self.scenario = scenario
         self._timeline = Timeline(bus.clock)
         self.diagram = make_vehicle(scenario, bus, self._timeline)
@@ -94,7 +151,6 @@ class PlantProcess:
         self._sender: StateSender = self.diagram.GetSubsystemByName("state_sender")
         self._simulator = make_simulator(self.diagram, scenario)
         self._simulator.Initialize()
-        self._stopping = False
         self._elapsed = 0.0
 
     @property
@@ -112,21 +168,15 @@ class PlantProcess:
         """What the vehicle does."""
         return self._receiver.mode(self._receiver.GetMyContextFromRoot(self.context))
 
-    def stop(self, *_: object) -> None:
-        """Makes `run` end soon; fit to be a signal's handler."""
-        self._stopping = True
+    def run(self, patience: float = math.inf) -> None:
+        """Runs in real time to the scenario's duration, a collision or `stop`.
 
-    def run(self) -> None:
-        """Runs in real time to the scenario's duration, a collision or `stop`."""
-        self.bus.begin_session()
-        self._wait_for_command()
-        period, duration = self.scenario.period, self.scenario.duration
-        tick = 1
-        while not (self._stopping or self.collided or self.time >= duration):
-            goal = min(tick * period, duration)
-            self.bus.wait(self._timeline.utime(goal))
-            self.advance_to(min(self._timeline.time(), goal))
-            tick += self.time >= goal
+        Args:
+            patience: How long to wait for a first command [s].
+        """
+        self._begin_session(self._receiver.inbox)
+        if self._wait_for_command(patience):
+            self._move()
         self._elapsed = self._timeline.time()
         self._sender.ending = True
         say_farewell(lambda: self.diagram.ForcedPublish(self.context))
@@ -146,57 +196,92 @@ class PlantProcess:
     def report(self) -> dict[str, Any]:
         """Returns what the motion came to, and how the bus did."""
         report = plant_report(self.scenario, self.diagram, self.context, self.collided)
+        report["deadlines_missed"] = self.deadlines_missed
         if self._elapsed > 0.0:
             report["real_time_rate"] = self.time / self._elapsed
         return report
 
-    def _wait_for_command(self) -> None:
-        while self._receiver.inbox.newest is None and not self._stopping:
+    def _wait_for_command(self, patience: float) -> bool:
+        """Stands until a command comes; returns whether one came."""
+        began = self.bus.clock.utime()
+        while self._receiver.inbox.newest is None:
             self._timeline.restart()
+            if self._stopping:
+                self.ending = "stopped"
+                return False
+            if self.bus.clock.utime() - began > 1e6 * patience:
+                self.ending = "no peer"
+                return False
             self.diagram.ForcedPublish(self.context)
             self.bus.wait(self._timeline.utime(self.scenario.period))
+            self._say()
         self._timeline.restart()
+        return True
+
+    def _move(self) -> None:
+        period, duration = self.scenario.period, self.scenario.duration
+        tick = 1
+        while not (self._stopping or self.collided or self.time >= duration):
+            goal = min(tick * period, duration)
+            self.bus.wait(self._timeline.utime(goal))
+            self.deadlines_missed += self._timeline.time() - goal > period
+            self.advance_to(min(self._timeline.time(), goal))
+            tick += self.time >= goal
+            self._say()
+        self.ending = "stopped" if self._stopping else "duration"
+        if self.collided:
+            self.ending = "collision"
+
+    def _say(self) -> None:
+        mode = self.mode.name.lower()
+        self._tell_change("mode", mode, f"{self.time:.2f} s: {mode}")
+        inbox = self._receiver.inbox
+        complaint = inbox.complaint(self.bus.clock.utime())
+        if complaint:
+            line = f"{self.time:.2f} s: commands: {complaint}"
+            self._tell_change("commands", inbox.last_rejection, line)
+        self._tell_progress(
+            lambda: f"{self.time:8.1f} s  {mode}  {inbox.accepted} commands"
+        )
 
 
-class ControllerProcess:
-    """Drives the hardware loop of a scenario: one tick for every state that comes.
+class ControllerProcess(_Process):
+    """Drives a hardware loop: one tick for every state that comes.
 
     The loop's time is the time of the state, so the observer's intervals are the
     vehicle's, whatever the bus does. A vehicle that sends faster than the control
-    period is sampled. When no state comes, commands go on once a control period, as
-    the watchdog says.
+    period is sampled. When no state comes, a status, and after the first state commands
+    too, go on once a control period, as the watchdogs say.
 
     Args:
-        scenario: A validated scenario.
+        diagram: A hardware loop: a `VehicleLink` and what it is connected to.
         bus: Carries the messages.
+        duration: How long it controls, by the vehicle's time [s].
 
     Attributes:
-        scenario: What is run.
-        bus: The bus.
         diagram: The hardware loop.
+        duration: See the argument.
         context: Its context.
         tick_taps: Called with the context at every tick, before its discrete state
             changes.
+        takes_over: Whether the vehicle is asked to leave another controller.
     """
 
-    def __init__(self, scenario: Scenario, bus: Bus) -> None:
-        self.bus = bus
-        self.scenario = scenario
-        self._period = round(1e6 * scenario.period)  # [us]
-        self.diagram = make_hardware_loop(scenario, bus)
+    def __init__(self, diagram: Diagram, bus: Bus, duration: float = math.inf) -> None:
+        super().__init__(bus)
+        self.diagram, self.duration = diagram, duration
         named = self.diagram.GetSubsystemByName
         self._receiver: StateReceiver = named("state_receiver")
         self._sender: CommandSender = named("command_sender")
+        self._period = round(1e6 * self._sender.period)  # [us]
         warm_up(named("filter").model.num_inputs)
         self.context = self.diagram.CreateDefaultContext()
         self.tick_taps: list[Callable[[Context], None]] = []
+        self.takes_over = False
         self._record = ControllerRecord()
         self._prediction: PredictionRecord | None = None
-        if scenario.hardware.predict:
-            self._prediction = PredictionRecord(self.diagram, len(scenario.target))
-            self.tick_taps.append(self._prediction)
         self._sent_at = 0
-        self._stopping = False
+        self._session, self._began = 0, 0.0
 
     @property
     def time(self) -> float:
@@ -205,23 +290,43 @@ class ControllerProcess:
 
     @property
     def mode(self) -> CommandMode | None:
-        """What it asked of the vehicle last, None before the first time."""
+        """What it asked of the vehicle last, None before the first tick."""
         status = self._sender.last_status
-        return None if status is None else CommandMode(status.mode)
+        if status is None or status.state_sequence < 0:
+            return None
+        return CommandMode(status.mode)
 
-    def stop(self, *_: object) -> None:
-        """Makes `run` end soon; fit to be a signal's handler."""
-        self._stopping = True
+    def measure_prediction(self, dimensions: int) -> None:
+        """Compares predicted positions with measured ones from now on.
 
-    def run(self) -> None:
-        """Runs until the vehicle ends, the scenario's duration is over, or `stop`.
-
-        It takes over from any controller that speaks already.
+        Args:
+            dimensions: How many states, the first ones, are the position.
         """
-        self.bus.begin_session()
+        self._prediction = PredictionRecord(self.diagram, dimensions)
+        self.tick_taps.append(self._prediction)
+
+    def run(self, patience: float = math.inf) -> None:
+        """Runs until its vehicle ends, the duration is over, or `stop`.
+
+        Args:
+            patience: How long to wait for a first state [s].
+        """
+        if self._session == 0:
+            self._begin_session(self._receiver.inbox)
+        self._sender.takes_over = self.takes_over
+        began = self.bus.clock.utime()
         while not (self._stopping or self._is_over()):
             self.bus.wait(self.bus.clock.utime() + self._period)
             self.step()
+            self._say()
+            waited = self.bus.clock.utime() - began
+            if self._session == 0 and waited > 1e6 * patience:
+                self.ending = "no peer"
+                return
+        if self._stopping:
+            self.ending = "stopped"
+        elif self._is_infeasible():
+            self.ending = "infeasible"
         self._sender.ending = True
         say_farewell(self._send)
 
@@ -235,7 +340,8 @@ class ControllerProcess:
 
     def report(self) -> dict[str, Any]:
         """Returns what the filter did, and how the states arrived."""
-        report = controller_report(self.scenario, self._receiver, self._record)
+        report = controller_report(self._receiver, self._record)
+        report["deadlines_missed"] = self._sender.deadlines_missed
         if self._prediction is not None:
             report["prediction"] = self._prediction.report()
         return report
@@ -247,13 +353,20 @@ class ControllerProcess:
         newest, last = self._receiver.inbox.newest, self._receiver.message(context)
         if last is None or newest.session != last.session or newest.time == last.time:
             return True
-        return bool(newest.time - last.time > 0.9 * self.scenario.period)
+        return bool(newest.time - last.time > 0.9e-6 * self._period)
 
     def _tick(self) -> None:
         """Takes the state over, updates filter, hold and observer, and sends."""
-        started = time.perf_counter()
+        started, last = time.perf_counter(), self.time
         self.diagram.ExecuteForcedEvents(self.context, publish=False)
-        self.context.SetTime(self._receiver.time(self._receiver_context()))
+        newest = self._receiver.message(self._receiver_context())
+        self.context.SetTime(newest.time)
+        if newest.session == self._session:
+            periods = round(1e6 * (newest.time - last) / self._period)
+            self._sender.deadlines_missed += max(0, periods - 1)
+        else:
+            self._session, self._began = newest.session, newest.time
+            self._receiver.inbox.forget_the_start()
         for tap in self.tick_taps:
             tap(self.context)
         self.context.SetDiscreteState(
@@ -263,10 +376,10 @@ class ControllerProcess:
         self._record.add_tick(self._sender.last_status, time.perf_counter() - started)
 
     def _send(self) -> None:
-        """Sends command and status, if there was a tick already."""
+        """Sends a status, and a command if there was a tick already."""
         self.diagram.ForcedPublish(self.context)
         self._sent_at = self.bus.clock.utime()
-        if self._sender.last_status is not None:
+        if self.mode is not None and self._sender.last_status is not None:
             self._record.add_mode(self._sender.last_status)
 
     def _has_been_silent(self) -> bool:
@@ -274,12 +387,61 @@ class ControllerProcess:
 
     def _is_over(self) -> bool:
         newest = self._receiver.inbox.newest
-        return newest is not None and bool(
-            newest.mode == VehicleMode.ENDED or newest.time >= self.scenario.duration
+        if newest is None or newest.session != self._session:
+            return False  # Not the vehicle that is controlled.
+        if newest.mode == VehicleMode.ENDED:
+            self.ending = "vehicle ended"
+        elif newest.time - self._began >= self.duration:
+            self.ending = "duration"
+        return bool(self.ending)
+
+    def _is_infeasible(self) -> bool:
+        """Whether the last tick had no feasible input."""
+        status = self._sender.last_status
+        return status is not None and status.filter_status == FilterStatus.INFEASIBLE
+
+    def _say(self) -> None:
+        status, inbox = self._sender.last_status, self._receiver.inbox
+        if status is None:
+            return
+        is_ticking = status.state_sequence >= 0
+        when = f"{status.time:.2f} s: " if is_ticking else ""
+        mode = CommandMode(status.mode).name.lower()
+        words = f"{when}{mode}, {status.reason}" if status.reason else f"{when}{mode}"
+        kind = mode if is_ticking else f"before: {inbox.last_rejection}"
+        self._tell_change("mode", kind, words)
+        notice = self._receiver.notice() if is_ticking else ""
+        self._tell_change("notice", notice, f"{when}{notice or 'followed again'}")
+        for finding in status.findings:
+            self._tell_change(finding, finding, f"{when}refuted: {finding}")
+        clock = inbox.peer_clock
+        if clock is not None and clock.steps:
+            step = 1e-6 * clock.last_step
+            line = f"{when}the vehicle's clock was set by {step:.2f} s"
+            self._tell_change("clock", str(clock.steps), line)
+        self._tell_progress(
+            lambda: (
+                f"{status.time:8.1f} s  {mode}  {inbox.accepted} states,"
+                f" {inbox.lost} lost, V_v {status.volume:.3f}"
+            )
         )
 
     def _receiver_context(self) -> Any:
         return self._receiver.GetMyContextFromRoot(self.context)
+
+
+def controller_of(scenario: Scenario, bus: Bus) -> ControllerProcess:
+    """Returns the process that controls a scenario's vehicle.
+
+    Args:
+        scenario: A validated scenario.
+        bus: Carries the messages.
+    """
+    diagram = make_hardware_loop(scenario, bus)
+    process = ControllerProcess(diagram, bus, scenario.duration)
+    if scenario.hardware.predict:
+        process.measure_prediction(len(scenario.target))
+    return process
 
 
 class InProcess:
@@ -295,6 +457,9 @@ class InProcess:
         controller_faults: Injected into the states.
         grid: How many times in a control period messages are handled.
         tap: Told of everything that the controller's side sends and receives.
+        name: The vehicle's, where several share a bus.
+        lcm: That bus; one of its own by default.
+        key: What messages are signed with; nothing by default.
 
     Attributes:
         clock: What both sides take for the time.
@@ -310,23 +475,28 @@ class InProcess:
         controller_faults: LinkFaults | None = None,
         grid: int = 1,
         tap: Tap | None = None,
+        *,
+        name: str = "",
+        lcm: DrakeLcm | None = None,
+        key: bytes = b"",
     ) -> None:
         self.clock = SimulatedClock()
-        self.lcm = DrakeLcm("memq://")
+        self.lcm = lcm or DrakeLcm("memq://")
+        self._name, self._key = name, key
         self.controller: ControllerProcess | None = None
         self._scenario, self._faults = scenario, controller_faults
         self._grid, self._instant, self._tap = grid, 0, tap
         self._epoch = self.clock.now
         self.start_controller()
-        self.plant = PlantProcess(scenario, Bus(self.lcm, self.clock, vehicle_faults))
+        self.plant = PlantProcess(scenario, self._bus(vehicle_faults))
         self._exchange()
 
     def start_controller(self) -> None:
         """Starts a controller, or another one, which knows nothing of the first."""
-        bus = Bus(self.lcm, self.clock, self._faults)
+        bus = self._bus(self._faults)
         if self._tap is not None:
             bus.taps.append(self._tap)
-        self.controller = ControllerProcess(self._scenario, bus)
+        self.controller = controller_of(self._scenario, bus)
 
     def kill_controller(self) -> None:
         """Ends the controller without a farewell."""
@@ -343,6 +513,9 @@ class InProcess:
             self.clock.now = self._epoch + round(1e6 * instant)
             self.plant.advance_to(instant)
             self._exchange()
+
+    def _bus(self, faults: LinkFaults | None) -> Bus:
+        return Bus(self.lcm, self.clock, faults, name=self._name, key=self._key)
 
     def _exchange(self) -> None:
         if self.controller is not None:

@@ -9,10 +9,10 @@ import numpy as np
 from pydrake.systems.framework import Context, Diagram
 
 from vcbf_drake.checks import Array
-from vcbf_drake.hil.controller_side import StateReceiver
 from vcbf_drake.hil.decoding import CommandMode, VehicleMode
 from vcbf_drake.hil.mailbox import Inbox
 from vcbf_drake.hil.messages import vcbf_status
+from vcbf_drake.hil.state_receiver import StateReceiver
 from vcbf_drake.hil.timing import median_and_p99
 from vcbf_drake.hil.vehicle_side import CommandReceiver
 from vcbf_drake.safety import FilterStatus
@@ -45,12 +45,16 @@ class ControllerRecord:
         least_volume: The least V_v.
         greatest_slack: The greatest abs(slack).
         durations: How long the last ticks took, from state to command [s].
+        method: The filter's.
+        findings: What the measurements refuted, and at how many ticks.
         changes: What was asked of the vehicle, in time; the last 1000 changes.
         real_time_rate: How fast the vehicle's time goes, by the clock.
     """
 
     def __init__(self) -> None:
         self.ticks: Counter[FilterStatus] = Counter()
+        self.method = ""
+        self.findings: Counter[str] = Counter()
         self.least_volume = np.inf
         self.greatest_slack = 0.0
         self.durations: deque[float] = deque(maxlen=_REMEMBERED)
@@ -67,6 +71,8 @@ class ControllerRecord:
         self.least_volume = float(np.fmin(self.least_volume, status.volume))
         self.greatest_slack = float(np.fmax(self.greatest_slack, abs(status.slack)))
         self.durations.append(duration)
+        self.method = status.method
+        self.findings.update(status.findings)
 
     def _add_time(self, time: float, utime: int) -> None:
         # The vehicle's time stands at 0 while it waits, and begins anew with it.
@@ -86,19 +92,17 @@ class ControllerRecord:
 
 
 def controller_report(
-    scenario: Scenario, receiver: StateReceiver, record: ControllerRecord
+    receiver: StateReceiver, record: ControllerRecord
 ) -> dict[str, Any]:
     """Returns what the filter did, and how the states arrived.
 
     Args:
-        scenario: What was run.
         receiver: Took the states.
         record: Of the ticks.
     """
     ticks = sum(record.ticks.values())
     return {
-        "scenario": scenario.name,
-        "method": scenario.method,
+        "method": record.method,
         "ticks": ticks,
         "infeasible_ticks": record.ticks[FilterStatus.INFEASIBLE],
         "failed_ticks": record.ticks[FilterStatus.FAILED],
@@ -108,6 +112,7 @@ def controller_report(
         "tick_ms": median_and_p99(1e3 * np.array(record.durations)),
         "round_trip_ms": median_and_p99(receiver.round_trip.milliseconds),
         "arrived": _arrived(receiver.inbox),
+        "findings": dict(record.findings),
         "changes": list(record.changes),
     }
 
@@ -146,7 +151,10 @@ def plant_report(
 
 
 def _arrived(inbox: Inbox) -> dict[str, Any]:
+    clock = inbox.peer_clock
     return {
+        "clock_offset_ms": None if clock is None else 1e-3 * clock.offset,
+        "clock_steps": 0 if clock is None else clock.steps,
         "accepted": inbox.accepted,
         "lost": inbox.lost,
         "late": inbox.late,

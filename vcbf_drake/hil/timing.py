@@ -43,7 +43,7 @@ class Exchange(NamedTuple):
 
 
 class PeerClock:
-    """By how much a peer's clock is ahead of ours, from the messages that are exchanged.
+    """By how much a peer's clock is ahead of ours, from the messages exchanged.
 
     A message takes time, so a message from the peer says that its clock is ahead by at
     least ``sent - received``, and one of ours, by the time it came there, by at most
@@ -142,7 +142,9 @@ def _bounds(exchange: Exchange) -> tuple[float, float]:
     low = exchange.sent - exchange.received
     if exchange.ours_sent is None or exchange.ours_age is None:
         return low, math.inf
-    return low, exchange.sent - exchange.ours_age - exchange.ours_sent
+    high = exchange.sent - exchange.ours_age - exchange.ours_sent
+    # No round trip is as long: whoever says so has not filled in those times.
+    return low, high if high - low < _LONGEST else math.inf
 
 
 class RoundTrip:

@@ -132,7 +132,14 @@ class CommandReceiver(LeafSystem):
         m = model.num_inputs
         self.round_trip = RoundTrip()
         self.inbox = Inbox(
-            bus, command_format(m), settings.command_timeout, self._receive
+            bus,
+            command_format(m),
+            settings.command_timeout,
+            self._receive,
+            max_clock_offset=settings.max_clock_offset,
+            echo=lambda command: (command.state_utime, command.state_age),
+            # What answers another vehicle was not made for this one.
+            is_ours=lambda command: command.state_session == bus.session,
         )
         self._applied: _Received | None = None
         self._waiting: deque[_Received] = deque(maxlen=_MOST_WAITING)
@@ -250,8 +257,9 @@ class StateSender(LeafSystem):
         if message.mode in (VehicleMode.WAITING, VehicleMode.ENDED):
             # Its time stands still, as it does: what is true now is measured now.
             message.utime_measured = self._clock.utime()
-        message.command_sequence = -1
+        message.command_session = message.command_sequence = -1
         if command is not None:
+            message.command_session = command.session
             message.command_sequence = command.sequence
             message.command_utime = command.utime
             message.command_age = self._clock.utime() - self._commands.received_at

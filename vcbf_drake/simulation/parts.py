@@ -64,9 +64,10 @@ def seen_barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
 
 def perceived_spheres(scenario: Scenario) -> PerceivedSpheres:
     """Returns what describes the obstacles; their margins are in the radii."""
-    return PerceivedSpheres(
-        len(scenario.obstacles), len(scenario.target), form=scenario.barrier.form
-    )
+    capacity = len(scenario.obstacles)
+    if scenario.hardware.obstacles == "perceived":
+        capacity = scenario.hardware.most_obstacles
+    return PerceivedSpheres(capacity, len(scenario.target), form=scenario.barrier.form)
 
 
 def turn_limits(scenario: Scenario) -> list[Barrier | StateInputLimit]:

@@ -35,6 +35,8 @@ from vcbf_drake.safety.settings import FilterSettings
 from vcbf_drake.simulation.faults import Faults
 
 Fallback = Literal["zero", "brake"]
+AuditPolicy = Literal["fallback", "report"]
+ObstacleSource = Literal["known", "perceived"]
 
 
 @dataclass
@@ -198,6 +200,15 @@ class Hardware:
             [s].
         predict: Whether controller and filter act on the state predicted over the
             link's delays.
+        audit: What a measurement leads to that refutes the filter's hypotheses: the
+            vehicle's "fallback", or a "report" alone.
+        obstacles: "known" ones are compared with those on the bus; "perceived" ones are
+            those on the bus.
+        most_obstacles: How many may be perceived at once.
+        max_obstacle_age: Age at which they are not acted on any more [s].
+        max_clock_offset: How far the clocks of vehicle and controller may be apart [s].
+        key_file: A file whose bytes are the key that messages are signed with; empty
+            for none.
     """
 
     fallback: Fallback = "brake"
@@ -207,12 +218,22 @@ class Hardware:
     hold_time: float = 0.1
     longest_interval: float = 0.1
     predict: bool = False
+    audit: AuditPolicy = "fallback"
+    obstacles: ObstacleSource = "known"
+    most_obstacles: int = 16
+    max_obstacle_age: float = 1.0
+    max_clock_offset: float = 60.0
+    key_file: str = ""
 
     def __post_init__(self) -> None:
         require_choice("fallback", self.fallback, get_args(Fallback))
+        require_choice("audit", self.audit, get_args(AuditPolicy))
+        require_choice("obstacles", self.obstacles, get_args(ObstacleSource))
         for name in ("brake_rate", "command_timeout", "max_state_age"):
             check_parameter(name, getattr(self, name))
-        check_parameter("longest_interval", self.longest_interval)
+        for name in ("longest_interval", "max_obstacle_age", "max_clock_offset"):
+            check_parameter(name, getattr(self, name))
+        check_parameter("most_obstacles", self.most_obstacles)
         check_parameter("hold_time", self.hold_time, zero_allowed=True)
 
 

@@ -25,6 +25,7 @@ _NUMBERS = (
     ("min V_v", "min_volume", ""),
     ("max |slack|", "max_abs_slack", ""),
     ("real-time rate", "real_time_rate", ""),
+    ("periods missed", "deadlines_missed", ""),
 )
 
 
@@ -39,6 +40,8 @@ def print_hardware_report(side: str, report: Mapping[str, Any]) -> None:
     console = Console(highlight=False, markup=False)
     console.print(f"\n{side} of {report['scenario']}")
     table = Table.grid(padding=(0, 2))
+    if "ending" in report:
+        table.add_row("ended by", report["ending"])
     if "outcome" in report:
         outcome = report["outcome"]
         table.add_row("outcome", Text(outcome, OUTCOME_STYLES[outcome]))
@@ -59,6 +62,8 @@ def print_hardware_report(side: str, report: Mapping[str, Any]) -> None:
     table.add_row(
         "rejected", ", ".join(f"{n} {reason}" for reason, n in rejected) or "none"
     )
+    for finding, count in report.get("findings", {}).items():
+        table.add_row("refuted", f"{finding} ({count} ticks)")
     if "commands" in report:
         table.add_row("commands", _sameness(report["commands"]))
     for index, line in enumerate(_changes(report["changes"])):

@@ -1,0 +1,334 @@
+"""The controller's receiving end: the vehicle's state and its obstacles as ports."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    EventStatus,
+    LeafSystem,
+    State,
+)
+
+from vcbf_drake.barriers import PerceivedSpheres
+from vcbf_drake.checks import Array
+from vcbf_drake.hil.bus import Bus
+from vcbf_drake.hil.decoding import (
+    CommandMode,
+    Reason,
+    VehicleMode,
+    perceived_format,
+    state_format,
+)
+from vcbf_drake.hil.mailbox import Inbox
+from vcbf_drake.hil.timing import RoundTrip
+from vcbf_drake.hil.watchdogs import Verdict
+from vcbf_drake.simulation.scenario import Hardware
+
+
+class StateStamp(NamedTuple):
+    """Which state it is.
+
+    Attributes:
+        session: The sender's session [us].
+        sequence: Its number there.
+        utime: When it was sent [us].
+        time: When it was measured, since the motion began [s].
+    """
+
+    session: float
+    sequence: float
+    utime: float
+    time: float
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """The last state that was taken over, and what goes with it.
+
+    Attributes:
+        message: The state's message.
+        applied_input: The mean input that was applied before it.
+        delays: Its delay, and that of the last command that the vehicle tells of [s].
+    """
+
+    message: Any
+    applied_input: Array
+    delays: Array
+
+
+class StateReceiver(LeafSystem):
+    """Takes the place of a plant: its outputs are what the vehicle said last.
+
+    .. pydrake_system::
+
+        name: StateReceiver
+        output_ports:
+        - state
+        - applied_input
+        - stamp
+        - delays
+
+    | port | size | |
+    | --- | --- | --- |
+    | ``state`` | n | the newest measured state; zeros before the first |
+    | ``applied_input`` | m | the mean of what was applied since the state before |
+    | ``stamp`` | 4 | what that state's message says, a `StateStamp`; nan before |
+    | ``delays`` | 2 | the state's, and the last command's that it tells of [s] |
+
+    Messages are taken over at the beginning of a simulator's step, or at a forced
+    event; between events the outputs are constant.
+
+    Args:
+        bus: Where states come from.
+        num_states: n.
+        num_inputs: m.
+        settings: How old a state may be when it arrives, and how long a vehicle must
+            be silent before another one of its name is controlled in its place.
+
+    Attributes:
+        inbox: What arrived.
+        round_trip: From sending a command to learning that it came.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        num_states: int,
+        num_inputs: int,
+        settings: Hardware | None = None,
+    ) -> None:
+        super().__init__()
+        self.round_trip = RoundTrip()
+        self._bus = bus
+        self._sizes = num_states, num_inputs
+        self._last_command = -1
+        settings = settings or Hardware()
+        self.inbox = Inbox(
+            bus,
+            state_format(num_states, num_inputs),
+            settings.max_state_age,
+            self._take_times,
+            silence=settings.max_state_age + settings.hold_time,
+            max_clock_offset=settings.max_clock_offset,
+            echo=self._echo,
+        )
+        # A tuple of the message or of none: newer pydrake's values are never None.
+        index = self.DeclareAbstractState(AbstractValue.Make(()))
+        self._measured_index = index
+        self.DeclarePerStepUnrestrictedUpdateEvent(self._take_over)
+        self.DeclareForcedUnrestrictedUpdateEvent(self._take_over)
+        needs = {self.abstract_state_ticket(index)}
+        self.DeclareVectorOutputPort("state", num_states, self._calc_state, needs)
+        self.DeclareVectorOutputPort("delays", 2, self._calc_delays, needs)
+        self.DeclareVectorOutputPort(
+            "applied_input", num_inputs, self._calc_applied_input, needs
+        )
+        size = len(StateStamp._fields)
+        self.DeclareVectorOutputPort("stamp", size, self._calc_stamp, needs)
+
+    def message(self, context: Context) -> Any:
+        """Returns the message that the outputs show, None before the first."""
+        measured = self._measured(context)
+        return None if measured is None else measured.message
+
+    def has_news(self, context: Context) -> bool:
+        """Returns whether a newer message has come than the outputs show."""
+        shown, newest = self.message(context), self.inbox.newest
+        # A context holds copies: they are told apart by their numbers.
+        return newest is not None and (
+            shown is None
+            or (newest.session, newest.sequence) != (shown.session, shown.sequence)
+        )
+
+    def time(self, context: Context) -> float:
+        """Returns the vehicle's time of the state, 0 before the first [s]."""
+        measured = self._measured(context)
+        return 0.0 if measured is None else float(measured.message.time)
+
+    @property
+    def is_followed(self) -> bool:
+        """Whether the vehicle's last state says that it takes our commands."""
+        newest = self.inbox.newest
+        return newest is not None and newest.command_session == self._bus.session
+
+    def notice(self) -> str:
+        """Returns who else speaks under this name; empty if nobody does."""
+        newest, now = self.inbox.newest, self._bus.clock.utime()
+        if newest is not None and not self.is_followed and newest.command_session > 0:
+            return f"the vehicle follows another controller, {newest.command_session}"
+        if self.inbox.last_rejection == Reason.SESSION.value:
+            if now - self.inbox.last_rejected_at < 1_000_000:
+                return "another vehicle of this name speaks and is not controlled"
+        return ""
+
+    def _echo(self, message: Any) -> tuple[int, int] | None:
+        """When a command of ours was sent, and how long before the message it came."""
+        if message.command_session != self._bus.session:
+            return None
+        return message.command_utime, message.command_age
+
+    def _measured(self, context: Context) -> _Measured | None:
+        held: tuple[_Measured, ...] = context.get_abstract_state(
+            self._measured_index
+        ).get_value()
+        return held[0] if held else None
+
+    def _take_over(self, context: Context, state: State) -> EventStatus:
+        self._bus.poll()
+        if not self.has_news(context):
+            return EventStatus.DidNothing()
+        last, newest = self._measured(context), self.inbox.newest
+        applied = np.zeros(self._sizes[1])
+        if last is not None and newest.time > last.message.time:
+            change = np.subtract(newest.input_integral, last.message.input_integral)
+            applied = change / (newest.time - last.message.time)
+        state.get_mutable_abstract_state(self._measured_index).set_value(
+            (_Measured(newest, applied, self._measured_delays()),)
+        )
+        return EventStatus.Succeeded()
+
+    def _calc_state(self, context: Context, output: BasicVector) -> None:
+        measured = self._measured(context)
+        zeros = np.zeros(self._sizes[0])
+        output.SetFromVector(zeros if measured is None else measured.message.state)
+
+    def _calc_applied_input(self, context: Context, output: BasicVector) -> None:
+        measured = self._measured(context)
+        zeros = np.zeros(self._sizes[1])
+        output.SetFromVector(zeros if measured is None else measured.applied_input)
+
+    def _calc_stamp(self, context: Context, output: BasicVector) -> None:
+        message = self.message(context)
+        output.SetFromVector(
+            [
+                math.nan if message is None else getattr(message, name)
+                for name in StateStamp._fields
+            ]
+        )
+
+    def _calc_delays(self, context: Context, output: BasicVector) -> None:
+        measured = self._measured(context)
+        output.SetFromVector(np.zeros(2) if measured is None else measured.delays)
+
+    def _measured_delays(self) -> Array:
+        """The delays [s]; zeros while the vehicle does not follow our commands."""
+        state = self.inbox.newest
+        if state.mode != VehicleMode.FOLLOWING or not self.is_followed:
+            return np.zeros(2)
+        state_delay = self.inbox.received_at - self.inbox.utime(state.utime_measured)
+        arrived_at = self.inbox.utime(state.utime - state.command_age)
+        command_delay = arrived_at - state.command_utime
+        return 1e-6 * np.array([state_delay, command_delay])
+
+    def _take_times(self, message: Any, now: int) -> None:
+        """Notes the round trip of a command that the vehicle mentions first now."""
+        is_ours = message.command_session == self._bus.session
+        if is_ours and message.command_sequence > self._last_command:
+            self._last_command = message.command_sequence
+            self.round_trip.add(now - message.command_utime - message.command_age)
+
+
+class ObstacleReceiver(LeafSystem):
+    """The obstacles that a vehicle perceives, for the filter's port ``obstacles``.
+
+    .. pydrake_system::
+
+        name: ObstacleReceiver
+        output_ports:
+        - obstacles
+
+    Their number may change from message to message. Between two messages each keeps
+    its velocity. Too many of them, none for `Hardware.max_obstacle_age`, or malformed
+    ones: the port keeps what came last, and the verdict asks for the vehicle's
+    fallback.
+
+    Args:
+        bus: Where they come from.
+        spheres: What describes them; it has room for so many.
+        settings: How old they may be.
+
+    Attributes:
+        inbox: What arrived.
+    """
+
+    def __init__(
+        self, bus: Bus, spheres: PerceivedSpheres, settings: Hardware | None = None
+    ) -> None:
+        super().__init__()
+        settings = settings or Hardware()
+        self._bus, self._spheres = bus, spheres
+        self._max_age = settings.max_obstacle_age
+        self.inbox = Inbox(
+            bus,
+            perceived_format(),
+            self._max_age,
+            self._take,
+            max_clock_offset=settings.max_clock_offset,
+        )
+        self._trouble = ""
+        self._packed = np.zeros(1 + spheres.size)
+        # The vehicle's time of the message, then the slots.
+        self.DeclareDiscreteState(self._packed)
+        self.DeclarePerStepUnrestrictedUpdateEvent(self._take_over)
+        self.DeclareForcedUnrestrictedUpdateEvent(self._take_over)
+        self.DeclareVectorOutputPort("obstacles", spheres.size, self._calc)
+
+    def verdict(self) -> Verdict:
+        """Returns what to ask of the vehicle now."""
+        now = self._bus.clock.utime()
+        if self.inbox.newest is None:
+            reason = "no obstacles have been perceived yet"
+        elif now - self.inbox.received_at > 1e6 * self._max_age:
+            age = 1e-6 * (now - self.inbox.received_at)
+            reason = f"no obstacles have been perceived for {age:.2f} s"
+        else:
+            reason = self._trouble
+        if not reason:
+            return Verdict(CommandMode.APPLY, "")
+        complaint = self.inbox.complaint(now)
+        words = f"{reason}; {complaint}" if complaint else reason
+        return Verdict(CommandMode.FALLBACK, words)
+
+    def _take(self, message: Any, now: int) -> None:
+        seen = np.array(message.valid, dtype=bool)
+        k = self._spheres.dimensions
+        if message.num_coordinates != k * len(seen):
+            self._trouble = (
+                f"the {len(seen)} obstacles that are perceived have"
+                f" {message.num_coordinates} coordinates; it must be {k} each"
+            )
+            return
+        if seen.sum() > self._spheres.capacity:
+            self._trouble = (
+                f"{seen.sum()} obstacles are perceived, and there is room for"
+                f" {self._spheres.capacity} (hardware.most_obstacles)"
+            )
+            return
+        radii = np.array(message.radius)[seen]
+        if np.any(radii < 0.0):
+            self._trouble = "an obstacle that is perceived has a negative radius"
+            return
+        centers = np.reshape(message.position, (-1, k))[seen]
+        velocities = np.reshape(message.velocity, (-1, k))[seen]
+        slots = self._spheres.pack(centers, velocities, radii)
+        self._packed, self._trouble = np.append(message.time, slots), ""
+
+    def _take_over(self, context: Context, state: State) -> EventStatus:
+        self._bus.poll()
+        state.get_mutable_discrete_state().set_value(self._packed)
+        return EventStatus.Succeeded()
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        time, *slots = context.get_discrete_state_vector().CopyToVector()
+        k = self._spheres.dimensions
+        table = np.reshape(slots, (self._spheres.capacity, -1))
+        # To where they are by now; time that went back is a motion that began anew.
+        table[:, :k] += max(0.0, context.get_time() - time) * table[:, k : 2 * k]
+        output.SetFromVector(table.ravel())
