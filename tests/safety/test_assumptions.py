@@ -1,6 +1,7 @@
 """Each hypothesis at one start, against numbers worked out by hand."""
 
 import numpy as np
+from pydrake.systems.primitives import LinearSystem
 import pytest
 
 from vcbf_drake import (
@@ -47,7 +48,7 @@ def at(car, method, speed=1.0, observer=RiseObserver, barriers=(AHEAD,), **optio
     context = safety_filter.CreateDefaultContext()
     values = {"state": [0.0, 0.0, speed, 0.0], "reference": np.zeros(2)}
     if method in ("dob-cbf-qp", "dob-vcbf-qp", "wang-xu-dob-cbf-qp"):
-        values["estimate"] = [0.0, 0.0, 0.3, 0.0]
+        values["estimate"] = [0.0, 0.0, 0.3, 0.0, 0.0, 0.0]
     for name, value in values.items():
         safety_filter.GetInputPort(name).FixValue(context, np.array(value, float))
     found = assumptions(safety_filter, context, observer, PERIOD, *noise)
@@ -193,4 +194,33 @@ def test_a_certified_hold_covers_the_period_or_not(car, hold, holds):
         "sampled input"
     ]
     assert sampled.holds is holds
-    assert sampled.numbers == {"period": PERIOD}
+    assert sampled.numbers["period"] == PERIOD
+    assert sampled.numbers["T abs(df/dx)"] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("drag", "period", "holds"),
+    [(5.0, 0.1, True), (10.0, 0.1, False), (10.0, 0.05, True)],
+)
+def test_a_plant_too_fast_for_its_period_has_no_certified_hold(drag, period, holds):
+    """V' = -10 v + u at 10 Hz: the run's least margin was minus infinity, unsaid."""
+    plant = LinearSystem(
+        [[0.0, 1.0], [0.0, -drag]], [[0.0], [1.0]], np.eye(2), np.zeros((2, 1))
+    )
+    model = ControlAffineModel.from_system(plant)
+    wall = StateLimit(0, upper=5.0).barriers([4.0, 3.0])
+    settings = FilterSettings(method="cbf-qp", period=period, between_ticks="certified")
+    box = InputSet.box([-4.0], [4.0])
+    bounds = DisturbanceBounds(0.0, 0.0, 0.0)
+    safety_filter = SafetyFilter(model, wall, box, settings, bounds=bounds)
+    context = safety_filter.CreateDefaultContext()
+    safety_filter.GetInputPort("state").FixValue(context, [0.0, 1.0])
+    safety_filter.GetInputPort("reference").FixValue(context, [0.0])
+    observer = RiseObserver(model, period, bounds)
+    found = {
+        each.name: each
+        for each in assumptions(safety_filter, context, observer, period)
+    }["sampled input"]
+    assert found.holds is holds
+    assert found.numbers["T abs(df/dx)"] == pytest.approx(drag * period, rel=1e-4)
+    assert np.isinf(safety_filter.decision(context).row_margin) is np.bool_(not holds)

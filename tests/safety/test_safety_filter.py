@@ -52,7 +52,7 @@ def fixed(safety_filter, state, reference=(0.2, 0.0, 0.0), estimate=(0.05, 0.0, 
         "state": state,
         "reference": reference,
         "held_input": np.zeros(3),
-        "estimate": [*estimate, 0.1, 0.0, 0.0, 0.05, -0.1],
+        "estimate": [*estimate, 0.1, 0.0, 0.0, 0.05, -0.1, 0.0, 0.0],
     }
     for name, value in values.items():
         if safety_filter.HasInputPort(name):

@@ -156,6 +156,20 @@ class HeldRows:
             least[near] = np.fmax(least[near], lasting)
         return np.where(np.isnan(least), -np.inf, least)
 
+    def can_enclose(self, state: Array, u: Array) -> bool:
+        """Returns whether the motion until the next tick has a tube at all.
+
+        Where the period times the slope of dx/dt is about 1, it has none, and every
+        row's least chi is -inf.
+
+        Args:
+            state: Where the motion begins, shape (n,).
+            u: The input that is held, shape (m,).
+        """
+        q, most = self._model.num_disturbances, self._disturbance_bound
+        d = [Interval(-most, most)] * q
+        return self.tube(state.tolist(), u.tolist(), d) is not None
+
     def lasting_decision(
         self,
         tick: Tick,

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from pydrake.systems.framework import Context
 
 from vcbf_drake.barriers import Barrier, BarrierRows
+from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceObserver, RiseObserver
+from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.recession import recession_direction
 from vcbf_drake.safety.safety_filter import SafetyFilter
 
@@ -65,7 +67,7 @@ def assumptions(
     found.append(_volume_at_start(safety_filter, filter_context))
     if method.disturbance == "estimated" and isinstance(observer, RiseObserver):
         found.extend(_rate_orders(safety_filter, observer))
-    found.append(_sampling(safety_filter, period))
+    found.append(_sampling(safety_filter, filter_context, period))
     return tuple(found)
 
 
@@ -228,14 +230,21 @@ def _rate_orders(
         )
 
 
-def _sampling(safety_filter: SafetyFilter, period: float) -> Assumption:
-    if safety_filter.certified_hold:
+def _sampling(
+    safety_filter: SafetyFilter, context: Context, period: float
+) -> Assumption:
+    if safety_filter.held_rows is not None:
+        x = safety_filter.GetInputPort("state").Eval(context)
+        u, model = safety_filter.input_set.center, safety_filter.model
+        is_enclosed = safety_filter.held_rows.can_enclose(x, u)
         return Assumption(
             "sampled input",
-            "inputs are chosen to keep the rows until the next tick (Theorem 4, E77)",
-            safety_filter.certified_hold >= period,
-            {"period": period},
-            "barriers may dip between ticks",
+            "inputs are chosen to keep the rows until the next tick (Theorem 4, E77),"
+            " which takes a motion that can be enclosed: T abs(df/dx) below about 1",
+            is_enclosed and safety_filter.certified_hold >= period,
+            {"period": period, "T abs(df/dx)": period * _slope(model, x, u)},
+            "between_ticks: certified does nothing there: barriers may dip between"
+            " ticks. Take a shorter period",
         )
     return Assumption(
         "sampled input",
@@ -245,3 +254,14 @@ def _sampling(safety_filter: SafetyFilter, period: float) -> Assumption:
         {"period": period},
         "barriers may dip between ticks by an amount of the order of the period",
     )
+
+
+def _slope(model: ControlAffineModel, x: Array, u: Array) -> float:
+    """Returns the spectral radius of abs(df/dx): 1 / T is where boxes grow for ever."""
+    steps = 1e-6 * (1.0 + np.abs(x))
+    rate = model.nominal_rate(x, u)
+    columns = [
+        (model.nominal_rate(x + step * unit, u) - rate) / step
+        for step, unit in zip(steps.tolist(), np.eye(len(x)), strict=True)
+    ]
+    return float(np.max(np.abs(np.linalg.eigvals(np.abs(columns)))))

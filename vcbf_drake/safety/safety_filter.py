@@ -154,9 +154,9 @@ class SafetyFilter(LeafSystem):
         self.certified_hold = (
             hold if self.settings.between_ticks == "certified" else 0.0
         )
-        self._held_rows: HeldRows | None = None
+        self.held_rows: HeldRows | None = None
         if self.certified_hold:
-            self._held_rows = HeldRows(
+            self.held_rows = HeldRows(
                 model, self.barrier_set, self.certified_hold, self.bounds.delta1
             )
         self._weights = _checked_weights(
@@ -389,12 +389,12 @@ class SafetyFilter(LeafSystem):
         decision = choose()
         if failed:
             return FilterDecision(decision.input, FilterStatus.FAILED)
-        if self._held_rows is None:
+        if self.held_rows is None:
             return decision
         seen = None if self._obstacles is None else self._obstacles.Eval(context)
         x, t = self._state.Eval(context), context.get_time()
         tick = Tick(feasible.rows, x, t, feasible.known, seen)
-        return self._held_rows.lasting_decision(tick, decision, choose)
+        return self.held_rows.lasting_decision(tick, decision, choose)
 
     def _held(self, context: Context) -> Array:
         if not self._held_input.HasValue(context):
