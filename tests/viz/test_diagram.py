@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 import html
+from itertools import pairwise
 import os
 from pathlib import Path
 import re
@@ -13,7 +14,13 @@ import sys
 
 import pydot
 from pydrake.systems.framework import Diagram, DiagramBuilder
-from pydrake.systems.primitives import Adder, Gain, LogVectorOutput, VectorLogSink
+from pydrake.systems.primitives import (
+    Adder,
+    Gain,
+    Integrator,
+    LogVectorOutput,
+    VectorLogSink,
+)
 import pytest
 
 from vcbf_drake import Blimp, load_scenario, make_loop
@@ -74,23 +81,47 @@ def port_names(graph: pydot.Dot) -> dict[str, dict[str, str]]:
             port: html.unescape(text).strip("\N{NO-BREAK SPACE}")
             for port, text in re.findall(cell, node.get("label"))
         }
-        for node in graph.get_nodes()
+        for part in (graph, *graph.get_subgraphs())
+        for node in part.get_nodes()
         if node.get("label") and "<TABLE" in node.get("label")
     }
 
 
 def drawn_connections(dot: str) -> Counter[Connection]:
+    """Every arrow with the output that its line comes from."""
     graph = parsed(dot)
     names = port_names(graph)
+    edges = [e for e in graph.get_edges() if e.get("style") != "invis"]
+    lines = [(e.get_source(), e.get_destination()) for e in edges if e.get("dir")]
 
-    def end(text: str) -> tuple[str, str]:
-        block, _, port = text.rpartition(":")
+    def source_of(place: str, passed: frozenset[str] = frozenset()) -> str | None:
+        """The output port at the end of the lines without arrows."""
+        if ":out_" in place:
+            return place
+        beside = {a if b == place else b for a, b in lines if place in (a, b)}
+        found = (
+            source_of(each, passed | {place})
+            for each in sorted(beside - passed)
+            if ":in_" not in each
+        )
+        return next(filter(None, found), None)
+
+    def end(text: str | None) -> tuple[str, str]:
+        assert text is not None
+        block, port, _ = text.rsplit(":", 2)
         return block.strip('"'), names[block.strip('"')][port]
 
-    return Counter(
-        (*end(edge.get_source()), *end(edge.get_destination()), edge.get("label"))
-        for edge in graph.get_edges()
-    )
+    connections: Counter[Connection] = Counter()
+    for edge in edges:
+        tail, head = edge.get_source(), edge.get_destination()
+        if edge.get("dir") == "none":
+            continue
+        if edge.get("dir") == "back":
+            tail, head = head, tail
+        label = edge.get("label")
+        size = label.strip('" ') if label else None
+        connections[(*end(source_of(tail)), *end(head), size)] += 1
+    return connections
 
 
 def drake_connections(diagram: Diagram) -> Counter[Connection]:
@@ -225,3 +256,31 @@ def test_without_graphviz_one_line_says_what_to_install(
     assert [path.name for path in paths] == ["loop.dot"]
     (message,) = caplog.messages
     assert "apt-get install graphviz" in message and "\n" not in message
+
+
+def test_graphviz_lays_every_edge_out_to_the_right(blimp_dot: str) -> None:
+    """Or the picture is a tangle: no edge closes a circle."""
+    after: dict[str, set[str]] = {}
+    for edge in parsed(blimp_dot).get_edges():
+        tail, head = (
+            text.split(":")[0] for text in (edge.get_source(), edge.get_destination())
+        )
+        after.setdefault(tail, set()).add(head)
+
+    def reached(place: str, way: tuple[str, ...]) -> None:
+        assert place not in way, f"{' '.join((*way, place))}"
+        for each in after.get(place, ()):
+            reached(each, (*way, place))
+
+    for place in list(after):
+        reached(place, ())
+
+
+def test_loops_of_any_shape_are_drawn() -> None:
+    builder = DiagramBuilder()
+    gains = [builder.AddNamedSystem(f"gain {k}", Gain(2.0, 1)) for k in range(3)]
+    rest = builder.AddNamedSystem("integrator", Integrator(1))
+    for before, after in pairwise([rest, *gains, rest]):
+        builder.Connect(before.get_output_port(), after.get_input_port())
+    diagram = builder.Build()
+    assert drawn_connections(diagram_dot(diagram)) == drake_connections(diagram)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 import re
@@ -11,16 +12,7 @@ from pydrake.systems.primitives import VectorLogSink
 
 from vcbf_drake.safety import METHODS, SafetyFilter
 from vcbf_drake.simulation.audit_system import Audit
-from vcbf_drake.viz.blocks import (
-    Block,
-    BlockSheet,
-    Pin,
-    Place,
-    Wire,
-    sheet_dot,
-    write_dot,
-)
-from vcbf_drake.viz.diagram_places import diagram_places
+from vcbf_drake.viz.block_graph import Block, Pin, Wire, graph_dot, write_dot
 from vcbf_drake.viz.style import INK, METHOD_STYLES
 
 # What only looks on, at everything.
@@ -50,20 +42,36 @@ def diagram_dot(diagram: Diagram) -> str:
     Log sinks and the audit only look on. The text depends on the systems' names, types,
     ports and connections only: it is the same in every process.
     """
-    return sheet_dot(diagram_sheet(diagram), _readable_name(diagram))
-
-
-def diagram_sheet(diagram: Diagram) -> BlockSheet:
-    """Returns what the picture of a diagram shows."""
     drawn = [s for s in diagram.GetSystems() if not isinstance(s, _NOT_DRAWN)]
     systems = dict(zip(_unique([_readable_name(s) for s in drawn]), drawn, strict=True))
     wires = _wires(diagram, systems)
-    places = diagram_places(systems, wires)
-    blocks = (system_block(n, system, places[n]) for n, system in systems.items())
-    return BlockSheet(tuple(blocks), wires)
+    blocks = [system_block(n, systems[n]) for n in _in_order(systems, wires)]
+    return graph_dot(blocks, wires, _readable_name(diagram))
 
 
-def system_block(name: str, system: System, place: Place) -> Block:
+def _in_order(systems: Mapping[str, System], wires: Sequence[Wire]) -> list[str]:
+    """Returns the systems' names, the way forward first.
+
+    It begins at what gives a safety filter its reference; without a filter, at the
+    systems without wired inputs.
+    """
+    references = [
+        wire.source.block
+        for wire in wires
+        if isinstance(systems[wire.sink.block], SafetyFilter)
+        and wire.sink.number == _reference_index(systems[wire.sink.block])
+    ]
+    fed = {wire.sink.block for wire in wires}
+    filters = [n for n, system in systems.items() if isinstance(system, SafetyFilter)]
+    sources = [] if filters else [name for name in systems if name not in fed]
+    return list(dict.fromkeys([*references, *filters, *sources, *systems]))
+
+
+def _reference_index(safety_filter: System) -> int:
+    return int(safety_filter.GetInputPort("reference").get_index())
+
+
+def system_block(name: str, system: System) -> Block:
     """Returns the block that stands for a system; a safety filter is in colour."""
     kind = _kind(system)
     inputs = map(system.get_input_port, range(system.num_input_ports()))
@@ -71,7 +79,7 @@ def system_block(name: str, system: System, place: Place) -> Block:
     input_names, output_names = (
         tuple(port.get_name() for port in ports) for ports in (inputs, outputs)
     )
-    block = Block(name, kind, input_names, output_names, place)
+    block = Block(name, kind, input_names, output_names)
     if isinstance(system, SafetyFilter):
         method = next(n for n, each in METHODS.items() if each == system.method)
         fill = METHOD_STYLES[method].color

@@ -14,15 +14,7 @@ from typing import NamedTuple
 from pydrake.systems.framework import CacheEntry, CacheIndex, InputPortIndex
 
 from vcbf_drake.safety import SafetyFilter
-from vcbf_drake.viz.blocks import (
-    Block,
-    BlockSheet,
-    Pin,
-    Place,
-    Wire,
-    sheet_dot,
-    write_dot,
-)
+from vcbf_drake.viz.block_graph import Block, Pin, Wire, graph_dot, write_dot
 from vcbf_drake.viz.diagram import system_block
 
 _INPUTS, _OUTPUTS = "inputs", "outputs"
@@ -60,30 +52,25 @@ def write_filter_diagram(
 
 def filter_dot(safety_filter: SafetyFilter) -> str:
     """Returns the picture of a filter's inside as DOT, the same in every process."""
-    return sheet_dot(filter_sheet(safety_filter), safety_filter.get_name())
-
-
-def filter_sheet(safety_filter: SafetyFilter) -> BlockSheet:
-    """Returns what the picture of a filter's inside shows."""
-    outer = system_block(safety_filter.get_name(), safety_filter, Place(0))
+    name: str = safety_filter.get_name()
+    whole = system_block(name, safety_filter)
     entries = _needed_entries(safety_filter)
     supplies = _input_supplies(safety_filter, entries)
     names = tuple(supply.name for supply in supplies.values())
-    blocks = [Block(_INPUTS, "", (), names, Place(0), framed=False)]
+    blocks = [Block(_INPUTS, "", (), names, framed=False)]
     wires: list[Wire] = []
     for entry in entries:
         needs = [supply for t, supply in supplies.items() if t in _prerequisites(entry)]
-        block = _entry_block(safety_filter, entry, needs, blocks)
+        block = _entry_block(safety_filter, entry, needs)
         blocks.append(block)
         wires += [
             Wire(need.source, Pin(block.name, False, i), need.size)
             for i, need in enumerate(needs)
         ]
         supplies[int(entry.ticket())] = _Supply(Pin(block.name, True, 0), block.name, 0)
-    last = Place(_after(blocks))
-    blocks.append(Block(_OUTPUTS, "", outer.outputs, (), last, framed=False))
+    blocks.append(Block(_OUTPUTS, "", whole.outputs, (), framed=False))
     wires += _output_wires(safety_filter, supplies)
-    return BlockSheet(tuple(blocks), tuple(wires), outer)
+    return graph_dot(blocks, wires, name, frame=f"{name}: {whole.kind}")
 
 
 def _output_wires(
@@ -131,25 +118,11 @@ def _input_supplies(
 
 
 def _entry_block(
-    safety_filter: SafetyFilter,
-    entry: CacheEntry,
-    needs: Sequence[_Supply],
-    before: Sequence[Block],
+    safety_filter: SafetyFilter, entry: CacheEntry, needs: Sequence[_Supply]
 ) -> Block:
     name: str = entry.description()
-    feeding = {need.source.block for need in needs}
-    return Block(
-        name,
-        "cache entry",
-        tuple(need.name for need in needs),
-        ("",),
-        Place(_after([block for block in before if block.name in feeding])),
-        _steps(safety_filter).get(name, ()),
-    )
-
-
-def _after(blocks: Sequence[Block]) -> int:
-    return 1 + max((block.place.column for block in blocks), default=0)
+    inputs, notes = tuple(need.name for need in needs), _steps(safety_filter).get(name)
+    return Block(name, "cache entry", inputs, ("",), notes or ())
 
 
 def _steps(safety_filter: SafetyFilter) -> dict[str, tuple[str, ...]]:

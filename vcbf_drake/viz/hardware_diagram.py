@@ -8,15 +8,7 @@ from typing import TYPE_CHECKING
 from pydrake.systems.framework import Diagram
 from pydrake.systems.primitives import VectorLogSink
 
-from vcbf_drake.viz.blocks import (
-    Block,
-    BlockSheet,
-    Pin,
-    Place,
-    Wire,
-    sheet_dot,
-    write_dot,
-)
+from vcbf_drake.viz.block_graph import Block, Pin, Wire, graph_dot, write_dot
 
 if TYPE_CHECKING:
     from vcbf_drake.hil import Bus, InProcess
@@ -33,11 +25,11 @@ def write_hardware_diagram(run: InProcess, directory: Path, name: str) -> list[P
     Returns:
         The paths written.
     """
-    return write_dot(sheet_dot(hardware_sheet(run), name), directory, name)
+    return write_dot(hardware_dot(run, name), directory, name)
 
 
-def hardware_sheet(run: InProcess) -> BlockSheet:
-    """Returns what the picture shows: what each process holds, sends and hears.
+def hardware_dot(run: InProcess, title: str) -> str:
+    """Returns the picture as DOT: what each process holds, sends and hears.
 
     Both are run for a second, in which everything is sent once.
 
@@ -55,12 +47,11 @@ def hardware_sheet(run: InProcess) -> BlockSheet:
             command,
             tuple(process.bus.subscribed),
             tuple(c for c in passing[process] if c not in process.bus.subscribed),
-            place,
             _systems(process.diagram),
         )
-        for name, command, process, place in (
-            ("controller process", "vcbf-drake controller", controller, Place(0)),
-            ("vehicle process", "vcbf-drake plant", vehicle, Place(0, 1, True)),
+        for name, command, process in (
+            ("controller process", "vcbf-drake controller", controller),
+            ("vehicle process", "vcbf-drake plant", vehicle),
         )
     )
     wires = [
@@ -70,7 +61,7 @@ def hardware_sheet(run: InProcess) -> BlockSheet:
         for j, heard in enumerate(sink.inputs)
         if heard == channel
     ]
-    return BlockSheet(blocks, tuple(wires))
+    return graph_dot(blocks, wires, title)
 
 
 def _passing_channels(bus: Bus) -> dict[str, None]:

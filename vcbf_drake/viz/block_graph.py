@@ -1,0 +1,281 @@
+"""Blocks with ports and wires, laid out and drawn by Graphviz through pydot."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from html import escape
+import logging
+from pathlib import Path
+import shutil
+import subprocess
+from typing import Any, NamedTuple
+
+from vcbf_drake.viz.style import GRID, INK, MUTED, RC_PARAMS
+
+_NO_GRAPHVIZ = (
+    "no SVG: Graphviz' program `dot` is not installed"
+    " (apt-get install graphviz, or brew install graphviz)"
+)
+_FONT = f"{RC_PARAMS['font.family']},Verdana,sans-serif"
+_LINES = "#3d4754"
+_JOINED: dict[str, Any] = {"headclip": "false"}
+
+
+class Pin(NamedTuple):
+    """One port of one block.
+
+    Attributes:
+        block: The block's name.
+        is_output: Whether it is an output port.
+        number: Its index among the block's inputs or outputs.
+    """
+
+    block: str
+    is_output: bool
+    number: int
+
+    def __str__(self) -> str:
+        """The port as DOT addresses it."""
+        return f"{_quoted(self.block)}:{self.identifier}"
+
+    @property
+    def identifier(self) -> str:
+        """The port's name in its block's table."""
+        return f"{'out' if self.is_output else 'in'}_{self.number}"
+
+
+class Wire(NamedTuple):
+    """A connection from an output to an input.
+
+    Attributes:
+        source: The output.
+        sink: The input.
+        size: The length of the vector it carries; 0 when it carries no vector.
+    """
+
+    source: Pin
+    sink: Pin
+    size: int
+
+
+@dataclass(frozen=True)
+class Block:
+    """One box with its ports.
+
+    Attributes:
+        name: Unique in its drawing, and written at the top.
+        kind: Written below the name.
+        inputs: The input ports' names.
+        outputs: The output ports' names.
+        notes: Lines between the head and the ports.
+        ink: The head's text colour.
+        fill: The head's background.
+        framed: Whether head and border are drawn; without them only ports are.
+    """
+
+    name: str
+    kind: str
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    ink: str = INK
+    fill: str = GRID
+    framed: bool = True
+
+
+def graph_dot(
+    blocks: Sequence[Block], wires: Sequence[Wire], title: str, frame: str = ""
+) -> str:
+    """The DOT text of blocks and wires, from left to right, the same for the same.
+
+    Wires that lead back to a block on the way do not move it. A block all of whose
+    wires lead back stands below the way, mirrored: its outputs are on its left.
+
+    Args:
+        blocks: The blocks, the first ones of the way first.
+        wires: The connections between them.
+        title: The graph's name.
+        frame: The title of a frame around everything; none when empty.
+    """
+    from pydot import Cluster, Dot, Node
+
+    graph = Dot(_quoted(title), graph_type="digraph", rankdir="LR", bgcolor="white")
+    graph.set("nodesep", 0.35)
+    graph.set("ranksep", 0.5)
+    font: dict[str, Any] = {"fontname": _quoted(_FONT), "fontcolor": _quoted(INK)}
+    graph.set_node_defaults(shape="plain", fontsize=10, **font)
+    graph.set_edge_defaults(color=_quoted(_LINES), arrowsize=0.7, fontsize=9, **font)
+    inside: Any = graph
+    if frame:
+        style: dict[str, Any] = {
+            "label": _quoted(frame),
+            "color": _quoted(MUTED),
+            "fontsize": 11,
+        }
+        inside = Cluster("frame", **(style | font))
+        graph.add_subgraph(inside)
+    backward = _backward(blocks, wires)
+    below = _below(blocks, wires, backward)
+    wired = {pin for wire in wires for pin in wire[:2]}
+    for block in blocks:
+        inside.add_node(_node(block, block.name in below, wired))
+    nets: dict[Pin, list[Wire]] = {}
+    for wire in wires:
+        nets.setdefault(wire.source, []).append(wire)
+    for number, net in enumerate(nets.values()):
+        for part in _net(number, net, backward, below):
+            if isinstance(part, Node):
+                inside.add_node(part)
+            else:
+                graph.add_edge(part)
+    return str(graph.to_string())
+
+
+def write_dot(dot: str, directory: Path, name: str) -> list[Path]:
+    """Writes DOT text, and its SVG next to it where Graphviz is installed.
+
+    Args:
+        dot: The text.
+        directory: Where to write; it is made.
+        name: The file name without its ending.
+
+    Returns:
+        The paths written.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    source, picture = directory / f"{name}.dot", directory / f"{name}.svg"
+    source.write_text(dot, encoding="utf-8")
+    program = shutil.which("dot")
+    if program is None:
+        logging.getLogger(__name__).warning(_NO_GRAPHVIZ)
+        return [source]
+    subprocess.run([program, "-Tsvg", "-o", picture, source], check=True)
+    return [source, picture]
+
+
+def _backward(blocks: Sequence[Block], wires: Sequence[Wire]) -> set[Wire]:
+    """The wires that close a loop, found by walking forward from the first block."""
+    done: set[str] = set()
+    on_the_way: list[str] = []
+    backward: set[Wire] = set()
+
+    def walk(name: str) -> None:
+        on_the_way.append(name)
+        for wire in wires:
+            if wire.source.block == name:
+                if wire.sink.block in on_the_way:
+                    backward.add(wire)
+                elif wire.sink.block not in done:
+                    walk(wire.sink.block)
+        on_the_way.pop()
+        done.add(name)
+
+    for block in blocks:
+        if block.name not in done:
+            walk(block.name)
+    return backward
+
+
+def _below(
+    blocks: Sequence[Block], wires: Sequence[Wire], backward: Collection[Wire]
+) -> list[str]:
+    """The names of blocks with inputs all of whose outputs' wires lead back."""
+    names = []
+    for block in blocks:
+        leaving = [wire for wire in wires if wire.source.block == block.name]
+        if leaving and block is not blocks[-1] and all(w in backward for w in leaving):
+            names.append(block.name)
+    return names
+
+
+def _net(
+    number: int, net: Sequence[Wire], backward: Collection[Wire], below: Collection[str]
+) -> Iterator[Any]:
+    """The points and edges of all wires from one output.
+
+    For Graphviz every edge leads to the right, or the layout is a tangle. A wire that
+    leads back therefore runs, unheaded, from a point on the right of its source to a
+    point on the left of its sink, laid out from left to right, drawn as one line.
+    """
+    from pydot import Edge
+
+    source = net[0].source
+    returning = [w for w in net if w in backward or w.sink.block in below]
+    for wire in net:
+        if wire not in returning:
+            yield Edge(f"{source}:e", f"{wire.sink}:w", weight=4, **_size(wire))
+    if not returning:
+        return
+    trunk = f"{source}:w"
+    if source.block not in below:
+        trunk = f"net_{number}"
+        yield _point(trunk)
+        yield Edge(f"{source}:e", trunk, dir="none", tailclip="true", **_JOINED)
+    for k, wire in enumerate(reversed(returning)):
+        if wire.sink.block in below:
+            yield Edge(f"{wire.sink}:e", trunk, dir="back", **_size(wire), **_JOINED)
+            continue
+        corner = f"net_{number}_{k}"
+        yield _point(corner)
+        yield Edge(corner, trunk, dir="none", minlen=0, **_JOINED)
+        yield Edge(corner, f"{wire.sink}:w", **_size(wire), tailclip="false")
+        trunk = corner
+
+
+def _point(name: str) -> Any:
+    from pydot import Node
+
+    return Node(name, shape="point", width=0.04, color=_quoted(_LINES))
+
+
+def _size(wire: Wire) -> dict[str, Any]:
+    return {"label": _quoted(f" {wire.size} ")} if wire.size else {}
+
+
+def _node(block: Block, mirrored: bool, wired: Collection[Pin]) -> Any:
+    from pydot import Node
+
+    return Node(_quoted(block.name), label=_table(block, mirrored, wired))
+
+
+def _table(block: Block, mirrored: bool, wired: Collection[Pin]) -> str:
+    """The HTML-like label: head, notes, and a row for every pair of ports."""
+    rows = [f"<TR>{cell}</TR>" for cell in _head(block)]
+    pins = [
+        [Pin(block.name, False, k) for k in range(len(block.inputs))],
+        [Pin(block.name, True, k) for k in range(len(block.outputs))],
+    ]
+    left, right = pins[::-1] if mirrored else pins
+    for k in range(max(len(left), len(right))):
+        cells = _cell(block, left[k : k + 1], "LEFT", wired)
+        cells += _cell(block, right[k : k + 1], "RIGHT", wired)
+        rows.append(f"<TR>{cells}</TR>")
+    style = f'BORDER="{int(block.framed)}" COLOR="{MUTED}"'
+    style += ' CELLBORDER="0" CELLSPACING="0" CELLPADDING="3"'
+    return f"<<TABLE {style}>{''.join(rows)}</TABLE>>"
+
+
+def _head(block: Block) -> Iterator[str]:
+    if block.framed:
+        text = f'<FONT POINT-SIZE="11"><B>{escape(block.name)}</B></FONT>'
+        text += f"<BR/>{escape(block.kind)}" if block.kind else ""
+        style = f'COLSPAN="2" CELLPADDING="5" BGCOLOR="{block.fill}"'
+        yield f'<TD {style}><FONT COLOR="{block.ink}">{text}</FONT></TD>'
+    for note in block.notes:
+        yield f'<TD COLSPAN="2" ALIGN="LEFT">{escape(note)}</TD>'
+
+
+def _cell(block: Block, pins: Sequence[Pin], align: str, wired: Collection[Pin]) -> str:
+    """The cell of one port, or of none; a port without a wire is paler."""
+    for pin in pins:
+        name = (block.outputs if pin.is_output else block.inputs)[pin.number]
+        color = INK if pin in wired else MUTED
+        text = f'<FONT COLOR="{color}">{escape(name) or "&#160;"}</FONT>'
+        return f'<TD ALIGN="{align}" PORT="{pin.identifier}">{text}</TD>'
+    return "<TD></TD>"
+
+
+def _quoted(text: str) -> str:
+    escaped = text.replace('"', '\\"')
+    return f'"{escaped}"'
