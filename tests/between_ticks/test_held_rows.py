@@ -51,7 +51,7 @@ from vcbf_drake.safety import (
     Tick,
     least_height,
 )
-from vcbf_drake.safety.filter_qp import FilterDecision, FilterStatus
+from vcbf_drake.safety.qp import FilterDecision, FilterStatus
 from vcbf_drake.studies.moving_wall import press_against_wall
 
 ROOT = Path(__file__).parents[2]

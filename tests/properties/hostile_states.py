@@ -22,7 +22,7 @@ from vcbf_drake.safety import (
     InputSet,
     SafetyFilter,
 )
-from vcbf_drake.safety.filter_qp import INFEASIBLE_POLICIES
+from vcbf_drake.safety.qp import INFEASIBLE_POLICIES
 
 PLANTS = ("blimp", "car")
 MOST_OBSTACLES = 4

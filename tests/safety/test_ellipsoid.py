@@ -7,10 +7,10 @@ from pydrake.geometry.optimization import HPolyhedron
 import pytest
 
 from vcbf_drake.errors import EmptySetError, SolverError, UnboundedSetError, VcbfError
-from vcbf_drake.safety import certified_ellipsoid, cone_program
-from vcbf_drake.safety.ellipsoid import inscribed_ellipsoid
-from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver
+from vcbf_drake.safety import certified_ellipsoid, ellipsoid
+from vcbf_drake.safety.ellipsoid import InscribedEllipsoidSolver, inscribed_ellipsoid
 from vcbf_drake.safety.input_set import InputSet
+from vcbf_drake.safety.programs import EllipsoidProgram
 
 UNIT_BALL = {1: 2.0, 2: math.pi, 3: 4.0 * math.pi / 3.0, 4: math.pi**2 / 2.0}
 
@@ -360,7 +360,7 @@ def test_the_cone_program_proposes_the_multipliers_too(m):
     rng = np.random.default_rng(80 + m)
     for _ in range(10):
         A, b = random_polytope(rng, m)
-        center, L, multipliers = cone_program.cone_program(len(b), m, 1e-10).solve(A, b)
+        center, L, multipliers = EllipsoidProgram(len(b), m, 1e-10).solve(A, b)
         e = inscribed_ellipsoid(A, b)
         np.testing.assert_allclose(center, e.center, atol=1e-5)
         np.testing.assert_allclose(L @ L.T, e.shape @ e.shape, atol=1e-5)
@@ -369,7 +369,7 @@ def test_the_cone_program_proposes_the_multipliers_too(m):
 
 
 def test_a_solver_that_gives_up_is_not_believed(monkeypatch):
-    monkeypatch.setattr(cone_program.ConeProgram, "solve", lambda self, A, b: None)
+    monkeypatch.setattr(EllipsoidProgram, "solve", lambda self, A, b: None)
     with pytest.raises(SolverError):
         inscribed_ellipsoid(box_rows(2), np.ones(4))
 
@@ -388,7 +388,6 @@ def test_answers_do_not_depend_on_history_or_threads():
     A, b = zip(*sets, strict=True)
     for solve in (inscribed_ellipsoid, solver.solve):
         first = [as_bytes(e) for e in map(solve, A, b)]
-        cone_program.cone_program.cache_clear()
         backwards = [as_bytes(e) for e in map(solve, A[::-1], b[::-1])]
         assert backwards == first[::-1]
         with ThreadPoolExecutor(4) as pool:
@@ -455,7 +454,7 @@ def test_plateau_needs_no_solve(monkeypatch):
     box = InscribedEllipsoidSolver(InputSet.box([-5.0, 0.0], [5.0, 1.0]))
     triangle_rows = np.array([[1.0, 1.0], [-1.0, 1.0], [0.0, -1.0]]), np.ones(3)
     triangle = InscribedEllipsoidSolver(InputSet(*triangle_rows))
-    monkeypatch.setattr(InscribedEllipsoidSolver, "_of_rows", None)
+    monkeypatch.setattr(ellipsoid, "_of_rows", None)
     # The first row touches the unit ball, the second cuts a corner of the box only.
     e = box.solve(np.array([[3.0, 4.0], [1.0, 1.0]]), np.array([5.0, 1.5]))
     np.testing.assert_array_equal(e.shape, np.eye(2))

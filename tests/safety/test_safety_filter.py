@@ -21,8 +21,7 @@ from vcbf_drake.disturbances import DisturbanceBounds, Sinusoid
 from vcbf_drake.errors import SolverError
 from vcbf_drake.safety import METHODS, FilterSettings, FilterStatus, unpack_feasible_set
 from vcbf_drake.safety import safety_filter as safety_filter_module
-from vcbf_drake.safety.feasibility_measure import EllipsoidVolume
-from vcbf_drake.safety.volume_barrier import VolumeBarrier, volume_row
+from vcbf_drake.safety.volume import VolumeBarrier, VolumeMeasure, volume_row
 
 LIMITS = InputSet.box([-0.05, -0.2, -0.02], [0.25, 0.2, 0.02])
 CLOSE = np.array([0.0, 0.0, 0.0, 0.1, 0.25, 0.0, 0.1, 0.0])
@@ -186,7 +185,7 @@ def test_a_volume_that_cannot_be_verified_is_said_and_its_row_left_out(
     without = make_filter(model, method="dob-cbf-qp")
     expected = evaluate(without, fixed(without, CLOSE), "command")
     safety_filter = make_filter(model)
-    monkeypatch.setattr(EllipsoidVolume, "_measure", fail)
+    monkeypatch.setattr(VolumeMeasure, "__call__", fail)
     context = fixed(safety_filter, CLOSE)
     assert np.isnan(evaluate(safety_filter, context, "volume")[0])
     assert evaluate(safety_filter, context, "status")[0] == FilterStatus.FAILED
@@ -195,7 +194,7 @@ def test_a_volume_that_cannot_be_verified_is_said_and_its_row_left_out(
 
 def test_the_guards_row_is_kept_beside_the_volume_row(model):
     """The guard is the determinant, its row as a filter with that measure has it."""
-    settings = {"measure": "inradius", "widening": 4.0, "gain": 50.0}
+    settings = {"widening": 4.0, "gain": 50.0}
     alone = make_filter(model, volume=VolumeBarrier(**settings))
     guarded = make_filter(
         model, volume=VolumeBarrier(**settings, guard="volume", guard_gain=0.05)
@@ -224,11 +223,11 @@ def test_without_a_guard_its_gain_does_not_matter(model):
         return evaluate(f, fixed(f, CLOSE), "command")
 
     np.testing.assert_array_equal(chosen(0.05), chosen(50.0))
-    assert np.abs(chosen(0.05, guard="inradius") - chosen(50.0)).max() > 1e-3
+    assert np.abs(chosen(0.05, guard="volume") - chosen(50.0)).max() > 1e-3
 
 
 def test_a_method_without_a_volume_row_has_no_guard_either(model):
-    barrier = VolumeBarrier(guard="inradius", guard_gain=0.05)
+    barrier = VolumeBarrier(guard="volume", guard_gain=0.05)
     guarded, plain = (
         make_filter(model, method="dob-cbf-qp", volume=v)
         for v in (barrier, VolumeBarrier())

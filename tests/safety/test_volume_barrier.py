@@ -10,9 +10,8 @@ import pytest
 from vcbf_drake import Blimp, ControlAffineModel, InputSet, SphereObstacle
 from vcbf_drake.barriers import BarrierRows, BarrierSet
 from vcbf_drake.safety import DisturbanceKnowledge, VolumeBarrier
-from vcbf_drake.safety.feasibility_measure import EllipsoidVolume
 from vcbf_drake.safety.feasible_set import feasible_set
-from vcbf_drake.safety.volume_barrier import Volume, volume, volume_row
+from vcbf_drake.safety.volume import Volume, VolumeMeasure, volume, volume_row
 from vcbf_drake.simulation import load_scenario, make_loop
 
 THRESHOLD = 0.02
@@ -61,7 +60,7 @@ def drake_volume(barriers, state, time, known):
 def evaluate(barriers, state, time, known):
     feasible = feasible_set(INPUTS, barriers.rows(state, time), known)
     k = feasible.num_input_rows
-    measured = EllipsoidVolume(INPUTS, THRESHOLD)(feasible.A_v[k:], feasible.b_v[k:])
+    measured = VolumeMeasure(INPUTS, THRESHOLD)(feasible.A_v[k:], feasible.b_v[k:])
     return volume(measured, feasible, INPUTS)
 
 
@@ -309,5 +308,5 @@ def test_the_plateau_ends_where_any_row_could_take_room_away(moving):
 
 def test_the_label_says_what_is_measured():
     assert VolumeBarrier().label == "volume"
-    wide = VolumeBarrier(measure="root_volume", widening=2.5)
-    assert wide.label == "root volume, inputs x 2.5"
+    wide = VolumeBarrier(widening=2.5)
+    assert wide.label == "volume, inputs x 2.5"

@@ -16,7 +16,7 @@ from vcbf_drake.between_ticks.reach_tube import ReachTube, reach_tube
 from vcbf_drake.checks import Array
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.feasible_set import DisturbanceKnowledge, disturbance_margin
-from vcbf_drake.safety.filter_qp import FilterDecision, FilterStatus
+from vcbf_drake.safety.qp import FilterDecision, FilterStatus
 
 _Pair: TypeAlias = tuple[Array, Array]  # Middles and radii of intervals.
 

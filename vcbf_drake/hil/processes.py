@@ -27,7 +27,7 @@ from vcbf_drake.safety import (
     emptiness_certificate,
     inscribed_ellipsoid,
 )
-from vcbf_drake.safety.nearest_point import nearest_point
+from vcbf_drake.safety.projection import nearest_point
 from vcbf_drake.simulation.run import make_simulator
 from vcbf_drake.simulation.scenario import Scenario
 

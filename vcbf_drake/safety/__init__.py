@@ -3,21 +3,12 @@
 from vcbf_drake.between_ticks.held_rows import HeldRows, Tick, least_height
 from vcbf_drake.safety.add_safety_filter import AddedSafetyFilter, AddSafetyFilter
 from vcbf_drake.safety.assumptions import Assumption, assumptions
-from vcbf_drake.safety.chebyshev import chebyshev_ball
 from vcbf_drake.safety.corrections import FIDELITIES, Corrections
 from vcbf_drake.safety.ellipsoid import Ellipsoid, inscribed_ellipsoid
-from vcbf_drake.safety.emptiness import Emptiness, emptiness_certificate
-from vcbf_drake.safety.feasibility_measure import MEASURES, FeasibilityMeasure
 from vcbf_drake.safety.feasible_set import (
     DisturbanceKnowledge,
     FeasibleSet,
     disturbance_margin,
-)
-from vcbf_drake.safety.filter_qp import (
-    INFEASIBLE_POLICIES,
-    FilterDecision,
-    FilterStatus,
-    InfeasiblePolicy,
 )
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.methods import METHODS, Method
@@ -25,15 +16,25 @@ from vcbf_drake.safety.packed_feasible_set import (
     PackedFeasibleSet,
     unpack_feasible_set,
 )
+from vcbf_drake.safety.polytope import (
+    Emptiness,
+    chebyshev_ball,
+    emptiness_certificate,
+)
+from vcbf_drake.safety.qp import (
+    INFEASIBLE_POLICIES,
+    FilterDecision,
+    FilterStatus,
+    InfeasiblePolicy,
+)
 from vcbf_drake.safety.safety_filter import SafetyFilter
 from vcbf_drake.safety.settings import BETWEEN_TICKS, FilterSettings, ObserverSettings
-from vcbf_drake.safety.volume_barrier import Volume, VolumeBarrier
+from vcbf_drake.safety.volume import Volume, VolumeBarrier
 
 __all__ = [
     "BETWEEN_TICKS",
     "FIDELITIES",
     "INFEASIBLE_POLICIES",
-    "MEASURES",
     "METHODS",
     "AddSafetyFilter",
     "AddedSafetyFilter",
@@ -42,7 +43,6 @@ __all__ = [
     "DisturbanceKnowledge",
     "Ellipsoid",
     "Emptiness",
-    "FeasibilityMeasure",
     "FeasibleSet",
     "FilterDecision",
     "FilterSettings",

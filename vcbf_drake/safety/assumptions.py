@@ -13,7 +13,7 @@ from vcbf_drake.barriers import Barrier, BarrierRows
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceObserver, RiseObserver
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety.recession import recession_direction
+from vcbf_drake.safety.polytope import recession_direction
 from vcbf_drake.safety.safety_filter import SafetyFilter
 
 

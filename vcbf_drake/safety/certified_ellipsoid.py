@@ -12,7 +12,6 @@ import math
 import numpy as np
 
 from vcbf_drake.checks import Array
-from vcbf_drake.safety.cut_ellipsoid import estimated_weights
 
 # Largest certified error of log det B, hence of the volume's relative error.
 ACCEPTED_GAP = 1e-7
@@ -38,8 +37,7 @@ def polish(
     b: Array,
     center: Array,
     frame: Array,
-    multipliers: Array | None = None,
-    is_exact: bool = False,
+    multipliers: Array,
 ) -> CertifiedEllipsoid | None:
     """Semismooth Newton's method on the optimality conditions (E42).
 
@@ -58,13 +56,20 @@ def polish(
 
     which determines v, and w_i becomes v_i - w_i n_i' d.
 
-    The gap says little of the multipliers: its error is the square of theirs. So what
-    is only proposed takes one step at least; what is exact takes none. Where nobody
-    proposes multipliers, every step estimates them until there is a bound.
+    The gap says little of the multipliers: its error is the square of theirs. So one
+    step at least is taken.
+
+    Args:
+        A: The rows, of unit length, shape (n, m).
+        b: Their right-hand sides, shape (n,).
+        center: c of the proposal, shape (m,).
+        frame: F with F F' = B^2, shape (m, m).
+        multipliers: Of the rows, shape (n,).
+
+    Returns:
+        The best ellipsoid with a bound; None without one.
     """
     best, least = None, math.inf
-    is_proposed = multipliers is not None
-    multipliers = multipliers if is_proposed else np.zeros(len(b))
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         for step in range(8):
             n = A @ frame
@@ -73,17 +78,13 @@ def polish(
             e = (b - A @ center) / length - 1.0
             w = multipliers * length
             w[w <= e] = 0.0
-            if step > 0 or is_exact:
+            if step > 0:
                 gap = _gap(n, e, w)
                 if gap < least:
                     best, least = (center, frame, w / length, e), gap
                 if gap <= TARGET_GAP or (step == _PATIENCE and best is None):
                     break
-            if is_proposed or best is not None:
-                on = ((w > 0.0) | (e < 0.0)).nonzero()[0]
-            else:
-                w = estimated_weights(n, e)
-                on = w.nonzero()[0]
+            on = ((w > 0.0) | (e < 0.0)).nonzero()[0]
             n, e, w = n[on], e[on], w[on]
             cosine = n @ n.T
             square = cosine * cosine

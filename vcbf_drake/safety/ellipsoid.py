@@ -22,11 +22,22 @@ from vcbf_drake.safety.certified_ellipsoid import (
     interval,
     polish,
 )
-from vcbf_drake.safety.chebyshev import dikin_frame, largest_ball
-from vcbf_drake.safety.cone_program import cone_program
-from vcbf_drake.safety.recession import recession_direction
-from vcbf_drake.safety.unit_rows import UnitRows
+from vcbf_drake.safety.input_set import InputSet
+from vcbf_drake.safety.polytope import (
+    UnitRows,
+    chebyshev_ball,
+    dikin_frame,
+    largest_ball,
+    recession_direction,
+)
+from vcbf_drake.safety.programs import EllipsoidProgram
 
+# Of a set of unit size the cone program reaches this tolerance; one Newton step is then
+# enough.
+_FAST_TOLERANCE = 1e-10
+# Cut input sets thinner than this, in normalised inputs, may count as empty: there the
+# rounding of their rows alone can exceed the accepted gap.
+THINNEST = 1e-7
 # Of any polytope the cone program reaches this tolerance; two or three Newton steps
 # are then enough.
 _CAREFUL_TOLERANCE = 1e-7
@@ -99,22 +110,20 @@ def inscribed_ellipsoid(A: ArrayLike, b: ArrayLike) -> Ellipsoid:
         SolverError: No ellipsoid could be certified.
         ValueError: Wrong shapes or numbers that are not finite.
     """
-    rows = UnitRows(A, b)
+    rows = UnitRows.checked(A, b)
     if rows.conflict is not None:
         raise EmptySetError(*rows.given, -math.inf)
     found = _search(rows)
     if found is None:
-        direction = recession_direction(rows.A)
+        direction = recession_direction(rows.without_blanks()[0])
         if direction is not None:
             raise UnboundedSetError(*rows.given, direction)
         raise SolverError("no ellipsoid could be certified", *rows.given)
-    multipliers = np.zeros(len(rows.given[1]))
-    multipliers[rows.index] = found.multipliers / rows.length
     return Ellipsoid(
         found.center,
         found.shape,
         found.log_det,
-        multipliers,
+        rows.in_units_given(found.multipliers),
         found.certified_gap,
         rows.given[0],
     )
@@ -127,7 +136,7 @@ def _search(rows: UnitRows) -> CertifiedEllipsoid | None:
     u = center + frame z, of the rows around the Chebyshev centre, and then of what it
     finds.
     """
-    A, b, ball = rows.A, rows.b, largest_ball(rows)
+    ball, (A, b) = largest_ball(rows), rows.without_blanks()
     if ball.radius <= ball.rounding:
         raise EmptySetError(*rows.given, ball.radius)
     if A.shape[1] == 1:
@@ -136,7 +145,7 @@ def _search(rows: UnitRows) -> CertifiedEllipsoid | None:
     for _ in range(4):
         normals, distance = A @ frame, b - A @ center
         length = np.linalg.norm(normals, axis=1)
-        program = cone_program(*A.shape, _CAREFUL_TOLERANCE)
+        program = EllipsoidProgram.of_size(*A.shape, _CAREFUL_TOLERANCE)
         guess = program.solve(
             normals / length[:, None], np.minimum(distance / length, _FARTHEST)
         )
@@ -147,3 +156,128 @@ def _search(rows: UnitRows) -> CertifiedEllipsoid | None:
         if found is not None and found.certified_gap <= ACCEPTED_GAP:
             return found
     return None
+
+
+class InscribedEllipsoidSolver:
+    """Finds the largest ellipsoid of an input set cut by a few rows, at every tick.
+
+    In normalised inputs v (see `InputSet`). When the input set's own largest ellipsoid
+    meets every row, it is the answer: the plateau. A row with b_i > |a_i|_1 cuts
+    nothing off the bounding box |v_j| <= 1. An input of a box that no other row
+    mentions is an axis of the ellipsoid, of half-length 1. What is left is the cone
+    program's, and needs the certificate.
+
+    Args:
+        input_set: The inputs before any row cuts them.
+    """
+
+    def __init__(self, input_set: InputSet) -> None:
+        self._A, self._b = input_set.A_normalised, input_set.b_normalised
+        self._is_box = input_set.is_box
+        self._all_rows, self._all_inputs = map(np.arange, self._A.shape)
+        m = input_set.num_inputs
+        self._free = (
+            Ellipsoid(np.zeros(m), np.eye(m), 0.0, np.full(2 * m, 0.5), 0.0, self._A)
+            if self._is_box
+            else inscribed_ellipsoid(self._A, self._b)
+        )
+        # Every answer on the plateau shares these.
+        self._free.center.flags.writeable = False
+        self._free.shape.flags.writeable = False
+
+    @property
+    def num_inputs(self) -> int:
+        """The number of inputs m."""
+        return self._A.shape[1]
+
+    def solve(self, A: Array, b: Array) -> Ellipsoid:
+        """Returns the largest ellipsoid in v of the input set with ``A v <= b``.
+
+        Its rows and multipliers are those of the input set, in the order of
+        `InputSet.A_normalised` (of a box +v_1, .., +v_m, -v_1, .., -v_m), and then
+        those given.
+
+        Args:
+            A: The rows in normalised inputs, shape (N, m).
+            b: The right-hand sides, shape (N,).
+
+        Raises:
+            EmptySetError: Input set and rows have no interior in common, or one too
+                thin (an inradius below 1e-7) to be certified.
+            SolverError: No ellipsoid could be certified.
+            ValueError: Wrong shapes or numbers that are not finite.
+        """
+        if A.shape != (len(b), self._A.shape[1]):
+            raise ValueError(
+                f"A has shape {A.shape} and b {b.shape}; they must be (N, m) and (N,)"
+                f" with m = {self._A.shape[1]}"
+            )
+        rows = np.concatenate([self._A, A])
+        if self._is_free(A, b):
+            multipliers = np.concatenate([self._free.multipliers, np.zeros(len(b))])
+            return Ellipsoid(
+                self._free.center,
+                self._free.shape,
+                self._free.log_det,
+                multipliers,
+                self._free.certified_gap,
+                rows,
+            )
+        bounds = np.concatenate([self._b, b])
+        try:
+            return self._cut(A, b, rows, bounds)
+        except EmptySetError as error:
+            raise EmptySetError(rows, bounds, error.inradius) from None
+        except SolverError:
+            radius = chebyshev_ball(rows, bounds)[1]
+            if radius < THINNEST:
+                raise EmptySetError(rows, bounds, radius) from None
+            raise
+
+    def _is_free(self, A: Array, b: Array) -> bool:
+        """Whether the input set's own ellipsoid meets every row."""
+        if self._is_box:
+            return bool((np.sqrt(np.vecdot(A, A)) <= b).all())
+        length = np.linalg.norm(A @ self._free.shape, axis=1)
+        return bool((length + A @ self._free.center <= b).all())
+
+    def _cut(self, A: Array, b: Array, rows: Array, bounds: Array) -> Ellipsoid:
+        """The input set cut by rows, with only the rows and the inputs that matter."""
+        k, m = self._A.shape
+        # The margin: the bounding box of a general set has a solver's accuracy.
+        cutting = (~(np.abs(A).sum(axis=1) * (1.0 + 1e-6) <= b)).nonzero()[0]
+        normals, distance = A[cutting], b[cutting]
+        cut, own = self._all_inputs, self._all_rows
+        if self._is_box:
+            cut = normals.any(axis=0).nonzero()[0]
+            own = np.concatenate([cut, m + cut])
+        normals = normals[:, cut]
+        length = np.sqrt(np.vecdot(normals, normals))
+        if not (length.all() and np.isfinite(length + distance).all()):
+            return inscribed_ellipsoid(rows, bounds)
+        block_A = np.concatenate(
+            [self._A[own[:, None], cut], normals / length[:, None]]
+        )
+        block_b = np.concatenate([self._b[own], distance / length])
+        found = _of_rows(block_A, block_b)
+        center, shape = self._free.center.copy(), self._free.shape.copy()
+        center[cut], shape[cut[:, None], cut] = found.center, found.shape
+        multipliers = np.zeros(len(rows))
+        multipliers[:k] = self._free.multipliers
+        multipliers[own] = found.multipliers[: len(own)]
+        multipliers[k + cutting] = found.multipliers[len(own) :] / length
+        return Ellipsoid(
+            center, shape, found.log_det, multipliers, found.certified_gap, rows
+        )
+
+
+def _of_rows(A: Array, b: Array) -> CertifiedEllipsoid | Ellipsoid:
+    """The largest ellipsoid of unit rows, of a set of about unit size."""
+    if A.shape[1] == 1:
+        found = interval(A, b)
+    else:
+        guess = EllipsoidProgram.of_size(*A.shape, _FAST_TOLERANCE).solve(A, b)
+        found = guess and polish(A, b, *guess)
+    if found and found.certified_gap <= ACCEPTED_GAP:
+        return found
+    return inscribed_ellipsoid(A, b)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydrake.systems.framework import Context, EventStatus, LeafSystem
 
-from vcbf_drake.safety.filter_qp import FilterStatus
+from vcbf_drake.safety.qp import FilterStatus
 
 
 class InfeasibilityMonitor(LeafSystem):

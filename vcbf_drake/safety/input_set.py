@@ -7,11 +7,8 @@ from numpy.typing import ArrayLike
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import EmptySetError, UnboundedSetError, VcbfError
-from vcbf_drake.safety.chebyshev import chebyshev_ball
-from vcbf_drake.safety.linear_program import minimise_linear
-from vcbf_drake.safety.nearest_point import nearest_point
-from vcbf_drake.safety.recession import recession_direction
-from vcbf_drake.safety.unit_rows import UnitRows
+from vcbf_drake.safety.polytope import UnitRows, chebyshev_ball, recession_direction
+from vcbf_drake.safety.projection import minimise_linear, nearest_point
 
 # A point this many input ranges away is as good as one infinitely far.
 _FARTHEST = 1e6
@@ -48,7 +45,7 @@ class InputSet:
     is_box = False
 
     def __init__(self, A: ArrayLike, b: ArrayLike) -> None:
-        rows = UnitRows(A, b)
+        rows = UnitRows.checked(A, b)
         given_A, given_b = rows.given
         self.interior, radius = chebyshev_ball(given_A, given_b)
         if radius <= 0.0:
@@ -56,13 +53,14 @@ class InputSet:
         direction = recession_direction(given_A)
         if direction is not None:
             raise UnboundedSetError(given_A, given_b, direction)
-        self.A, self.b = given_A[rows.index], given_b[rows.index]
-        lower, upper = _bounding_box(rows, self.interior, radius)
+        self.A, self.b = given_A[~rows.is_blank], given_b[~rows.is_blank]
+        unit_A, unit_b = rows.without_blanks()
+        lower, upper = _bounding_box(unit_A, unit_b, self.interior, radius)
         self.center, self.scale = 0.5 * (lower + upper), 0.5 * (upper - lower)
-        normals = rows.A * self.scale
+        normals = unit_A * self.scale
         length = np.linalg.norm(normals, axis=1)
         self.A_normalised = normals / length[:, None]
-        self.b_normalised = (rows.b - rows.A @ self.center) / length
+        self.b_normalised = (unit_b - unit_A @ self.center) / length
 
     @staticmethod
     def box(lower: ArrayLike, upper: ArrayLike) -> InputSet:
@@ -166,12 +164,14 @@ class _Box(InputSet):
         return inside
 
 
-def _bounding_box(rows: UnitRows, center: Array, radius: float) -> tuple[Array, Array]:
+def _bounding_box(
+    A: Array, b: Array, center: Array, radius: float
+) -> tuple[Array, Array]:
     """Returns the least and the greatest input by one linear program each."""
-    distance = (rows.b - rows.A @ center) / radius
+    distance = (b - A @ center) / radius
     directions = np.eye(len(center))
     least, greatest = (
-        np.array([minimise_linear(s * e, rows.A, distance) @ e for e in directions])
+        np.array([minimise_linear(s * e, A, distance) @ e for e in directions])
         for s in (1.0, -1.0)
     )
     return center + radius * least, center + radius * greatest

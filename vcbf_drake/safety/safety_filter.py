@@ -25,27 +25,25 @@ from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
 from vcbf_drake.errors import EmptySetError, SolverError, VcbfError
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety.ellipsoid import Ellipsoid
-from vcbf_drake.safety.ellipsoid_solver import InscribedEllipsoidSolver
-from vcbf_drake.safety.feasibility_measure import FeasibilityMeasure
+from vcbf_drake.safety.ellipsoid import Ellipsoid, InscribedEllipsoidSolver
 from vcbf_drake.safety.feasible_set import (
     DisturbanceKnowledge,
     FeasibleSet,
     feasible_set,
 )
-from vcbf_drake.safety.filter_qp import (
+from vcbf_drake.safety.input_set import InputSet
+from vcbf_drake.safety.methods import METHODS
+from vcbf_drake.safety.packed_feasible_set import pack_feasible_set
+from vcbf_drake.safety.projection import nearest_point
+from vcbf_drake.safety.qp import (
     FilterDecision,
     FilterStatus,
     VolumeRow,
     choose_input,
     failed_decision,
 )
-from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.methods import METHODS
-from vcbf_drake.safety.nearest_point import nearest_point
-from vcbf_drake.safety.packed_feasible_set import pack_feasible_set
 from vcbf_drake.safety.settings import FilterSettings
-from vcbf_drake.safety.volume_barrier import Volume, volume, volume_row
+from vcbf_drake.safety.volume import Volume, VolumeMeasure, volume, volume_row
 
 
 class SafetyFilter(LeafSystem):
@@ -162,7 +160,7 @@ class SafetyFilter(LeafSystem):
         self._weights = _checked_weights(
             self.settings.violation_weights, len(self.barriers)
         )
-        self._measure = self.settings.volume.feasibility_measure(input_set)
+        self._measure = self.settings.volume.measure(input_set)
         self._guard = self.settings.volume.guard_measure(input_set)
         self._ellipsoid_solver = InscribedEllipsoidSolver(input_set)
         self._plateau = {
@@ -334,7 +332,7 @@ class SafetyFilter(LeafSystem):
         return self._measured(self._guard, context)
 
     def _measured(
-        self, measure: FeasibilityMeasure | None, context: Context
+        self, measure: VolumeMeasure | None, context: Context
     ) -> Volume | None:
         feasible = self.feasible_set(context)
         if measure is None or not feasible.is_finite:
@@ -348,7 +346,7 @@ class SafetyFilter(LeafSystem):
             return None
         return volume(measured, feasible, self.input_set)
 
-    def _volume_of_input_set(self, measure: FeasibilityMeasure | None) -> Volume | None:
+    def _volume_of_input_set(self, measure: VolumeMeasure | None) -> Volume | None:
         measured = None if measure is None else measure.of_input_set
         if measured is None:
             return None

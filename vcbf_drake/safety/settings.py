@@ -16,9 +16,9 @@ from vcbf_drake.disturbances import (
 from vcbf_drake.disturbances.rise_certificate import STEPS, ObserverStep
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
-from vcbf_drake.safety.filter_qp import INFEASIBLE_POLICIES, InfeasiblePolicy
 from vcbf_drake.safety.methods import METHODS
-from vcbf_drake.safety.volume_barrier import VolumeBarrier
+from vcbf_drake.safety.qp import INFEASIBLE_POLICIES, InfeasiblePolicy
+from vcbf_drake.safety.volume import VolumeBarrier
 
 BetweenTicks = Literal["none", "certified"]
 BETWEEN_TICKS: tuple[BetweenTicks, ...] = get_args(BetweenTicks)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vcbf_drake.checks import Array
-from vcbf_drake.safety.emptiness import emptiness_certificate
+from vcbf_drake.safety.polytope import emptiness_certificate
 from vcbf_drake.viz.runs import Run
 
 if TYPE_CHECKING:

@@ -1,11 +1,13 @@
 import numpy as np
 import pytest
 import quadprog
+from scipy.optimize import linprog
 
 from vcbf_drake.errors import EmptySetError, SolverError
-from vcbf_drake.safety import nearest_point as nearest_point_module
+from vcbf_drake.safety import projection
 from vcbf_drake.safety.active_set import ActiveSetSolution
-from vcbf_drake.safety.nearest_point import nearest_point, nearest_point_by_active_set
+from vcbf_drake.safety.programs import NearestPointProgram, check_solver
+from vcbf_drake.safety.projection import minimise_linear, nearest_point
 
 
 def random_problem(rng, kind):
@@ -130,16 +132,13 @@ def test_a_row_without_coefficients_is_empty_only_when_its_bound_is_negative():
             nearest_point(A, np.array(bounds), far)
 
 
-SOLVERS = nearest_point_module._solvers()
+SOLVERS = ("Clarabel", "Clp", "NLopt", "OSQP", "SNOPT")
 
 
-@pytest.mark.parametrize("solver", range(len(SOLVERS)))
+@pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("kind", ["plain", "badly scaled rows"])
-def test_each_solver_finds_what_the_active_set_would(kind, solver, monkeypatch):
-    """When it gives up on all rows, on sets that are not empty."""
-    nothing = None, None
-    monkeypatch.setattr(nearest_point_module, "_by_active_set", lambda *_: nothing)
-    monkeypatch.setattr(nearest_point_module, "_solvers", lambda: [SOLVERS[solver]])
+def test_every_solver_leads_to_the_same_point(kind, solver):
+    check_solver(solver)
     rng = np.random.default_rng([9, len(kind)])
     solved = 0
     for _ in range(60):
@@ -148,7 +147,7 @@ def test_each_solver_finds_what_the_active_set_would(kind, solver, monkeypatch):
         if expected is None:
             continue
         solved += 1
-        found = nearest_point(A, b, reference)
+        found = nearest_point(A, b, reference, solver=solver)
         np.testing.assert_allclose(found.point, expected, atol=1e-8)
         np.testing.assert_allclose(
             reference - found.multipliers @ A, found.point, atol=1e-9
@@ -157,20 +156,30 @@ def test_each_solver_finds_what_the_active_set_would(kind, solver, monkeypatch):
     assert solved > 20
 
 
-def test_what_a_solver_proposes_is_believed_only_when_it_is_optimal(monkeypatch):
-    class Elsewhere:
-        def Solve(self, program, guess, options):
-            return self
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("Clarabell", r"solver: got 'Clarabell'; allowed: Clarabel, Clp"),
+        ("Gurobi", r"solver: Gurobi is not in this build of Drake; allowed: Clarabel"),
+        ("Mosek", r"solver: Mosek has no license here; allowed: Clarabel"),
+    ],
+)
+def test_a_solver_that_cannot_be_asked_is_refused_in_one_line(name, message):
+    with pytest.raises(ValueError, match=message) as raised:
+        check_solver(name)
+    assert "\n" not in str(raised.value)
 
-        def get_x_val(self):
-            return np.array([0.0, 0.3])  # On the second row, which is not in the way.
 
-    nothing = None, None
-    monkeypatch.setattr(nearest_point_module, "_by_active_set", lambda *_: nothing)
-    monkeypatch.setattr(nearest_point_module, "_solvers", lambda: [(Elsewhere(), None)])
+@pytest.mark.parametrize("proposal", [None, [0.0, 0.3], [np.nan, np.nan], [9.0, 9.0]])
+def test_a_wrong_proposal_is_not_believed(proposal, monkeypatch):
+    """A solver that gives up, cycles or lies costs time, and nothing else."""
+    lie = None if proposal is None else np.array(proposal)
+    monkeypatch.setattr(NearestPointProgram, "solve", lambda *_: lie)
     A, b = np.eye(2), np.array([0.5, 0.3])
-    with pytest.raises(SolverError, match="verified"):
-        nearest_point(A, b, np.array([1.0, 0.0]))
+    found = nearest_point(A, b, np.array([1.0, 0.0]))
+    np.testing.assert_allclose(found.point, [0.5, 0.0], atol=1e-15)
+    with pytest.raises(EmptySetError):
+        nearest_point(np.vstack([A, -A]), np.array([0.5, 0.3, -1.0, 1.0]), b)
 
 
 @pytest.mark.parametrize(
@@ -186,19 +195,54 @@ def test_what_a_solver_proposes_is_believed_only_when_it_is_optimal(monkeypatch)
 def test_a_point_is_judged_by_how_much_nearer_another_may_be(point, is_accepted):
     A, b, reference = np.array([[1.0, 0.0]]), np.zeros(1), np.array([1.0, 0.0])
     proposed = ActiveSetSolution(np.array(point), np.ones(1), None)
-    judged = nearest_point_module._is_optimal(proposed, A, b, b, reference)
-    assert judged == is_accepted
+    assert projection._is_optimal(proposed, A, b, b, reference) == is_accepted
 
 
-def test_the_active_set_alone_has_the_same_answer():
-    rng = np.random.default_rng(4)
-    for _ in range(50):
-        A, b, reference = random_problem(rng, "plain")
-        try:
-            expected = nearest_point(A, b, reference)
-        except EmptySetError:
-            assert nearest_point_by_active_set(A, b, reference) is None
-            continue
-        found = nearest_point_by_active_set(A, b, reference)
-        np.testing.assert_array_equal(found.point, expected.point)
-        np.testing.assert_array_equal(found.multipliers, expected.multipliers)
+BOX = np.vstack([np.eye(2), -np.eye(2)])
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e6])
+def test_the_minimum_agrees_with_scipy(scale):
+    rng = np.random.default_rng(1)
+    for _ in range(40):
+        m = int(rng.integers(1, 5))
+        A = np.vstack([np.eye(m), -np.eye(m), rng.normal(size=(5, m))])
+        b = scale * rng.uniform(0.1, 1.0, len(A))
+        cost = rng.normal(size=m)
+        point = minimise_linear(cost, A, b)
+        assert (A @ point <= b + 1e-7 * (1.0 + scale)).all()
+        least = linprog(cost, A_ub=A, b_ub=b, bounds=(None, None)).fun
+        assert cost @ point == pytest.approx(least, abs=1e-6 * scale)
+
+
+@pytest.mark.parametrize("angle", [1e-3, 1e-5])
+def test_a_narrow_corner_is_found_to_its_tip(angle):
+    """Two rows that meet at a narrow angle, far from where anything else is."""
+    rows = np.array([[angle, 1.0], [angle, -1.0], [-1.0, 0.0]])
+    point = minimise_linear(
+        np.array([-1.0, 0.0]), rows, np.array([2e3 * angle] * 2 + [1.0])
+    )
+    np.testing.assert_allclose(point, [2e3, 0.0], rtol=1e-6, atol=1e-6)
+
+
+def test_answers_do_not_depend_on_the_program_before():
+    first = minimise_linear(np.array([1.0, -1.0]), BOX, np.ones(4))
+    np.testing.assert_allclose(first, [-1.0, 1.0])
+    other = minimise_linear(np.array([0.0, 2.0]), 2.0 * BOX, np.arange(1.0, 5.0))
+    assert other[1] == pytest.approx(-2.0)
+    again = minimise_linear(np.array([1.0, -1.0]), BOX, np.ones(4))
+    np.testing.assert_array_equal(again, first)
+
+
+@pytest.mark.parametrize(
+    ("rows", "bounds", "error"),
+    [
+        (BOX, np.array([-1.0, 1.0, 0.5, 1.0]), EmptySetError),  # 0.5 apart.
+        (np.eye(2), np.ones(2), SolverError),  # Without a least.
+    ],
+)
+def test_no_minimiser_is_said_with_the_rows(rows, bounds, error):
+    with pytest.raises(error) as raised:
+        minimise_linear(np.array([1.0, 1.0]), rows, bounds)
+    np.testing.assert_array_equal(raised.value.A, rows)
+    np.testing.assert_array_equal(raised.value.b, bounds)

@@ -9,11 +9,12 @@ from vcbf_drake.safety import (
     FilterStatus,
     InputSet,
     chebyshev_ball,
-    filter_qp,
+    projection,
+    qp,
 )
-from vcbf_drake.safety import nearest_point as nearest_point_module
 from vcbf_drake.safety.feasible_set import feasible_set
-from vcbf_drake.safety.filter_qp import VolumeRow, choose_input, failed_decision
+from vcbf_drake.safety.projection import nearest_point
+from vcbf_drake.safety.qp import VolumeRow, choose_input, failed_decision
 
 BOX = InputSet.box([-1.0, -2.0], [3.0, 2.0])
 ORIGIN = np.zeros(2)
@@ -218,8 +219,8 @@ def failing(*arguments):
 
 def test_an_emptiness_that_cannot_be_proven_is_a_failure(monkeypatch):
     """Not called infeasible without a certificate; the least violation acts."""
-    monkeypatch.setattr(nearest_point_module, "_proven_empty", lambda *_: None)
-    monkeypatch.setattr(nearest_point_module, "emptiness_certificate", failing)
+    monkeypatch.setattr(projection, "_proven_empty", lambda *_: None)
+    monkeypatch.setattr(projection, "emptiness_certificate", failing)
     feasible = set_of([[1.0, 0.0], [-1.0, 0.0]], [-0.5, 0.2])
     decision = choose(feasible, [0.0, 0.5])
     assert decision.status == FilterStatus.FAILED and decision.conflict == ()
@@ -236,7 +237,13 @@ def test_the_fallback_on_a_set_that_is_not_empty_stays_near_the_reference():
 
 def test_a_volume_row_that_holds_after_all_has_no_slack(monkeypatch):
     """The first attempt finds nothing and proves nothing; the second keeps all."""
-    monkeypatch.setattr(filter_qp, "nearest_point_by_active_set", lambda *_: None)
+    attempts = []
+
+    def at_the_second(*arguments):
+        attempts.append(arguments)
+        return nearest_point(*arguments) if len(attempts) > 1 else failing()
+
+    monkeypatch.setattr(qp, "nearest_point", at_the_second)
     row = VolumeRow(a=np.array([1.0, 0.0]), c=-0.5, slack_penalty=1e3)
     decision = choose(set_of([0.0, 1.0], 1.0), [-0.8, 1.5], row)
     assert decision.status == FilterStatus.FILTERED and decision.slack == 0.0
@@ -244,8 +251,8 @@ def test_a_volume_row_that_holds_after_all_has_no_slack(monkeypatch):
 
 
 def test_without_any_solver_the_held_input_acts(monkeypatch):
-    monkeypatch.setattr(filter_qp, "nearest_point", failing)
-    monkeypatch.setattr(filter_qp, "minimise_linear", failing)
+    monkeypatch.setattr(qp, "nearest_point", failing)
+    monkeypatch.setattr(qp, "minimise_linear", failing)
     decision = choose(set_of([1.0, 1.0], -1.0), [2.0, 1.0], held_input=[-9.0, 0.5])
     assert decision.status == FilterStatus.FAILED
     np.testing.assert_allclose(decision.input, [-1.0, 0.5])

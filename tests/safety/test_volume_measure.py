@@ -1,4 +1,4 @@
-"""Every measure and its derivatives, by routes that share nothing with them."""
+"""V_v, widened too, and its derivatives, by routes that share nothing with them."""
 
 import dataclasses
 import math
@@ -7,15 +7,12 @@ import numpy as np
 from pydrake.geometry.optimization import HPolyhedron
 from pydrake.systems.analysis import Simulator
 import pytest
-from scipy.optimize import linprog
-from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from vcbf_drake import Blimp, ControlAffineModel, InputSet, SphereObstacle
 from vcbf_drake.barriers import BarrierSet
 from vcbf_drake.safety import DisturbanceKnowledge, VolumeBarrier
-from vcbf_drake.safety.feasibility_measure import MEASURES
 from vcbf_drake.safety.feasible_set import feasible_set
-from vcbf_drake.safety.volume_barrier import volume
+from vcbf_drake.safety.volume import VolumeMeasure, volume
 from vcbf_drake.simulation import load_scenario, make_loop, simulate
 
 XI = 0.02
@@ -23,7 +20,6 @@ INPUTS = InputSet.box([-0.05, -0.2, -0.02], [0.25, 0.2, 0.02])
 WIDENINGS = [1.0, 3.0]
 # Towards the sphere, so that its row cuts the inputs from the start.
 FAST = [0.0, 0.0, 0.1, 0.0, 0.15, 0.0, 0.1, 0.0]
-EVERY_MEASURE = pytest.mark.parametrize("name", MEASURES)
 EVERY_WIDENING = pytest.mark.parametrize("widening", WIDENINGS)
 
 
@@ -33,81 +29,50 @@ def log_det(A, b):
     return -math.log(np.linalg.det(ellipsoid.A()))
 
 
-def radius(A, b):
-    """Linear programming by scipy."""
-    columns = np.column_stack([A, np.linalg.norm(A, axis=1)])
-    cost = np.append(np.zeros(A.shape[1]), -1.0)
-    return -linprog(cost, A_ub=columns, b_ub=b, bounds=(None, None)).fun
-
-
-def hull_volume(A, b):
-    center = HPolyhedron(A, b).ChebyshevCenter()
-    corners = HalfspaceIntersection(np.c_[A, -b], center).intersections
-    return ConvexHull(corners).volume
-
-
-def expected(name, A, b, widening):
-    """The measure of |v_j| <= widening with the rows, from its definition."""
+def expected(A, b, widening=1.0):
+    """V_v of |v_j| <= widening with the rows, from its definition."""
     m = A.shape[1]
     A = np.vstack([np.eye(m), -np.eye(m), A])
     b = np.concatenate([np.full(2 * m, widening), b])
-    if name == "inradius":
-        return radius(A, b) / widening - XI ** (1.0 / m)
-    if name == "polytope_volume":
-        return hull_volume(A, b) / (2.0 * widening) ** m - XI
-    share = math.exp(log_det(A, b)) / widening**m
-    return {
-        "volume": share - XI,
-        "log_volume": math.log(share / XI),
-        "root_volume": share ** (1.0 / m) - XI ** (1.0 / m),
-    }[name]
+    return math.exp(log_det(A, b)) / widening**m - XI
 
 
 def random_rows(rng, m):
     return rng.normal(size=(4, m)), rng.uniform(0.1, 3.0, 4)
 
 
-@EVERY_MEASURE
 @EVERY_WIDENING
 @pytest.mark.parametrize("m", [2, 3])
-def test_value_and_derivative_by_the_rows(name, widening, m):
-    measure = MEASURES[name](InputSet.box(-np.ones(m), np.ones(m)), XI, widening)
+def test_value_and_derivative_by_the_rows(widening, m):
+    measure = VolumeMeasure(InputSet.box(-np.ones(m), np.ones(m)), XI, widening)
     rng, step = np.random.default_rng(m), 1e-5
     # The interior-point ellipsoid is known to 1e-8 or so, its differences to 1e-3.
     for _ in range(8):
         A, b = random_rows(rng, m)
         found = measure(A, b)
-        assert found.value == pytest.approx(expected(name, A, b, widening), abs=1e-6)
+        assert found.value == pytest.approx(expected(A, b, widening), abs=1e-6)
         dA, db = rng.normal(size=A.shape), rng.normal(size=len(b))
         ahead, behind = (measure(A + h * dA, b + h * db).value for h in (step, -step))
         exact = found.multipliers @ (db - np.einsum("ij,ij->i", dA, found.contacts))
         assert exact == pytest.approx((ahead - behind) / (2.0 * step), abs=1e-5)
 
 
-@EVERY_MEASURE
-def test_free_box_and_empty_set(name):
-    measure = MEASURES[name](INPUTS, XI)
+def test_free_box_and_empty_set():
+    measure = VolumeMeasure(INPUTS, XI)
     free = measure(np.zeros((0, 3)), np.zeros(0)).value
-    assert free == pytest.approx(expected(name, np.zeros((0, 3)), np.zeros(0), 1.0))
+    assert free == pytest.approx(expected(np.zeros((0, 3)), np.zeros(0)))
     empty = measure(np.array([[1.0, 0.0, 0.0]]), np.array([-1.5]))
     assert np.isfinite(empty.value) and empty.value < 0.0
-    # Of all measures the signed radius alone knows a way back.
-    assert empty.multipliers.any() == (name == "inradius")
+    assert not empty.multipliers.any()
 
 
-@EVERY_MEASURE
-def test_two_inputs_and_one(name):
+def test_two_inputs_and_one():
     for m in (1, 2):
-        measure = MEASURES[name](InputSet.box(-np.ones(m), np.ones(m)), XI)
+        measure = VolumeMeasure(InputSet.box(-np.ones(m), np.ones(m)), XI)
         A = np.zeros((1, m))
         A[0, 0] = 2.0
-        half = MEASURES[name](InputSet.box(-np.ones(m), np.ones(m)), XI)
+        half = VolumeMeasure(InputSet.box(-np.ones(m), np.ones(m)), XI)
         assert half(A, np.zeros(1)).value < measure(A, np.ones(1)).value
-
-
-def test_polytope_volume_is_for_three_inputs_at_most():
-    with pytest.raises(ValueError, match="polytope_volume: at most 3 inputs, not 4"):
-        MEASURES["polytope_volume"](InputSet.box(-np.ones(4), np.ones(4)), XI)
 
 
 # Derivatives by state, time, estimate and bound ------------------------------------
@@ -153,11 +118,10 @@ def moved(situation, direction):
     )
 
 
-@EVERY_MEASURE
 @EVERY_WIDENING
-def test_every_partial_derivative_agrees_with_differences(barriers, name, widening):
+def test_every_partial_derivative_agrees_with_differences(barriers, widening):
     """In all directions at once: state, time, estimate and bound."""
-    measure = MEASURES[name](INPUTS, XI, widening)
+    measure = VolumeMeasure(INPUTS, XI, widening)
 
     def value(situation):
         state, time, known = situation
@@ -195,7 +159,7 @@ def test_every_partial_derivative_agrees_with_differences(barriers, name, wideni
 # Along the closed loop -------------------------------------------------------------
 
 
-def closed_loop(name, widening, fidelity):
+def closed_loop(widening, fidelity):
     """The measured rate of a measure along a transient, and two predictions of it.
 
     Ticks at which the observer's sign function switches are left out, for the estimate
@@ -208,7 +172,7 @@ def closed_loop(name, widening, fidelity):
             "period": 1e-3,
             "duration": 0.3,
             "initial_state": FAST,
-            "volume": {"measure": name, "widening": widening},
+            "volume": {"widening": widening},
         },
     )
     diagram = make_loop(scenario)
@@ -246,19 +210,15 @@ def relative_error(predicted, measured):
     return np.linalg.norm(predicted - measured) / np.linalg.norm(measured)
 
 
-@pytest.mark.parametrize(
-    ("name", "widening"),
-    [*((name, 1.0) for name in MEASURES), ("volume", 3.0), ("inradius", 3.0)],
-)
-def test_total_derivative_is_the_one_that_is_measured(name, widening):
-    measured, total, _ = closed_loop(name, widening, "corrected")
+@EVERY_WIDENING
+def test_total_derivative_is_the_one_that_is_measured(widening):
+    measured, total, _ = closed_loop(widening, "corrected")
     assert np.abs(measured).max() > 0.1  # There is something to predict.
     assert relative_error(total, measured) < 0.03
 
 
-@pytest.mark.parametrize("name", ["polytope_volume", "inradius"])
-def test_printed_derivative_is_not_the_one_that_is_measured(name):
-    measured, total, printed = closed_loop(name, 3.0, "paper")
+def test_printed_derivative_is_not_the_one_that_is_measured():
+    measured, total, printed = closed_loop(3.0, "paper")
     assert relative_error(total, measured) < 0.03
     assert relative_error(printed, measured) > 0.1
 
@@ -278,9 +238,9 @@ def run(volume):
 @pytest.mark.parametrize(
     "volume",
     [
-        {"measure": "inradius"},
+        {},
         {"widening": 4.0, "gain": 0.2},
-        {"measure": "inradius", "widening": 4.0, "gain": 0.2, "guard": "volume"},
+        {"widening": 4.0, "gain": 0.2, "guard": "volume"},
     ],
 )
 def test_logged_ellipsoid_is_that_of_the_set_itself(volume):
@@ -297,12 +257,12 @@ def test_logged_ellipsoid_is_that_of_the_set_itself(volume):
 
 
 def test_logged_volume_is_the_measure_that_is_enforced():
-    result = run({"measure": "inradius", "widening": 4.0, "gain": 0.2})
+    result = run({"widening": 4.0, "gain": 0.2})
     log, limits = result.log, result.scenario.input_set.input_set()
     for tick in range(0, len(log["time"]), 5):
         A, b = log["polytope_A"][tick][6:], log["polytope_b"][tick][6:]
-        value = expected("inradius", A * limits.scale, b - A @ limits.center, 4.0)
-        assert log["volume"][tick] == pytest.approx(value, abs=1e-7)
+        value = expected(A * limits.scale, b - A @ limits.center, 4.0)
+        assert log["volume"][tick] == pytest.approx(value, abs=1e-6)
     assert result.summary["min_volume"] == log["volume"].min()
 
 
@@ -318,8 +278,6 @@ def test_widening_wakes_the_row_earlier():
 
 
 def test_volume_barrier_says_what_is_allowed():
-    with pytest.raises(ValueError, match=r"measure: got 'area'; allowed: volume, log"):
-        VolumeBarrier(measure="area")
     with pytest.raises(ValueError, match=r"guard: got 'area'; allowed: none, volume"):
         VolumeBarrier(guard="area")
     with pytest.raises(ValueError, match=r"widening: got 0\.5; must be at least 1"):

@@ -2,50 +2,46 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 import math
 
 import numpy as np
 
 from vcbf_drake.checks import Array, check_parameter, require, require_choice
-from vcbf_drake.safety.ellipsoid import Ellipsoid
-from vcbf_drake.safety.feasibility_measure import (
-    MEASURES,
-    FeasibilityMeasure,
-    Measurement,
+from vcbf_drake.errors import EmptySetError
+from vcbf_drake.safety.ellipsoid import (
+    THINNEST,
+    Ellipsoid,
+    InscribedEllipsoidSolver,
 )
 from vcbf_drake.safety.feasible_set import DisturbanceKnowledge, FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
 
-NO_GUARD = "none"
+GUARDS = ("none", "volume")
 
 
 @dataclass
 class VolumeBarrier:
-    """The barrier V_v = measure - threshold on the room that rows leave the inputs.
+    """The barrier V_v = det B - xi on the room that rows leave the inputs (E21).
 
-    By default the paper's: V_v = det B - xi of the largest ellipsoid of inputs (E21),
-    with B in normalised inputs, so that det B = 1 for a box that no barrier cuts,
-    whatever the units of the inputs. Which measure to take for what is in
-    docs/results/feasibility_measures.md.
+    B is the shape of the largest ellipsoid of inputs, in normalised inputs, so that
+    det B = 1 for a box that no barrier cuts, whatever the units of the inputs.
 
     Attributes:
         threshold: xi, the part of the free volume that must remain.
         gain: lambda_Vv, how fast V_v may decrease towards zero [1/s].
         slack_penalty: M, the weight of the squared slack; unused with the exact slack.
-        measure: One of `MEASURES`.
         widening: kappa >= 1: the input set is taken this many times as wide, so that
             rows are felt before they cut it (E58).
-        guard: A second measure, of the set as it is: one of `MEASURES`, or ``none``.
-            Its row gives way last.
+        guard: ``volume`` for a second row, of the set as it is, that gives way last;
+            or ``none``.
         guard_gain: How fast the guard may decrease towards zero [1/s].
     """
 
     threshold: float = 0.02
     gain: float = 3.0
     slack_penalty: float = 1000.0
-    measure: str = "volume"
     widening: float = 1.0
     guard: str = "none"
     guard_gain: float = 3.0
@@ -57,37 +53,110 @@ class VolumeBarrier:
         require(self.threshold < 1.0, "threshold", self.threshold, rule)
         is_wide = math.isfinite(self.widening) and self.widening >= 1.0
         require(is_wide, "widening", self.widening, "finite and at least 1")
-        for name, allowed in (
-            ("measure", [*MEASURES]),
-            ("guard", [NO_GUARD, *MEASURES]),
-        ):
-            require_choice(name, getattr(self, name), allowed)
+        require_choice("guard", self.guard, GUARDS)
 
     @property
     def label(self) -> str:
-        """What V_v measures, in a few words, for summaries and figures."""
-        words = self.measure.replace("_", " ")
+        """The measure V_v in a few words, for summaries and figures."""
         if self.widening == 1.0:
-            return words
-        return f"{words}, inputs x {self.widening:g}"
+            return "volume"
+        return f"volume, inputs x {self.widening:g}"
 
-    def feasibility_measure(self, input_set: InputSet) -> FeasibilityMeasure:
-        """Returns what the volume row keeps positive.
+    def measure(self, input_set: InputSet) -> VolumeMeasure:
+        """Returns the measure that the volume row keeps positive."""
+        return VolumeMeasure(input_set, self.threshold, self.widening)
 
-        Raises:
-            ValueError: The measure is not defined for that many inputs.
-        """
-        return MEASURES[self.measure](input_set, self.threshold, self.widening)
-
-    def guard_measure(self, input_set: InputSet) -> FeasibilityMeasure | None:
-        """Returns what the guard row keeps positive, if there is one.
-
-        Raises:
-            ValueError: The measure is not defined for that many inputs.
-        """
-        if self.guard == NO_GUARD:
+    def guard_measure(self, input_set: InputSet) -> VolumeMeasure | None:
+        """Returns the measure that the guard's row keeps positive, if there is one."""
+        if self.guard == "none":
             return None
-        return MEASURES[self.guard](input_set, self.threshold)
+        return VolumeMeasure(input_set, self.threshold)
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """V_v of one polytope {v : A v <= b} and its derivative (E54).
+
+    dV_v = sum_i mu_i (db_i - da_i p_i).
+
+    Attributes:
+        value: det B - xi: positive when there is more room than the threshold.
+        multipliers: mu_i = dV_v/db_i, at least zero, shape (n,).
+        contacts: p_i, where the ellipsoid touches the rows, shape (n, m); matters only
+            where mu_i is positive.
+        ellipsoid: The largest ellipsoid; None when the set is empty, or widened.
+    """
+
+    value: float
+    multipliers: Array
+    contacts: Array
+    ellipsoid: Ellipsoid | None = None
+
+
+class VolumeMeasure:
+    """det B - xi of the largest ellipsoid of an input set under barrier rows (E21).
+
+    All in normalised inputs v (see `InputSet`). With a widening kappa > 1 the input
+    set is replaced by kappa times itself (E58): in the coordinates v / kappa, the same
+    input set under the rows A v <= b / kappa. An empty set counts as a ball that is too
+    small to be told from one.
+
+    Args:
+        input_set: The inputs before any row cuts them.
+        threshold: xi, the share of the bounding box's volume that must remain.
+        widening: kappa.
+    """
+
+    def __init__(
+        self, input_set: InputSet, threshold: float, widening: float = 1.0
+    ) -> None:
+        self._num_limits = len(input_set.b_normalised)
+        self._threshold, self._widening = threshold, widening
+        self._solver = InscribedEllipsoidSolver(input_set)
+
+    @cached_property
+    def of_input_set(self) -> Measurement | None:
+        """V_v of a set that no row cuts; None if rows are felt before they cut."""
+        if self._widening > 1.0:
+            return None
+        m = self._solver.num_inputs
+        return self(np.zeros((0, m)), np.zeros(0))
+
+    def __call__(self, A: Array, b: Array) -> Measurement:
+        """Returns V_v of the input set under the rows ``A v <= b``.
+
+        Args:
+            A: The barrier rows, shape (N, m).
+            b: Their right-hand sides, shape (N,).
+
+        Raises:
+            SolverError: No ellipsoid could be certified.
+        """
+        if self._widening == 1.0:
+            return self._measured(A, b)
+        found = self._measured(A, b / self._widening)
+        return replace(
+            found,
+            multipliers=found.multipliers / self._widening,
+            contacts=found.contacts * self._widening,
+            ellipsoid=None,
+        )
+
+    def _measured(self, A: Array, b: Array) -> Measurement:
+        contacts = np.zeros(A.shape)
+        try:
+            ellipsoid = self._solver.solve(A, b)
+        except EmptySetError:
+            value = THINNEST ** A.shape[1] - self._threshold
+            return Measurement(value, np.zeros(len(b)), contacts)
+        determinant = math.exp(ellipsoid.log_det)
+        multipliers = determinant * ellipsoid.multipliers[self._num_limits :]
+        for i in multipliers.nonzero()[0].tolist():
+            q = ellipsoid.shape @ A[i]
+            contacts[i] = ellipsoid.center + ellipsoid.shape @ q / math.sqrt(q @ q)
+        return Measurement(
+            determinant - self._threshold, multipliers, contacts, ellipsoid
+        )
 
 
 @dataclass(frozen=True)
@@ -95,9 +164,9 @@ class Volume:
     """V_v at one tick and its partial derivatives (E44), in normalised inputs.
 
     Attributes:
-        value: V_v, the measure minus its threshold.
+        value: V_v.
         ellipsoid: The largest ellipsoid of the set, in normalised inputs; None when the
-            set is empty or the measure needs no ellipsoid of it.
+            set is empty or widened.
         state: dV_v/dx, shape (n,).
         time: dV_v/dt with state, estimate and bound held [1/s].
         estimate: dV_v/d(estimate), shape (q,).

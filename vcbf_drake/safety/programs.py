@@ -1,0 +1,265 @@
+"""MathematicalPrograms of fixed size: built once, overwritten and solved at every tick.
+
+The filter states three kinds of problems: linear programs, the QP and the cone program
+of the largest ellipsoid. A solver only proposes their solutions; whoever asks makes
+them exact and verifies them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from functools import lru_cache
+import math
+from threading import Lock
+from typing import Any, Self, cast
+
+import numpy as np
+from pydrake.solvers import (
+    Binding,
+    ClarabelSolver,
+    ClpSolver,
+    EvaluatorBase,
+    GurobiSolver,
+    MathematicalProgram,
+    MathematicalProgramResult,
+    MosekSolver,
+    NloptSolver,
+    OsqpSolver,
+    SnoptSolver,
+    SolverInterface,
+    SolverOptions,
+)
+
+from vcbf_drake.checks import Array
+
+DEFAULT_SOLVER = "Clarabel"
+# Drake's solvers that take the QP ...
+SOLVERS: dict[str, type[SolverInterface]] = {
+    "Clarabel": ClarabelSolver,
+    "Clp": ClpSolver,
+    "Gurobi": GurobiSolver,
+    "Mosek": MosekSolver,
+    "NLopt": NloptSolver,
+    "OSQP": OsqpSolver,
+    "SNOPT": SnoptSolver,
+}
+# ... and of these, those that take the cone program and return its multipliers.
+CONE_SOLVERS = ("Clarabel", "Mosek")
+
+
+def check_solver(name: str) -> None:
+    """Checks that a solver is known, in this build of Drake, and licensed.
+
+    Args:
+        name: One of `SOLVERS`.
+
+    Raises:
+        ValueError: It is not, with those that are.
+    """
+    usable = [key for key, kind in SOLVERS.items() if _is_usable(kind())]
+    if name in usable:
+        return
+    reason = f"got {name!r}"
+    if name in SOLVERS:
+        is_built = SOLVERS[name]().available()
+        lack = "has no license here" if is_built else "is not in this build of Drake"
+        reason = f"{name} {lack}"
+    raise ValueError(f"solver: {reason}; allowed: {', '.join(usable)}")
+
+
+def _is_usable(solver: SolverInterface) -> bool:
+    return bool(solver.available() and solver.enabled())
+
+
+def _options(name: str, tolerance: float) -> SolverOptions:
+    options = SolverOptions()
+    if name == "Clarabel":
+        for key in ("tol_gap_abs", "tol_gap_rel", "tol_feas"):
+            options.SetOption(ClarabelSolver.id(), key, tolerance)
+    if name == "OSQP":
+        for key in ("eps_abs", "eps_rel"):
+            options.SetOption(OsqpSolver.id(), key, tolerance)
+    return options
+
+
+class FixedProgram:
+    """A MathematicalProgram of fixed size with its solver, its options and a lock.
+
+    Every solve overwrites all coefficients, so that the answer depends on the data
+    alone, whoever asked before.
+
+    Attributes:
+        program: As it was stated last.
+        variables: Its decision variables.
+    """
+
+    def __init__(
+        self, num_variables: int, solver: SolverInterface, options: SolverOptions
+    ) -> None:
+        self.program = MathematicalProgram()
+        self.variables = self.program.NewContinuousVariables(num_variables)
+        self._solver, self._options, self._lock = solver, options, Lock()
+
+    @classmethod
+    def of_size(cls, *size: Any) -> Self:
+        """Returns the program of this size (its constructor's arguments), kept."""
+        return cast("Self", _kept(cast("Hashable", cls), *size))
+
+    def _solve(self) -> MathematicalProgramResult:
+        start = np.zeros(self.program.num_vars())
+        return self._solver.Solve(self.program, start, self._options)
+
+
+@lru_cache(maxsize=512)
+def _kept(kind: Any, *size: Any) -> FixedProgram:
+    program: FixedProgram = kind(*size)
+    return program
+
+
+class LinearProgram(FixedProgram):
+    """min c'v subject to ``A v <= b`` and |v_j| <= limit, by Clp.
+
+    Args:
+        num_rows: n.
+        num_variables: m.
+        limit: Of every variable.
+    """
+
+    def __init__(
+        self, num_rows: int, num_variables: int, limit: float = math.inf
+    ) -> None:
+        super().__init__(num_variables, ClpSolver(), SolverOptions())
+        v, self._below = self.variables, np.full(num_rows, -np.inf)
+        self._cost = self.program.AddLinearCost(
+            np.zeros(num_variables), 0.0, v
+        ).evaluator()
+        self._rows = self.program.AddLinearConstraint(
+            np.ones((num_rows, num_variables)), self._below, self._below, v
+        )
+        if math.isfinite(limit):
+            self.program.AddBoundingBoxConstraint(-limit, limit, v)
+
+    def solve(self, cost: Array, A: Array, b: Array) -> tuple[Array, Array] | None:
+        """Returns a minimiser and the rows' multipliers y >= 0; None without one."""
+        with self._lock:
+            self._cost.UpdateCoefficients(cost, 0.0)
+            self._rows.evaluator().UpdateCoefficients(A, self._below, b)
+            result = self._solve()
+        if not result.is_success():
+            return None
+        multipliers = -np.asarray(result.GetDualSolution(self._rows))
+        return result.get_x_val(), np.maximum(multipliers, 0.0)
+
+
+class NearestPointProgram(FixedProgram):
+    """The QP min 1/2 |v - reference|^2 subject to ``A v <= b``.
+
+    Args:
+        num_rows: n.
+        num_variables: m.
+        solver: One of `SOLVERS`.
+    """
+
+    def __init__(
+        self, num_rows: int, num_variables: int, solver: str = DEFAULT_SOLVER
+    ) -> None:
+        super().__init__(num_variables, SOLVERS[solver](), _options(solver, 1e-9))
+        if solver == "Clarabel":
+            # With its default step length it cycles on some feasible QPs.
+            self._options.SetOption(ClarabelSolver.id(), "max_step_fraction", 0.9)
+        v, self._identity = self.variables, np.eye(num_variables)
+        self._below = np.full(num_rows, -np.inf)
+        self._cost = self.program.AddQuadraticCost(
+            self._identity, np.zeros(num_variables), v, is_convex=True
+        ).evaluator()
+        self._rows = self.program.AddLinearConstraint(
+            np.ones((num_rows, num_variables)), self._below, np.zeros(num_rows), v
+        ).evaluator()
+
+    def state(self, A: Array, b: Array, reference: Array) -> None:
+        """Overwrites the program's data."""
+        constant = 0.5 * float(reference @ reference)
+        self._cost.UpdateCoefficients(self._identity, -reference, constant)
+        self._rows.UpdateCoefficients(A, self._below, b)
+
+    def solve(self, A: Array, b: Array, reference: Array) -> Array | None:
+        """Returns a minimiser; None without one."""
+        with self._lock:
+            self.state(A, b, reference)
+            result = self._solve()
+        point: Array = result.get_x_val()
+        return point if result.is_success() else None
+
+
+class EllipsoidProgram(FixedProgram):
+    """max (det L)^(1/P) subject to |L'a_i| + a_i d <= b_i, L lower triangular (E20).
+
+    The variables are L's entries, row by row, and then d.
+
+    Args:
+        num_rows: n.
+        num_inputs: m, at least 2.
+        tolerance: The solver's, where it has one.
+        solver: One of `CONE_SOLVERS`; `DEFAULT_SOLVER` stands in for others.
+    """
+
+    def __init__(
+        self,
+        num_rows: int,
+        num_inputs: int,
+        tolerance: float,
+        solver: str = DEFAULT_SOLVER,
+    ) -> None:
+        m = num_inputs
+        self._row, self._column = np.tril_indices(m)
+        self._k = len(self._row)
+        name = solver if solver in CONE_SOLVERS else DEFAULT_SOLVER
+        super().__init__(self._k + m, SOLVERS[name](), _options(name, tolerance))
+        x = self.variables
+        self._slot, self._entry = 1 + self._column, np.arange(self._k)
+        # Drake pads the geometric mean with ones to a power of two.
+        self._power = 2 ** math.ceil(math.log2(m))
+        diagonal = x[: self._k][self._row == self._column]
+        self.program.AddMaximizeGeometricMeanCost(diagonal, 1.0)
+        dense = np.ones((m + 1, self._k + m))
+        cones = [
+            self.program.AddLorentzConeConstraint(dense, np.ones(m + 1), x)
+            for _ in range(num_rows)
+        ]
+        self._cones = [cone.evaluator() for cone in cones]
+        # Of this type a binding is read many times faster than of its own.
+        self._bindings = [
+            Binding[EvaluatorBase](cone.evaluator(), cone.variables()) for cone in cones
+        ]
+        self._F = np.zeros((num_rows, m + 1, self._k + m))
+        self._g = np.zeros((num_rows, m + 1))
+        self._stated = np.full((num_rows, m + 1), np.nan)
+
+    def state(self, A: Array, b: Array) -> None:
+        """Overwrites the program's data."""
+        self._F[:, 0, self._k :], self._g[:, 0] = -A, b
+        self._F[:, self._slot, self._entry] = A[:, self._row]
+        rows = np.column_stack([A, b])
+        # An update costs more than a comparison, and most rows are the box's.
+        for i in (rows != self._stated).any(axis=1).nonzero()[0]:
+            self._cones[i].UpdateCoefficients(self._F[i], self._g[i])
+        self._stated = rows
+
+    def solve(self, A: Array, b: Array) -> tuple[Array, Array, Array] | None:
+        """Returns d, L and the multipliers d(log det L)/db; None without them."""
+        m, k = A.shape[1], self._k
+        with self._lock:
+            self.state(A, b)
+            result = self._solve()
+        if not result.is_success():
+            return None
+        x = result.get_x_val()
+        L = np.zeros((m, m))
+        L[self._row, self._column] = x[:k]
+        diagonal = L.diagonal().tolist()
+        if not min(diagonal) > 0.0:
+            return None
+        duals = [result.GetDualSolution(binding)[0] for binding in self._bindings]
+        # The cost's multipliers are those of (det L)^(1/P) = exp(log det L / P).
+        mean = math.prod(diagonal) ** (1.0 / self._power)
+        return x[k : k + m], L, np.array(duals) * (self._power / mean)
