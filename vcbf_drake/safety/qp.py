@@ -181,7 +181,7 @@ def choose_input(
     if (qp.A @ qp.reference <= qp.b).all():
         return FilterDecision(reference, FilterStatus.REFERENCE, qp=qp)
     try:
-        z, qp = _solution(qp, solver)
+        z, solved = _solution(qp, solver)
     except EmptySetError as error:
         # Of the feasible set's rows alone; a volume row that may give way has none.
         among = [i for i in error.conflict if i < len(feasible.cutting)]
@@ -193,11 +193,12 @@ def choose_input(
         return FilterDecision(u, FilterStatus.INFEASIBLE, conflict=conflict)
     except (SolverError, LinAlgError):
         return failed_decision(feasible, qp.reference, held_input, input_set, solver)
-    v = z[: qp.num_inputs]
-    slack = min([0.0, *(row.c - float(row.a @ v) for row in rows)])
+    v, slack = z[: qp.num_inputs], 0.0
+    if solved is not qp or not exact_slack:
+        slack = min([0.0, *(row.c - float(row.a @ v) for row in rows)])
     status = FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
     u = input_set.project(input_set.center + input_set.scale * v)
-    return FilterDecision(u, status, slack, qp=qp)
+    return FilterDecision(u, status, slack, qp=solved)
 
 
 def _normalised(reference: Array, input_set: InputSet) -> Array:
