@@ -278,7 +278,11 @@ def test_widening_wakes_the_row_earlier():
 
 
 def test_volume_barrier_says_what_is_allowed():
-    with pytest.raises(ValueError, match=r"guard: 'area'; it must be one of none, volume"):
+    with pytest.raises(
+        ValueError, match=r"guard: 'area'; it must be one of none, volume"
+    ):
         VolumeBarrier(guard="area")
-    with pytest.raises(ValueError, match=r"widening: 0\.5; it must be finite and at least 1"):
+    with pytest.raises(
+        ValueError, match=r"widening: 0\.5; it must be finite and at least 1"
+    ):
         VolumeBarrier(widening=0.5)
