@@ -28,8 +28,9 @@ from vcbf_drake import (
 )
 from vcbf_drake.barriers import Geofence
 from vcbf_drake.disturbances import Sinusoid
+from vcbf_drake.plants import CarVehicle
 from vcbf_drake.safety import FilterStatus
-from vcbf_drake.viz import CarGeometry, ObstacleGeometry
+from vcbf_drake.viz import ObstacleGeometry, VehicleGeometry
 
 # The car's half-length is the margin of everything [m].
 PILLARS = [
@@ -88,7 +89,9 @@ def main() -> None:
         bounds=slope.bounds,
         settings=FilterSettings(period=PERIOD),
     )
-    CarGeometry.AddToBuilder(builder, car.get_output_port(), scene_graph, "car")
+    VehicleGeometry.AddToBuilder(
+        builder, CarVehicle(), car.get_output_port(), scene_graph, "car"
+    )
     ObstacleGeometry.AddToBuilder(builder, PILLARS, scene_graph)
     log = LogVectorOutput(car.get_output_port(), builder)
     status = LogVectorOutput(safety.filter.GetOutputPort("status"), builder, PERIOD)

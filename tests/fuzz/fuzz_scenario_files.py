@@ -20,8 +20,7 @@ _SHIPPED = {
 }
 _SMALL = """\
 s:
-  plant: !CarParameters {}
-  controller: !CarControllerParameters {}
+  vehicle: !Car {}
   input_set: {lower: [-1, -1], upper: [1, 1]}
   initial_state: [0, 0, 0, 0]
   target: [3, 0]

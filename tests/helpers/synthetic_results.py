@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vcbf_drake.plants.blimp import BlimpParameters
-from vcbf_drake.plants.car import CarParameters
-from vcbf_drake.plants.car_controller import CarControllerParameters
+from vcbf_drake.plants import BlimpVehicle, CarVehicle
 from vcbf_drake.simulation.result import Result
 from vcbf_drake.simulation.scenario import InputLimits, Obstacle, Scenario
 
@@ -109,7 +107,7 @@ def blimp_result(method="dob-vcbf-qp", end=19.5, infeasible=False, seed=0, sway=
     scenario = Scenario(
         name="blimp-multiple-obstacles",
         description="A blimp among spheres\nIts brakes are weak and the air is gusty.",
-        plant=BlimpParameters(),
+        vehicle=BlimpVehicle(),
         obstacles=[Obstacle(center, radius) for center, radius in OBSTACLES],
         input_set=InputLimits([-0.03, -0.11, -0.01], [0.11, 0.11, 0.01]),
         initial_state=state[0].tolist(),
@@ -141,8 +139,7 @@ def car_result(
     scenario = Scenario(
         name="car-avoidance",
         description="A small car drives round discs",
-        plant=CarParameters(),
-        controller=CarControllerParameters(),
+        vehicle=CarVehicle(),
         obstacles=obstacles
         or [
             Obstacle([1.6, 0.05], 0.32, margin=0.12),

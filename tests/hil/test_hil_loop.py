@@ -12,7 +12,6 @@ import pytest
 from vcbf_drake import (
     AddSafetyFilter,
     BlimpController,
-    CarController,
     InputSet,
     load_scenario,
     simulate,
@@ -109,8 +108,7 @@ def simulation_with_a_second_hold(name: str, duration: float) -> np.ndarray:
     plant, bounds = simulated.plant, simulated.source.bounds
     model = ControlAffineModel.from_system(plant)
     late = builder.AddSystem(ZeroOrderHold(loaded.period, model.num_inputs))
-    kind = BlimpController if name.startswith("blimp") else CarController
-    pilot = builder.AddSystem(kind(loaded.target, loaded.controller, loaded.plant))
+    pilot = builder.AddSystem(loaded.vehicle.make_controller(loaded.target))
     builder.Connect(simulated.state, pilot.GetInputPort("state"))
     added = AddSafetyFilter(
         builder,

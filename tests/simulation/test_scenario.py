@@ -5,19 +5,21 @@ import dataclasses
 from pathlib import Path
 import random
 import re
+from typing import Any
 
 import numpy as np
 from pydrake.common.yaml import yaml_load
 import pytest
 
 from vcbf_drake.errors import InvalidValueError, ScenarioError
+from vcbf_drake.plants import BlimpVehicle, TurnLimit
 from vcbf_drake.simulation.loading import (
     dump_scenario,
     load_scenario,
     merge_overrides,
     shipped_scenarios,
 )
-from vcbf_drake.simulation.scenario import Obstacle, Scenario, TurnLimit, validate
+from vcbf_drake.simulation.scenario import InputLimits, Obstacle, Scenario, validate
 
 SHIPPED = (
     "blimp-multiple-obstacles",
@@ -33,20 +35,20 @@ _template: &wind
 OneOfEverything:
   name: everything
   description: One of everything.
-  plant: !CarParameters
+  vehicle: !Car
     mass: 1.5
-  controller: !CarControllerParameters
-    turn_gain: 1.0
-    speed_gain: 3.0
-    approach_gain: 0.5
+    controller:
+      turn_gain: 1.0
+      speed_gain: 3.0
+      approach_gain: 0.5
+    turn_limit:
+      curvature: 1.25
+      smoothing_speed: 0.2
   input_set:
     lower: [-2.0, -1]
     upper: [2.0, 1.0]
     A: [[0.5, 1.0]]
     b: [1.5]
-  turn_limit:
-    curvature: 1.25
-    smoothing_speed: 0.2
   disturbance:
     - !Constant {value: [1e-2]}
     - !Sinusoid {<<: *wind, amplitude: [0.1], phase: 0.3}
@@ -114,6 +116,23 @@ OneOfEverything:
 """
 
 
+SMALL = """{vehicle: !Blimp {}, initial_state: [0, 0, 0, 0, 0, 0, 0, 0],
+ input_set: {lower: [-0.25, -0.25, -0.02], upper: [0.25, 0.25, 0.02]},
+ target: [1, 0, 1]}"""
+
+
+def blimp_scenario(**fields: Any) -> Scenario:
+    """A scenario with defaults wherever there are some."""
+    limits = InputLimits([-0.25, -0.25, -0.02], [0.25, 0.25, 0.02])
+    return Scenario(
+        vehicle=BlimpVehicle(),
+        input_set=limits,
+        initial_state=8 * [0.0],
+        target=[1.0, 0.0, 1.0],
+        **fields,
+    )
+
+
 @pytest.fixture
 def everything(tmp_path: Path) -> Path:
     path = tmp_path / "everything.yaml"
@@ -147,9 +166,7 @@ def test_shipped_scenario_is_what_drake_reads(name: str) -> None:
 def check_holds(value: object, read: object) -> None:
     """Checks a value against what Drake reads in the same text, without types."""
     if isinstance(read, dict):
-        assert (
-            read.pop("_tag", f"!{type(value).__name__}") == f"!{type(value).__name__}"
-        )
+        assert type(value).__name__.startswith(read.pop("_tag", "!")[1:])
         for name, each in read.items():
             check_holds(getattr(value, name), each)
     elif isinstance(read, list):
@@ -177,8 +194,32 @@ def test_shipped_scenario_says_what_one_will_see(name: str) -> None:
 
 def test_defaults_load(tmp_path: Path) -> None:
     path = tmp_path / "defaults.yaml"
-    path.write_text("Defaults: {}\n")
-    assert load_scenario(path) == Scenario(name="Defaults")
+    path.write_text(f"Defaults: {SMALL}\n")
+    assert load_scenario(path) == blimp_scenario(name="Defaults")
+
+
+def test_what_has_no_default_has_to_be_given(tmp_path: Path) -> None:
+    path = tmp_path / "empty.yaml"
+    path.write_text("Empty: {}\n")
+    assert refusal(path) == f"{path}:1: vehicle: missing"
+    path.write_text("Tagless:\n  vehicle: {mass: 2}\n")
+    message = refusal(path)
+    assert message == f"{path}:2: vehicle: its tag is missing; allowed: !Blimp, !Car"
+
+
+@pytest.mark.parametrize(
+    ("key", "place"),
+    [
+        ("plant: !CarParameters {}", "part of vehicle"),
+        ("controller: {}", "vehicle.controller"),
+        ("turn_limit: {}", "vehicle.turn_limit"),
+        ("corrections: {}", "fidelity"),
+    ],
+)
+def test_a_key_that_moved_is_answered_with_its_place(key: str, place: str) -> None:
+    message = refusal("car-avoidance", f"{{{key}}}")
+    name = key.split(":")[0]
+    assert message == f"override: {name}: unknown key; it is {place} now"
 
 
 def test_one_of_everything_loads(everything: Path) -> None:
@@ -186,7 +227,7 @@ def test_one_of_everything_loads(everything: Path) -> None:
     drakes = yaml_load(filename=str(everything), private=True)
     check_holds(scenario, drakes["OneOfEverything"])
     assert scenario.name == "everything"
-    assert scenario.turn_limit == TurnLimit(1.25, 0.2)
+    assert scenario.vehicle.turn_limit == TurnLimit(1.25, 0.2)
     assert scenario.disturbance[0].value == [0.01]  # YAML 1.1 reads 1e-2 as text.
     assert scenario.disturbance[1].frequency == 0.5
     assert [type(signal).__name__ for signal in scenario.disturbance] == [
@@ -196,7 +237,7 @@ def test_one_of_everything_loads(everything: Path) -> None:
         "BandLimitedNoise",
         "Recorded",
     ]
-    defaults = Scenario()
+    defaults = blimp_scenario()
     unmentioned = [
         each.name
         for each in dataclasses.fields(Scenario)
@@ -234,7 +275,7 @@ def test_dump_takes_arrays(tmp_path: Path) -> None:
 
 def test_one_scenario_of_several(tmp_path: Path) -> None:
     path = tmp_path / "two.yaml"
-    path.write_text("one: {}\ntwo: {period: 0.1}\n")
+    path.write_text(f"one: {{}}\ntwo: {SMALL[:-1]}, period: 0.1}}\n")
     assert load_scenario(path, scenario_name="two").period == 0.1
     assert "must be one of one, two" in refusal(path)
     assert "did you mean two?" in refusal(path, scenario_name="tow")
@@ -247,20 +288,18 @@ def test_overrides_merge_mappings_and_replace_the_rest() -> None:
     base = load_scenario("blimp-single-obstacle")
     scenario = load_scenario(
         "blimp-single-obstacle",
-        "{method: cbf-qp, plant: {mass: 0.2}, target: [2, 0, 1],"
+        "{method: cbf-qp, vehicle: {mass: 0.2}, target: [2, 0, 1],"
         " disturbance: [!Constant {value: [0, 0, 1]}]}",
     )
     assert (scenario.method, scenario.target) == ("cbf-qp", [2.0, 0.0, 1.0])
-    assert scenario.plant == dataclasses.replace(base.plant, mass=0.2)
+    assert scenario.vehicle == dataclasses.replace(base.vehicle, mass=0.2)
     assert len(scenario.disturbance) == 1
     assert scenario.obstacles == base.obstacles
 
 
 def test_overriding_tag_replaces() -> None:
-    scenario = load_scenario(
-        "blimp-single-obstacle", "{plant: !BlimpParameters {mass: 0.2}}"
-    )
-    assert scenario.plant == type(scenario.plant)(mass=0.2)
+    scenario = load_scenario("blimp-single-obstacle", "{vehicle: !Blimp {mass: 0.2}}")
+    assert scenario.vehicle == BlimpVehicle(mass=0.2)
 
 
 def test_overrides_as_mapping_say_the_same() -> None:
@@ -289,8 +328,8 @@ def test_merged_overrides_are_one_line_that_says_the_same(everything: Path) -> N
 
 def test_merged_overrides_keep_how_values_are_written() -> None:
     assert merge_overrides("{}") == "{}"
-    text = merge_overrides("{name: '5'}", "{duration: 1e1, turn_limit: null}")
-    assert text == "{name: '5', duration: 1e1, turn_limit: null}"
+    text = merge_overrides("{name: '5'}", "{duration: 1e1, observer: {beta: null}}")
+    assert text == "{name: '5', duration: 1e1, observer: {beta: null}}"
 
 
 def test_override_can_rename() -> None:
@@ -324,14 +363,14 @@ REFUSED = [
         "disturbance[0].amplitudes",
         "did you mean amplitude?",
     ),
-    ("{plant: {colour: 1}}", "plant.colour", "allowed: mass, added_mass, drag"),
+    ("{vehicle: {colour: 1}}", "vehicle.colour", "allowed: mass, added_mass, drag"),
     (
         "{disturbance: [{frequency: 1}]}",
         "disturbance[0].frequency",
         "read as !Constant; or !Sinusoid, !SmoothStep",
     ),
     ("{disturbance: [!Sinus {}]}", "disturbance[0]", "did you mean !Sinusoid"),
-    ("{plant: !Boat {}}", "plant", "allowed: !BlimpParameters, !CarParameters"),
+    ("{vehicle: !Boat {}}", "vehicle", "allowed: !Blimp, !Car"),
     (
         "{observer: !Rise {}}",
         "observer",
@@ -360,9 +399,13 @@ REFUSED = [
     ("{duration: 1e999}", "duration", "inf; it must be finite"),
     ("{target: [.nan, 0, 0]}", "target[0]", "nan; it must be finite"),
     ("{input_set: {upper: [.inf, 1, 1]}}", "input_set.upper[0]", "must be finite"),
-    ("{plant: {mass: .nan}}", "plant.mass", "finite and above 0"),
-    ("{plant: {drag: [-1, 0, 0]}}", "plant.drag[0]", "not below 0"),
-    ("{controller: {yaw_gain: -1}}", "controller.yaw_gain", "not below 0"),
+    ("{vehicle: {mass: .nan}}", "vehicle.mass", "finite and above 0"),
+    ("{vehicle: {drag: [-1, 0, 0]}}", "vehicle.drag[0]", "not below 0"),
+    (
+        "{vehicle: {controller: {yaw_gain: -1}}}",
+        "vehicle.controller.yaw_gain",
+        "not below 0",
+    ),
     ("{duration: 0}", "duration", "0; it must be finite and above 0"),
     ("{period: -0.01}", "period", "-0.01; it must be finite and above 0"),
     ("{arrival_tolerance: 0}", "arrival_tolerance", "above 0"),
@@ -403,7 +446,7 @@ REFUSED = [
     ("{input_set: {A: [[1, 1, 1]]}}", "input_set.b", "list of 1 number"),
     ("{barrier: {gains: [1, 2, 3]}}", "barrier.gains", "must be real and positive"),
     ("{disturbance: [!Constant {value: [1]}]}", "disturbance[0]", "must have 3"),
-    ("{plant: {added_mass: [1]}}", "plant.added_mass", "list of 3 numbers"),
+    ("{vehicle: {added_mass: [1]}}", "vehicle.added_mass", "list of 3 numbers"),
     # Choices.
     ("{method: dob}", "method", "'dob'; it must be one of cbf-qp, robust-cbf-qp"),
     ("{fidelity: exact}", "fidelity", "one of corrected, paper"),
@@ -431,11 +474,11 @@ REFUSED = [
     ),
     ("{observer: {period: -1}}", "observer.period", "not below 0"),
     (
-        "{controller: !CarControllerParameters {}}",
-        "controller",
-        "!CarControllerParameters; it must be !BlimpControllerParameters",
+        "{vehicle: {controller: !CarControllerParameters {}}}",
+        "vehicle.controller",
+        "unknown tag !CarControllerParameters; did you mean !BlimpController",
     ),
-    ("{turn_limit: {curvature: 1}}", "turn_limit", "for the plant is !BlimpParameters"),
+    ("{vehicle: {turn_limit: {}}}", "vehicle.turn_limit", "unknown key; allowed"),
     ("{target: [0.5, 0.1, 0.5]}", "target", "signed distance is -0.1 m"),
     (
         "{disturbance: [!Recorded {times: [0, 1, 2],"
@@ -456,7 +499,11 @@ def test_refuses(override: str, key: str, allowed: str) -> None:
 @pytest.mark.parametrize(
     ("line", "replacement", "key"),
     [
-        ("    approach_gain: 0.5", "    aproach_gain: 0.5", "controller.aproach_gain"),
+        (
+            "      approach_gain: 0.5",
+            "      aproach_gain: 0.5",
+            "vehicle.controller.aproach_gain",
+        ),
         ("    upper: [2.0, 1.0]", "    upper: [2.0, one]", "input_set.upper[1]"),
         ("    b: [1.5]", "    b: [-9.0]", "input_set"),
         ("    - !Constant {value: [1e-2]}", "    - !Const {}", "disturbance[0]"),
@@ -518,9 +565,9 @@ def test_refuses_file(tmp_path: Path, content: bytes, problem: str) -> None:
 
 def test_a_forgotten_name_is_named(tmp_path: Path) -> None:
     path = tmp_path / "nameless.yaml"
-    path.write_text("plant: !CarParameters {mass: 2}\nduration: 3\n")
+    path.write_text("vehicle: !Car {mass: 2}\nduration: 3\n")
     message = refusal(path)
-    assert "plant at the top; a scenario's name is missing above it" in message
+    assert "vehicle at the top; a scenario's name is missing above it" in message
 
 
 def test_refuses_directory(tmp_path: Path) -> None:
@@ -557,7 +604,7 @@ def test_garbled_scenarios_load_or_are_refused_in_one_line(everything: Path) -> 
 
 
 def test_validate_names_the_field() -> None:
-    scenario = Scenario(obstacles=[Obstacle([3.0, 3.0, 3.0], 0.5)])
+    scenario = blimp_scenario(obstacles=[Obstacle([3.0, 3.0, 3.0], 0.5)])
     validate(scenario)
     scenario.obstacles[0].radius = float("nan")
     with pytest.raises(InvalidValueError, match="nan; it must be finite") as caught:
@@ -590,10 +637,10 @@ def test_start_and_target_are_outside(
 ) -> None:
     obstacles = [Obstacle(center, radius, velocity, margin)]
     if allowed:
-        validate(Scenario(obstacles=obstacles))
+        validate(blimp_scenario(obstacles=obstacles))
     else:
         with pytest.raises(InvalidValueError, match="outside obstacles"):
-            Scenario(obstacles=obstacles)
+            blimp_scenario(obstacles=obstacles)
 
 
 @pytest.mark.parametrize(
@@ -601,7 +648,7 @@ def test_start_and_target_are_outside(
     [([4.0, 4.0], True), ([4.0, 4.001], False), ([3.0, 2.0], True)],
 )
 def test_gains_have_real_negative_roots(gains: list[float], allowed: bool) -> None:
-    scenario = Scenario()
+    scenario = blimp_scenario()
     scenario.barrier.gains = gains
     if allowed:
         validate(scenario)
@@ -612,7 +659,7 @@ def test_gains_have_real_negative_roots(gains: list[float], allowed: bool) -> No
 
 
 def test_input_set_holds_box_and_rows() -> None:
-    limits = copy.deepcopy(Scenario().input_set)
+    limits = copy.deepcopy(blimp_scenario().input_set)
     limits.lower, limits.upper = [-1.0, -1.0, -1.0], [1.0, 2.0, 3.0]
     assert limits.input_set().is_box
     limits.A, limits.b = [[1.0, 1.0, 0.0]], [0.5]

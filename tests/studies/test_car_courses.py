@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from vcbf_drake.plants import CarParameters
 from vcbf_drake.simulation import Scenario, load_scenario
 from vcbf_drake.studies import car_courses
 from vcbf_drake.studies.car_courses import CAR_COURSE_RANGES, car_course
@@ -43,7 +42,7 @@ def test_courses_are_valid_and_stay_inside_the_stated_ranges(seed: int) -> None:
     scenario = load(seed)
     force, turn_rate = scenario.input_set.upper
     assert scenario.input_set.lower == [-force, -turn_rate]
-    share = scenario.disturbance[0].amplitude[0] * scenario.plant.mass / force
+    share = scenario.disturbance[0].amplitude[0] * scenario.vehicle.mass / force
     for name, value in (
         ("force limit [N]", force),
         ("turn rate limit [rad/s]", turn_rate),
@@ -74,7 +73,6 @@ def test_courses_vary_in_how_many_discs_and_which_gains_they_have() -> None:
 
 def test_what_a_course_leaves_alone_is_the_scenarios() -> None:
     shipped, drawn = load_scenario(SHIPPED), load(3)
-    assert shipped.plant == drawn.plant == CarParameters()
+    assert shipped.vehicle == drawn.vehicle
     assert (shipped.initial_state[:2], shipped.target) == ([0.0, 0.0], [5.0, 0.0])
     assert (drawn.initial_state, drawn.target) == (shipped.initial_state, [5.0, 0.0])
-    assert drawn.controller == shipped.controller

@@ -57,9 +57,8 @@ def test_nominal_collides_robust_goes_wide_and_the_proposed_passes_close(
 
 
 def test_a_slow_car_needs_the_volume_barrier() -> None:
-    assert (
-        load_scenario(SENSITIVITY).controller.approach_gain == APPROACH_GAINS[0] == 0.2
-    )
+    controller = load_scenario(SENSITIVITY).vehicle.controller
+    assert controller.approach_gain == APPROACH_GAINS[0] == 0.2
     stuck = run(SENSITIVITY, {"method": "dob-cbf-qp"})
     assert stuck["outcome"] == "infeasible"
     assert 2.0 < stuck["infeasible_at"] < 4.0
@@ -74,7 +73,7 @@ def test_a_slow_car_needs_the_volume_barrier() -> None:
 @pytest.mark.parametrize("gain", APPROACH_GAINS[1:])
 @pytest.mark.parametrize("method", ["dob-cbf-qp", "dob-vcbf-qp"])
 def test_a_faster_car_arrives_either_way(method: str, gain: float) -> None:
-    faster = {"method": method, "controller": {"approach_gain": gain}}
+    faster = {"method": method, "vehicle": {"controller": {"approach_gain": gain}}}
     assert run(SENSITIVITY, faster)["outcome"] == "reached"
 
 
@@ -84,7 +83,7 @@ def test_the_sensitivity_does_not_hang_on_the_exact_start(index: int) -> None:
     def outcome(method: str, gain: float) -> str:
         overrides = {
             "method": method,
-            "controller": {"approach_gain": gain},
+            "vehicle": {"controller": {"approach_gain": gain}},
             "initial_state": moved_start(index),
         }
         return str(run(SENSITIVITY, overrides)["outcome"])

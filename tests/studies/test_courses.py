@@ -44,10 +44,10 @@ def test_trials_on_courses_travel_to_other_processes():
 
 
 def test_a_cars_course_keeps_the_trials_approach_gain():
-    slow = "{controller: {approach_gain: 0.4}}"
+    slow = "{vehicle: {controller: {approach_gain: 0.4}}}"
     trial = Trial("car-sensitivity", "cbf-qp", 2, 0, CAR_COURSES, slow)
     scenario = trial.load()
-    assert scenario.controller.approach_gain == 0.4
+    assert scenario.vehicle.controller.approach_gain == 0.4
     discs = car_course(2)["obstacles"]
     assert [each.center for each in scenario.obstacles] == [d["center"] for d in discs]
 
@@ -66,6 +66,11 @@ def test_spheres_are_clear_of_start_and_target():
     assert counts == set(SPHERE_COUNTS)
 
 
+def caps(course):
+    """The controller's caps that a course sets."""
+    return course["vehicle"]["controller"]
+
+
 @pytest.mark.parametrize(
     ("name", "read"),
     [
@@ -74,8 +79,14 @@ def test_spheres_are_clear_of_start_and_target():
             "reverse thrust over thrust",
             lambda c: -c["input_set"]["lower"][0] / c["input_set"]["upper"][0],
         ),
-        ("surge speed cap [m/s]", lambda c: c["controller"]["surge_speed_cap"]),
-        ("height error cap [m]", lambda c: c["controller"]["height_error_cap"]),
+        (
+            "surge speed cap [m/s]",
+            lambda c: caps(c)["surge_speed_cap"],
+        ),
+        (
+            "height error cap [m]",
+            lambda c: caps(c)["height_error_cap"],
+        ),
     ],
 )
 def test_courses_are_uniform_over_the_stated_ranges(name, read):

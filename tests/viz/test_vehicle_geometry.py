@@ -13,7 +13,8 @@ from pydrake.systems.primitives import ConstantVectorSource
 import pytest
 
 from vcbf_drake import SphereObstacle
-from vcbf_drake.viz import BlimpGeometry, CarGeometry, ObstacleGeometry
+from vcbf_drake.plants import BlimpVehicle, CarVehicle
+from vcbf_drake.viz import ObstacleGeometry, VehicleGeometry
 
 BLIMP = [1.0, 2.0, 3.0, 0.5, 0.0, 0.0, 0.0, 0.0]
 CAR = [-1.0, -2.0, 0.7, 2.0]
@@ -28,12 +29,14 @@ def scene():
     """A diagram with one of each, its SceneGraph and its Meshcat."""
     builder = DiagramBuilder()
     scene_graph = builder.AddSystem(SceneGraph())
-    for name, geometry, state in (
-        ("airship", BlimpGeometry, BLIMP),
-        ("buggy", CarGeometry, CAR),
+    for name, vehicle, state in (
+        ("airship", BlimpVehicle(), BLIMP),
+        ("buggy", CarVehicle(), CAR),
     ):
         source = builder.AddSystem(ConstantVectorSource(state))
-        geometry.AddToBuilder(builder, source.get_output_port(), scene_graph, name)
+        VehicleGeometry.AddToBuilder(
+            builder, vehicle, source.get_output_port(), scene_graph, name
+        )
     ObstacleGeometry.AddToBuilder(builder, STONES, scene_graph, "stone")
     meshcat = Meshcat(MeshcatParams(host="127.0.0.1", port=0))
     MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat)

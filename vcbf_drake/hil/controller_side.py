@@ -44,7 +44,6 @@ from vcbf_drake.simulation.fault_systems import lose_answers
 from vcbf_drake.simulation.loop import add_controller_and_filter
 from vcbf_drake.simulation.parts import (
     make_observer,
-    make_plant,
     make_source,
     perceived_spheres,
 )
@@ -409,7 +408,7 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
     bus = bus or Bus()
     check_timing(scenario)
     builder = DiagramBuilder()
-    model = ControlAffineModel.from_system(make_plant(scenario))
+    model = ControlAffineModel.from_system(scenario.vehicle.make_plant())
     bounds, settings = make_source(scenario).bounds, scenario.hardware
     link = VehicleLink(builder, bus, model, scenario.period, settings)
     predictor = None

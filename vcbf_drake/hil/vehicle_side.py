@@ -38,7 +38,7 @@ from vcbf_drake.simulation.loop import (
     add_collision_monitor,
     add_simulated_plant,
 )
-from vcbf_drake.simulation.parts import barriers, make_plant
+from vcbf_drake.simulation.parts import barriers
 from vcbf_drake.simulation.scenario import Hardware, Scenario
 
 
@@ -328,7 +328,7 @@ def make_vehicle(scenario: Scenario, bus: Bus, timeline: Timeline) -> Diagram:
     builder = DiagramBuilder()
     simulated = add_simulated_plant(builder, scenario)
     plant, measured = simulated.plant, simulated.state
-    model = ControlAffineModel.from_system(make_plant(scenario))
+    model = ControlAffineModel.from_system(scenario.vehicle.make_plant())
     receiver = builder.AddNamedSystem(
         "command_receiver",
         CommandReceiver(

@@ -1,4 +1,4 @@
-"""The blimp and the car: plants and their point-to-point controllers."""
+"""Vehicles, and the two that come with the package: the blimp and the car."""
 
 from vcbf_drake.plants.blimp import (
     Blimp,
@@ -11,8 +11,11 @@ from vcbf_drake.plants.blimp_controller import (
     BlimpController,
     BlimpControllerParameters,
 )
+from vcbf_drake.plants.blimp_vehicle import BlimpVehicle
 from vcbf_drake.plants.car import Car, Car_, CarInput, CarParameters, CarState
 from vcbf_drake.plants.car_controller import CarController, CarControllerParameters
+from vcbf_drake.plants.car_vehicle import CarVehicle, TurnLimit
+from vcbf_drake.plants.vehicle import Vehicle
 
 __all__ = [
     "Blimp",
@@ -21,6 +24,7 @@ __all__ = [
     "BlimpInput",
     "BlimpParameters",
     "BlimpState",
+    "BlimpVehicle",
     "Blimp_",
     "Car",
     "CarController",
@@ -28,5 +32,8 @@ __all__ = [
     "CarInput",
     "CarParameters",
     "CarState",
+    "CarVehicle",
     "Car_",
+    "TurnLimit",
+    "Vehicle",
 ]

@@ -127,6 +127,8 @@ def Blimp_(T: type) -> type:
         state_units = (*3 * ("m",), "rad", *3 * ("m/s",), "rad/s")
         input_names = BlimpInput.get_fields()
         input_units = ("N", "N", "N m")
+        disturbance_names = ("d_x", "d_y", "d_z")
+        disturbance_units = 3 * ("m/s²",)
         position_indices = (0, 1, 2)
 
         def _construct(

@@ -58,6 +58,8 @@ def Car_(T: type) -> type:
         state_units = ("m", "m", "m/s", "rad")
         input_names = CarInput.get_fields()
         input_units = ("N", "rad/s")
+        disturbance_names = ("d",)
+        disturbance_units = ("m/s²",)
         position_indices = (0, 1)
 
         def _construct(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +22,6 @@ from pydrake.systems.primitives import (
     Saturation,
 )
 
-from vcbf_drake.plants import BlimpParameters, CarParameters
 from vcbf_drake.safety import AddedSafetyFilter, FilterStatus
 from vcbf_drake.simulation.faults import Faults, StepGust
 from vcbf_drake.simulation.sensors import (
@@ -123,27 +121,6 @@ class LostAnswers(LeafSystem):
 
         needs = {self.time_ticket(), answer.ticket(), self._fallback.ticket()}
         self.DeclareVectorOutputPort(name, size, calc, needs)
-
-
-def true_parameters(
-    nominal: BlimpParameters | CarParameters, faults: Faults
-) -> BlimpParameters | CarParameters:
-    """Returns the parameters of the plant that is really there.
-
-    Args:
-        nominal: Those of the filter's model.
-        faults: What is wrong with them.
-    """
-    mass, drag = faults.mass, faults.drag
-    if isinstance(nominal, CarParameters):
-        return replace(nominal, mass=mass * nominal.mass)
-    return BlimpParameters(
-        mass=mass * nominal.mass,
-        added_mass=[mass * each for each in nominal.added_mass],
-        drag=[drag * each for each in nominal.drag],
-        yaw_inertia=mass * nominal.yaw_inertia,
-        yaw_drag=drag * nominal.yaw_drag,
-    )
 
 
 def true_disturbance(

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 import difflib
 from functools import reduce
+import inspect
 import math
 from pathlib import Path
 import types
@@ -153,7 +154,8 @@ def _select(root: Node, source: str, name: str | None) -> Node:
     """Returns the node of a scenario, which then holds its name."""
     entries = {k: each for k, each in _entries(root).items() if k[:1] != "_"}
     problem = ""
-    if misplaced := [key for key in entries if key in get_type_hints(Scenario)]:
+    known = {*_hints(Scenario), *Scenario.MOVED}
+    if misplaced := [key for key in entries if key in known]:
         problem = f"{misplaced[0]} at the top; a scenario's name is missing above it"
     elif not entries:
         problem = "holds no scenario"
@@ -252,49 +254,71 @@ def _shown(node: Node) -> str:
 # Values ----------------------------------------------------------------------------
 
 
-def _members(hint: Any) -> tuple[type, ...]:
-    return get_args(hint) if get_origin(hint) in (types.UnionType, Union) else (hint,)
+def _members(hint: Any) -> tuple[Any, ...]:
+    """Returns the types that a hint allows: of an abstract class, its subclasses."""
+    if inspect.isabstract(hint):
+        return tuple(hint.__subclasses__())
+    is_union = get_origin(hint) in (types.UnionType, Union)
+    return get_args(hint) if is_union else (hint,)
+
+
+def _tags(hint: Any) -> dict[str, Any]:
+    """Returns the dataclasses that a hint allows, by their tags."""
+    found = (each for each in _members(hint) if is_dataclass(each))
+    return {f"!{each.__name__.removesuffix('Vehicle')}": each for each in found}  # type: ignore[union-attr]
 
 
 def _build(node: Node, hint: Any, path: KeyPath) -> Any:
     """Returns what a type hint asks for; only whole numbers may become floats."""
-    members = _members(hint)
-    classes = {f"!{t.__name__}": t for t in members if is_dataclass(t)}
-    hint, *others = members
+    classes, (first, *others) = _tags(hint), _members(hint)
     if types.NoneType in others and _shown(node) == "nothing":
         return None
-    if is_dataclass(hint) or (classes and isinstance(node, yaml.MappingNode)):
-        return _build_object(node, classes, path)
+    if is_dataclass(first) or (classes and isinstance(node, yaml.MappingNode)):
+        needs_tag = inspect.isabstract(hint)
+        return _build_object(node, classes, path, needs_tag)
     if node.tag.startswith("!"):
         _fail(node, path, f"tag {node.tag}; no tag is expected here")
-    if get_origin(hint) is list:
+    if get_origin(first) is list:
         if not isinstance(node, yaml.SequenceNode):
             _fail(node, path, f"expected a list, got {_shown(node)}")
-        (item,) = get_args(hint)
+        (item,) = get_args(first)
         return [_build(each, item, (*path, i)) for i, each in enumerate(node.value)]
-    return _build_scalar(node, hint if hint in _KINDS else str, path)
+    return _build_scalar(node, first if first in _KINDS else str, path)
 
 
-def _build_object(node: Node, classes: Mapping[str, Any], path: KeyPath) -> Any:
+def _build_object(
+    node: Node, classes: Mapping[str, Any], path: KeyPath, needs_tag: bool
+) -> Any:
     tag, (first, *others) = node.tag, classes
     guess = ""
     if not tag.startswith("!"):
+        if needs_tag:
+            _fail(node, path, f"its tag is missing; allowed: {', '.join(classes)}")
         tag = first
         guess = f" (no tag, so read as {first}; or {', '.join(others)})" * bool(others)
     if tag not in classes:
         _fail(node, path, f"unknown tag {tag}; {did_you_mean(tag, classes)}")
-    hints, values = get_type_hints(classes[tag]), {}
+    schema, values = classes[tag], {}
+    hints = _hints(schema)
     for name, (key, value) in _entries(node, path).items():
         if name not in hints:
-            suggestion = did_you_mean(name, hints)
-            _fail(key, (*path, name), f"unknown key{guess}; {suggestion}")
+            advice = did_you_mean(name, hints)
+            if name in getattr(schema, "MOVED", {}):
+                advice = f"it is {schema.MOVED[name]} now"
+            _fail(key, (*path, name), f"unknown key{guess}; {advice}")
         values[name] = _build(value, hints[name], (*path, name))
-    for each in fields(classes[tag]):
+    for each in fields(schema):
         needed = each.default is each.default_factory is MISSING
         if needed and each.name not in values:
             _fail(node, (*path, each.name), f"missing{guess}")
     with below(*path):
-        return classes[tag](**values)
+        return schema(**values)
+
+
+def _hints(schema: Any) -> dict[str, Any]:
+    """Returns the types of a dataclass's fields."""
+    hints = get_type_hints(schema)
+    return {each.name: hints[each.name] for each in fields(schema)}
 
 
 def _build_scalar(node: Node, kind: Any, path: KeyPath) -> float | int | bool | str:
@@ -321,10 +345,11 @@ def _build_scalar(node: Node, kind: Any, path: KeyPath) -> float | int | bool | 
 def _plain(value: Any, hint: Any) -> Any:
     """Returns what YAML can hold; a member of a union has its tag."""
     if is_dataclass(value):
-        hints, tag = get_type_hints(type(value)), f"!{type(value).__name__}"
+        hints, tags = _hints(type(value)), _tags(hint)
         data = {key: _plain(getattr(value, key), hints[key]) for key in hints}
-        is_one_of = sum(map(is_dataclass, _members(hint))) > 1
-        return {"_tag": tag, **data} if is_one_of else data
+        names = [tag for tag, each in tags.items() if each is type(value)]
+        is_one_of = len(tags) > 1 or inspect.isabstract(hint)
+        return {"_tag": names[0], **data} if is_one_of else data
     if isinstance(value, list | tuple | np.ndarray):
         return [_plain(each, *get_args(hint)) for each in value]
     return value.item() if isinstance(value, np.generic) else value

@@ -36,16 +36,12 @@ from vcbf_drake.simulation.fault_systems import (
     faulty_measurement,
     lose_answers,
     true_disturbance,
-    true_parameters,
 )
 from vcbf_drake.simulation.parts import (
     barriers,
-    make_controller,
     make_observer,
-    make_plant,
     make_source,
     perceived_spheres,
-    plant_class,
     seen_barriers,
 )
 from vcbf_drake.simulation.scenario import Scenario
@@ -74,7 +70,7 @@ def make_loop(scenario: Scenario) -> Diagram:
     simulated = add_simulated_plant(builder, scenario)
     plant, source = simulated.plant, simulated.source
     # The filter knows the scenario's plant, whatever is wrong with the true one.
-    model = ControlAffineModel.from_system(make_plant(scenario))
+    model = ControlAffineModel.from_system(scenario.vehicle.make_plant())
     controller, loop = add_controller_and_filter(
         builder,
         scenario,
@@ -124,7 +120,7 @@ def add_simulated_plant(builder: DiagramBuilder, scenario: Scenario) -> Simulate
     """Adds a scenario's plant and disturbance, with its noise and faults."""
     faults = scenario.faults
     plant = builder.AddNamedSystem(
-        "plant", plant_class(scenario)(true_parameters(scenario.plant, faults))
+        "plant", scenario.vehicle.altered(faults.mass, faults.drag).make_plant()
     )
     source = builder.AddNamedSystem("disturbance", make_source(scenario))
     disturbance = true_disturbance(builder, faults, source.get_output_port())
@@ -160,7 +156,9 @@ def add_controller_and_filter(
         applied_input: What the plant really applied; the held input by default.
         obstacles: What is seen of the obstacles; they are known without.
     """
-    controller = builder.AddNamedSystem("controller", make_controller(scenario))
+    controller = builder.AddNamedSystem(
+        "controller", scenario.vehicle.make_controller(scenario.target)
+    )
     builder.Connect(state, controller.GetInputPort("state"))
     loop = AddSafetyFilter(
         builder,
@@ -197,7 +195,7 @@ def obstacles_in_sight(
             scenario.obstacles,
             perceived_spheres(scenario),
             state.size(),
-            plant_class(scenario).position_indices,
+            scenario.vehicle.positions,
             scenario.faults.sight,
         ),
     )

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from pydrake.systems.framework import LeafSystem
 
 from vcbf_drake.barriers import (
     Barrier,
     PerceivedSpheres,
     SphereObstacle,
     StateInputLimit,
-    ackermann_limit,
 )
 from vcbf_drake.disturbances import (
     DisturbanceBounds,
@@ -21,13 +17,7 @@ from vcbf_drake.disturbances import (
 )
 from vcbf_drake.errors import below
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.plants import (
-    Blimp,
-    BlimpController,
-    BlimpParameters,
-    Car,
-    CarController,
-)
+from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.simulation.scenario import Scenario
 
 
@@ -42,12 +32,12 @@ def barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
             margin=obstacle.margin,
         ).barrier(
             scenario.barrier.gains,
-            position=plant_class(scenario).position_indices,
+            position=scenario.vehicle.position,
             name=f"obstacle {i + 1}",
         )
         for i, obstacle in enumerate(scenario.obstacles)
     ]
-    return found + turn_limits(scenario)
+    return found + scenario.vehicle.barriers()
 
 
 def seen_barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
@@ -55,11 +45,11 @@ def seen_barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
     found: list[Barrier | StateInputLimit] = [
         *perceived_spheres(scenario).barriers(
             scenario.barrier.gains,
-            position=plant_class(scenario).position_indices,
+            position=scenario.vehicle.position,
             name="seen obstacle",
         )
     ]
-    return found + turn_limits(scenario)
+    return found + scenario.vehicle.barriers()
 
 
 def perceived_spheres(scenario: Scenario) -> PerceivedSpheres:
@@ -70,39 +60,13 @@ def perceived_spheres(scenario: Scenario) -> PerceivedSpheres:
     return PerceivedSpheres(capacity, len(scenario.target), form=scenario.barrier.form)
 
 
-def turn_limits(scenario: Scenario) -> list[Barrier | StateInputLimit]:
-    """Returns the limits of a steered car's turn rate; none where there are none."""
-    limit = scenario.turn_limit
-    if limit is None:
-        return []
-    return [*ackermann_limit(limit.curvature, limit.smoothing_speed)]
-
-
-def plant_class(scenario: Scenario) -> Any:
-    """Returns the class of a scenario's plant."""
-    return Blimp if isinstance(scenario.plant, BlimpParameters) else Car
-
-
-def make_plant(scenario: Scenario) -> LeafSystem:
-    """Returns a scenario's plant."""
-    return plant_class(scenario)(scenario.plant)
-
-
 def make_source(scenario: Scenario) -> DisturbanceSource:
     """Returns a scenario's disturbance."""
     return DisturbanceSource(
         scenario.disturbance,
         horizon=scenario.duration,
-        num_disturbances=make_plant(scenario).GetInputPort("disturbance").size(),
+        num_disturbances=len(channels_of(scenario.vehicle.make_plant()).disturbances),
     )
-
-
-def make_controller(scenario: Scenario) -> LeafSystem:
-    """Returns a scenario's own controller, which knows nothing of obstacles."""
-    controller: Any = (
-        BlimpController if plant_class(scenario) is Blimp else CarController
-    )
-    return controller(scenario.target, scenario.controller, scenario.plant)
 
 
 def measurement_noise(scenario: Scenario, model: ControlAffineModel) -> float:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 import math
 import re
-from typing import Any, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 from pydrake.systems.analysis import GetIntegrationSchemes
@@ -26,10 +26,8 @@ from vcbf_drake.disturbances.source import (
     SmoothStep,
 )
 from vcbf_drake.errors import InvalidValueError, Path, below
-from vcbf_drake.plants.blimp import Blimp, BlimpParameters
-from vcbf_drake.plants.blimp_controller import BlimpControllerParameters
-from vcbf_drake.plants.car import Car, CarParameters
-from vcbf_drake.plants.car_controller import CarControllerParameters
+from vcbf_drake.plants import Vehicle
+from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.settings import FilterSettings
 from vcbf_drake.simulation.faults import Faults
@@ -84,24 +82,6 @@ class InputLimits:
             np.vstack([identity, -identity, self.A]),
             np.concatenate([self.upper, np.negative(self.lower), self.b]),
         )
-
-
-@dataclass
-class TurnLimit:
-    """A car's steering: ``|omega| <= curvature sqrt(v^2 + smoothing_speed^2)``.
-
-    Attributes:
-        curvature: Greatest curvature of the path [1/m].
-        smoothing_speed: Speed below which the limit stops shrinking [m/s]; makes it
-            smooth at rest.
-    """
-
-    curvature: float = 2.0
-    smoothing_speed: float = 0.1
-
-    def __post_init__(self) -> None:
-        check_parameter("curvature", self.curvature)
-        check_parameter("smoothing_speed", self.smoothing_speed)
 
 
 @dataclass
@@ -245,17 +225,15 @@ _MOST_TICKS = 1e7
 _LONG = 3600.0
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Scenario(FilterSettings):
     """One run: a plant, its disturbance and obstacles, its task, and a safety filter.
 
     Attributes:
         name: What results are called; in a file, its top-level key.
         description: What the run shows; the first line is its title.
-        plant: The plant and its physical parameters.
-        controller: The reference controller, of the same kind as the plant.
+        vehicle: The robot: its plant, its controller, and its own limits.
         input_set: What the actuators can deliver.
-        turn_limit: The car's steering limit, if any.
         disturbance: The disturbance is the sum of these signals [m/s^2].
         obstacles: What to keep out of.
         barrier: How: the barrier of each obstacle.
@@ -269,23 +247,25 @@ class Scenario(FilterSettings):
         hardware: The same over LCM, with a vehicle in another process.
     """
 
+    # Where the values of keys are that older files have.
+    MOVED: ClassVar[dict[str, str]] = {
+        "plant": "part of vehicle",
+        "controller": "vehicle.controller",
+        "turn_limit": "vehicle.turn_limit",
+        "corrections": "fidelity",
+    }
+
     name: str = ""
     description: str = ""
-    plant: BlimpParameters | CarParameters = field(default_factory=BlimpParameters)
-    controller: BlimpControllerParameters | CarControllerParameters = field(
-        default_factory=BlimpControllerParameters
-    )
-    input_set: InputLimits = field(
-        default_factory=lambda: InputLimits([-0.25, -0.25, -0.02], [0.25, 0.25, 0.02])
-    )
-    turn_limit: TurnLimit | None = None
+    vehicle: Vehicle
+    input_set: InputLimits
     disturbance: list[
         Constant | Sinusoid | SmoothStep | BandLimitedNoise | Recorded
     ] = field(default_factory=list)
     obstacles: list[Obstacle] = field(default_factory=list)
     barrier: BarrierGains = field(default_factory=BarrierGains)
-    initial_state: list[float] = field(default_factory=lambda: [0.0] * 8)
-    target: list[float] = field(default_factory=lambda: [1.0, 0.0, 1.0])
+    initial_state: list[float]
+    target: list[float]
     duration: float = 20.0
     arrival_tolerance: float = 0.3
     integrator: Integrator = field(default_factory=Integrator)
@@ -300,33 +280,10 @@ class Scenario(FilterSettings):
             self.name,
             "at most 100 letters, digits, spaces and _ . + -, a letter or digit first",
         )
-        self._check_pairing()
         self._check_times()
         super().__post_init__()
         self._check_sizes()
-        self._check_disturbance()
         self._check_places()
-
-    @property
-    def plant_class(self) -> Any:
-        """The class of the plant."""
-        return Blimp if isinstance(self.plant, BlimpParameters) else Car
-
-    def _check_pairing(self) -> None:
-        is_car = isinstance(self.plant, CarParameters)
-        wanted = CarControllerParameters if is_car else BlimpControllerParameters
-        found, plant = type(self.controller).__name__, type(self.plant).__name__
-        if not isinstance(self.controller, wanted):
-            raise InvalidValueError(
-                "controller",
-                f"!{found}; it must be !{wanted.__name__}, for the plant is !{plant}",
-            )
-        is_allowed = self.turn_limit is None or is_car
-        rule = f"null, for the plant is !{plant}"
-        require(is_allowed, "turn_limit", self.turn_limit, rule)
-        has_drag = not is_car or self.faults.drag == 1.0
-        rule = f"1, for !{plant} has no drag"
-        require(has_drag, ("faults", "drag"), self.faults.drag, rule)
 
     def _check_times(self) -> None:
         for name in ("duration", "period", "arrival_tolerance"):
@@ -344,46 +301,51 @@ class Scenario(FilterSettings):
         require(delay <= duration, ("faults", "measurement_delay"), delay, rule)
 
     def _check_sizes(self) -> None:
-        plant = self.plant_class(self.plant)
-        states, inputs = plant.state_names, plant.input_names
-        position = [states[i] for i in plant.position_indices]
-        check_finite("initial_state", self.initial_state, names=states)
-        check_finite("target", self.target, names=position)
-        check_finite(("input_set", "lower"), self.input_set.lower, names=inputs)
+        plant = self.vehicle.make_plant()
+        channels = channels_of(plant)
+        states, inputs = channels.states, channels.inputs
+        check_finite("initial_state", self.initial_state, names=[*states])
+        check_finite(("input_set", "lower"), self.input_set.lower, names=[*inputs])
+        size = len(self.start)
+        at = self.vehicle.position
+        axes = range(size) if callable(at) else [[*states][i] for i in at]
+        check_finite("target", self.target, names=[*map(str, axes)])
+        for i, obstacle in enumerate(self.obstacles):
+            check_finite(("obstacles", i, "center"), obstacle.center, size=size)
         for path, numbers in (
             (("noise", "std"), self.noise.std),
             (("faults", "measurement_bias"), self.faults.measurement_bias),
         ):
-            check_finite(path, numbers, names=states if len(numbers) else ())
-        for i, obstacle in enumerate(self.obstacles):
-            check_finite(("obstacles", i, "center"), obstacle.center, names=position)
-        channels = plant.GetInputPort("disturbance").size()
+            check_finite(path, numbers, names=[*states] if len(numbers) else ())
         for i, gust in enumerate(self.faults.gusts):
             where = ("faults", "gusts", i, "amplitude")
-            check_finite(where, gust.amplitude, size=channels)
-
-    def _check_disturbance(self) -> None:
-        channels = self.plant_class(self.plant).GetInputPort("disturbance").size()
+            check_finite(where, gust.amplitude, size=len(channels.disturbances))
+        for i in channels.angles:
+            angle, name = self.initial_state[i], [*states][i]
+            rule = f"radians, from -2 pi to 2 pi; was {name} meant in degrees?"
+            require(abs(angle) <= 2.0 * math.pi, ("initial_state", i), angle, rule)
+        size = len(channels.disturbances)
         for i, signal in enumerate(self.disturbance):
             with below("disturbance", i):
                 found = signal.curve(self.duration).size
-                if found != channels:
+                if found != size:
                     raise InvalidValueError(
                         (),
-                        f"has {found} channels; it must have {channels}, one per"
-                        " disturbed state",
+                        f"has {found} channels; it must have {size},"
+                        " one per disturbed state",
                     )
 
+    @property
+    def start(self) -> list[float]:
+        """Where the vehicle is at time zero [m]."""
+        states = np.array([self.initial_state])
+        return [*map(float, self.vehicle.positions(states)[0])]
+
     def _check_places(self) -> None:
-        plant = self.plant_class
-        for i, unit in enumerate(plant.state_units):
-            angle, name = self.initial_state[i], plant.state_names[i]
-            rule = f"radians, from -2 pi to 2 pi; was {name} meant in degrees?"
-            is_turn = unit != "rad" or abs(angle) <= 2.0 * math.pi
-            require(is_turn, ("initial_state", i), angle, rule)
-        start = [self.initial_state[i] for i in plant.position_indices]
+        with below("faults"):
+            self.vehicle.altered(self.faults.mass, self.faults.drag)
         for i, obstacle in enumerate(self.obstacles):
-            _check_outside("initial_state", start, i, obstacle)
+            _check_outside("initial_state", self.start, i, obstacle)
             if not any(obstacle.velocity):
                 _check_outside("target", self.target, i, obstacle)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 import math
 from typing import TYPE_CHECKING
@@ -193,7 +193,7 @@ class ObstaclesInSight(LeafSystem):
         obstacles: Sequence[Obstacle],
         spheres: PerceivedSpheres,
         num_states: int,
-        position: Sequence[int],
+        positions: Callable[[Array], Array],
         sight: float,
     ) -> None:
         """Declares the ports.
@@ -202,7 +202,7 @@ class ObstaclesInSight(LeafSystem):
             obstacles: What is there.
             spheres: How it is reported, one slot an obstacle.
             num_states: n.
-            position: Which states are the position.
+            positions: From states (T, n) to positions (T, k) [m].
             sight: The distance from which a surface is seen [m].
         """
         super().__init__()
@@ -210,13 +210,13 @@ class ObstaclesInSight(LeafSystem):
         self._centers = np.array([each.center for each in obstacles])
         self._velocities = np.array([each.velocity or zero for each in obstacles])
         self._radii = np.array([each.radius + each.margin for each in obstacles])
-        self._spheres, self._position, self._sight = spheres, list(position), sight
+        self._spheres, self._positions, self._sight = spheres, positions, sight
         self._state = self.DeclareVectorInputPort("state", num_states)
         self.DeclareVectorOutputPort("obstacles", spheres.size, self._calc)
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         centers = self._centers + context.get_time() * self._velocities
-        away = self._state.Eval(context)[self._position] - centers
+        away = self._positions(self._state.Eval(context)[None]) - centers
         seen = np.linalg.norm(away, axis=1) - self._radii <= self._sight
         slots = self._spheres.pack(centers, self._velocities, self._radii)
         slots = slots.reshape(-1, self._spheres.slot_size)

@@ -106,7 +106,7 @@ def _outcome(collided_at: float | None, stopped: bool, reached_at: float | None)
 
 def _distance(scenario: Scenario, path: Array) -> Array:
     target = np.array(scenario.target)
-    distance: Array = np.linalg.norm(path[:, : len(target)] - target, axis=1)
+    distance: Array = np.linalg.norm(scenario.vehicle.positions(path) - target, axis=1)
     return distance
 
 

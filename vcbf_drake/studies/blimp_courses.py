@@ -53,9 +53,11 @@ def blimp_course(seed: int) -> dict[str, Any]:
             "lower": [-round(reverse * surge, 4), -heave, -yaw],
             "upper": [surge, heave, yaw],
         },
-        "controller": {
-            "surge_speed_cap": round(draw("surge speed cap [m/s]"), 2),
-            "height_error_cap": round(draw("height error cap [m]"), 2),
+        "vehicle": {
+            "controller": {
+                "surge_speed_cap": round(draw("surge speed cap [m/s]"), 2),
+                "height_error_cap": round(draw("height error cap [m]"), 2),
+            }
         },
         "disturbance": _wind(round(0.1 * thrust, 3)),
         "obstacles": _spheres(generator),

@@ -80,7 +80,7 @@ def _limit(scenario: Scenario, generator: Generator) -> dict[str, Any]:
 
 def _plant(scenario: Scenario, generator: Generator) -> dict[str, Any]:
     mass, drag = generator.choice([0.7, 1.3], 2).tolist()
-    has_drag = hasattr(scenario.plant, "drag")
+    has_drag = hasattr(scenario.vehicle, "drag")
     return {"faults": {"mass": mass, "drag": drag if has_drag else 1.0}}
 
 

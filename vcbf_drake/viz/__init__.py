@@ -12,20 +12,18 @@ if TYPE_CHECKING:
     from vcbf_drake.viz.figures import write_figures
     from vcbf_drake.viz.obstacle_geometry import ObstacleGeometry
     from vcbf_drake.viz.replay import write_replay
-    from vcbf_drake.viz.vehicle_geometry import BlimpGeometry, CarGeometry
+    from vcbf_drake.viz.vehicle_geometry import VehicleGeometry
 
 _HOME = {
-    "BlimpGeometry": "vehicle_geometry",
-    "CarGeometry": "vehicle_geometry",
+    "VehicleGeometry": "vehicle_geometry",
     "ObstacleGeometry": "obstacle_geometry",
     "write_figures": "figures",
     "write_replay": "replay",
 }
 
 __all__ = [
-    "BlimpGeometry",
-    "CarGeometry",
     "ObstacleGeometry",
+    "VehicleGeometry",
     "write_figures",
     "write_replay",
 ]

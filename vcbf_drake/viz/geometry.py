@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vcbf_drake.checks import Array
-from vcbf_drake.plants.blimp import BlimpParameters
-from vcbf_drake.plants.car import CarParameters
+from vcbf_drake.plants.channels import channels_of
+from vcbf_drake.plants.vehicle import Vehicle, tag
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.result import Result
@@ -17,12 +17,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Geometry:
-    """A plant's place in space and the names of its channels.
+    """A vehicle's place in space, its size, and the names of its channels.
 
     Attributes:
-        vehicle: ``blimp`` or ``car``.
-        dimensions: How many leading states are the position.
-        heading: The index of the state that turns the vehicle [rad].
+        vehicle: What kind it is.
+        robot: The vehicle itself.
+        dimensions: How many coordinates its position has.
+        angles: Which states are angles.
         length: The vehicle's length [m].
         rise: How far the vehicle reaches above its position [m].
         inputs: The inputs' names with units.
@@ -30,8 +31,9 @@ class Geometry:
     """
 
     vehicle: str
+    robot: Vehicle
     dimensions: int
-    heading: int
+    angles: tuple[int, ...]
     length: float
     rise: float
     inputs: tuple[str, ...]
@@ -39,7 +41,7 @@ class Geometry:
 
     def position(self, state: Array) -> Array:
         """The vehicle's position, shape (T, 3) [m], from states of shape (T, n)."""
-        return _in_space(state[:, : self.dimensions])
+        return _in_space(self.robot.positions(state))
 
     def point(self, values: list[float]) -> Array:
         """A point of the scenario, shape (3,) [m], from its leading entries."""
@@ -73,39 +75,21 @@ class Sphere:
         return self.center + time * self.velocity
 
 
-_GEOMETRIES: dict[type, Geometry] = {
-    BlimpParameters: Geometry(
-        vehicle="blimp",
-        dimensions=3,
-        heading=3,
-        length=0.77,
-        rise=0.27,
-        inputs=("$f_x$ [N]", "$f_z$ [N]", r"$\tau_\psi$ [N m]"),
-        disturbances=(r"$d_x$ [m/s²]", r"$d_y$ [m/s²]", r"$d_z$ [m/s²]"),
-    ),
-    CarParameters: Geometry(
-        vehicle="car",
-        dimensions=2,
-        heading=3,
-        length=0.42,
-        rise=0.16,
-        inputs=("$a$ [N]", r"$\omega$ [rad/s]"),
-        disturbances=(r"$d$ [m/s²]",),
-    ),
-}
-
-
 def geometry_of(result: Result) -> Geometry:
-    """The geometry of a result's plant.
-
-    Raises:
-        ValueError: The plant is neither a blimp nor a car.
-    """
-    plant = type(result.scenario.plant)
-    if plant not in _GEOMETRIES:
-        allowed = ", ".join(kind.__name__ for kind in _GEOMETRIES)
-        raise ValueError(f"plant: cannot draw {plant.__name__}; allowed: {allowed}")
-    return _GEOMETRIES[plant]
+    """The geometry of a result's vehicle."""
+    scenario = result.scenario
+    vehicle, channels = scenario.vehicle, channels_of(scenario.vehicle.make_plant())
+    shape = np.vstack([part.mesh.vertices for part in vehicle.geometry("#000000")])
+    return Geometry(
+        vehicle=tag(type(vehicle)).removeprefix("!").lower(),
+        robot=vehicle,
+        dimensions=len(scenario.target),
+        angles=channels.angles,
+        length=vehicle.length,
+        rise=float(shape[:, 2].max()),
+        inputs=channels.input_labels,
+        disturbances=channels.disturbance_labels,
+    )
 
 
 def spheres_of(result: Result) -> list[Sphere]:

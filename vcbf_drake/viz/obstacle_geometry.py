@@ -10,10 +10,9 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from vcbf_drake.barriers import SphereObstacle
-from vcbf_drake.viz.mesh import Mesh, cylinder, sphere
+from vcbf_drake.plants.mesh import Mesh, Part, cylinder, sphere
 from vcbf_drake.viz.posed_geometry import Body, PosedGeometry
 from vcbf_drake.viz.style import OBSTACLE
-from vcbf_drake.viz.vehicles import Part
 
 PILLAR_HEIGHT = 0.3  # Of an obstacle in the plane [m].
 

@@ -22,9 +22,8 @@ from pydrake.geometry import Mesh as MeshShape
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
 
-from vcbf_drake.viz.mesh import Mesh
+from vcbf_drake.plants.mesh import Mesh, Part
 from vcbf_drake.viz.replay.scene import rgba
-from vcbf_drake.viz.vehicles import Part
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from pydrake.math import RigidTransform
 
 from vcbf_drake.checks import Array
 from vcbf_drake.viz.geometry import (
@@ -31,12 +32,12 @@ class Motion:
     Attributes:
         time: The frames' times, shape (F,) [s].
         position: The vehicle's place, shape (F, 3) [m]; it rests once the run is over.
-        heading: The vehicle's turn about z, shape (F,) [rad].
+        poses: The vehicle's pose at each.
     """
 
     time: Array
     position: Array
-    heading: Array
+    poses: list[RigidTransform]
 
     def position_at(self, time: float) -> Array:
         """The vehicle's place at a time [s], shape (3,) [m]."""
@@ -141,18 +142,16 @@ def multiples(low: float, high: float, step: float) -> Array:
 
 
 def _motion(run: Run, geometry: Geometry, duration: float) -> Motion:
-    state = np.asarray(run.result.log["state"], dtype=float)
+    state = np.array(run.result.log["state"], dtype=float)
     rate = 10.0 if 10.0 * duration <= MAX_FRAMES else max(1.0, MAX_FRAMES // duration)
     # The last frame is not before the end, where the vehicle rests.
     frames = max(int(np.ceil(duration * rate - 1e-9)), 1) + 1
     time = np.arange(frames) / rate
-    place = geometry.position(state)
-    heading = np.unwrap(state[:, geometry.heading])
-    return Motion(
-        time,
-        np.stack([np.interp(time, run.time, axis) for axis in place.T], axis=1),
-        np.interp(time, run.time, heading),
-    )
+    angles = list(geometry.angles)
+    state[:, angles] = np.unwrap(state[:, angles], axis=0)
+    shown = np.stack([np.interp(time, run.time, each) for each in state.T], axis=1)
+    poses = [geometry.robot.pose(each) for each in shown]
+    return Motion(time, geometry.position(shown), poses)
 
 
 def _extent(

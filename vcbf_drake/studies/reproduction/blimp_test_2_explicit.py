@@ -89,23 +89,22 @@ def _course(step: str, count: int) -> dict[str, Any]:
     """A course with weak symmetric thrust; the observer steps `count` times a tick."""
     return {
         "name": f"blimp-{step}-observer",
-        "plant": {
-            "_tag": "!BlimpParameters",
+        "vehicle": {
+            "_tag": "!Blimp",
             "mass": 1.0,
             "added_mass": [0.0, 0.0, 0.0],
             "drag": [0.1, 0.1, 0.1],
             "yaw_inertia": 0.2,
             "yaw_drag": 0.24,
-        },
-        "controller": {
-            "_tag": "!BlimpControllerParameters",
-            "surge_gain": 1.4,
-            "position_gain": 0.31,
-            "heave_gain": 1.4,
-            "height_gain": 0.9,
-            "yaw_gain": 1.0,
-            "yaw_rate_gain": 0.0,
-            "drift_gain": 0.0,
+            "controller": {
+                "surge_gain": 1.4,
+                "position_gain": 0.31,
+                "heave_gain": 1.4,
+                "height_gain": 0.9,
+                "yaw_gain": 1.0,
+                "yaw_rate_gain": 0.0,
+                "drift_gain": 0.0,
+            },
         },
         "input_set": {"lower": [-0.41, -0.41, -0.5], "upper": [0.41, 0.41, 0.5]},
         "disturbance": [

@@ -22,7 +22,7 @@ def car_2(settings: Settings) -> Section:
     """Returns the section: every approach gain with and without the volume barrier."""
     runs: dict[str, Trial] = {}
     for gain in APPROACH_GAINS:
-        overrides = {"controller": {"approach_gain": gain}}
+        overrides = {"vehicle": {"controller": {"approach_gain": gain}}}
         runs |= runs_under(METHODS, SCENARIO, _key(gain), overrides)
 
     def evaluate(archive: Archive, records: Records) -> Record:

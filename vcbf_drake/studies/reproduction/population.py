@@ -64,7 +64,7 @@ def population_car(settings: Settings) -> Section:
             CAR,
             settings.car_courses,
             CAR_COURSES,
-            text({"controller": {"approach_gain": gain}}),
+            text({"vehicle": {"controller": {"approach_gain": gain}}}),
         )
         for gain in APPROACH_GAINS
     }

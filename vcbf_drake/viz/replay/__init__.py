@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vcbf_drake.checks import Array
-from vcbf_drake.viz.mesh import merge, torus, tube
+from vcbf_drake.plants.mesh import merge, torus, tube
 from vcbf_drake.viz.replay.page_data import overlay_html, page_title
 from vcbf_drake.viz.stage import Stage, set_stage
 from vcbf_drake.viz.style import ALARM
-from vcbf_drake.viz.vehicles import VEHICLES
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
@@ -102,7 +101,7 @@ def _draw_run(meshcat: Meshcat, stage: Stage, index: int) -> None:
     run, motion = stage.runs[index], stage.motions[index]
     ghost = run is not stage.runs[-1]
     # Where vehicles coincide, the solid one shows, in the ghost's outline (scene.js).
-    for part in VEHICLES[stage.geometry.vehicle](run.color):
+    for part in stage.geometry.robot.geometry(run.color):
         path = f"vehicle/{index}/{part.name}"
         mesh = part.mesh.scaled(1.0 / stage.fraction)
         alpha = GHOST_OPACITY if ghost else 1.0
@@ -126,13 +125,10 @@ def _thinned(points: Array, stage: Stage) -> Array:
 
 def _record(meshcat: Meshcat, stage: Stage) -> None:
     """Records how the vehicles and the obstacles move and when the markers appear."""
-    from pydrake.math import RigidTransform, RollPitchYaw
+    from pydrake.math import RigidTransform
 
     for index, (run, motion) in enumerate(zip(stage.runs, stage.motions, strict=True)):
-        for time, place, heading in zip(
-            motion.time, motion.position, motion.heading, strict=True
-        ):
-            pose = RigidTransform(RollPitchYaw(0.0, 0.0, heading), place)
+        for time, pose in zip(motion.time, motion.poses, strict=True):
             meshcat.SetTransform(f"vehicle/{index}", pose, time)
         if run.failure:
             path = f"failure/{index}"

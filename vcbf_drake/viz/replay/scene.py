@@ -9,7 +9,7 @@ from pydrake.geometry import Cylinder, Meshcat, Rgba, Shape, Sphere
 from pydrake.math import RigidTransform
 
 from vcbf_drake.checks import Array
-from vcbf_drake.viz.mesh import Mesh, merge, torus, tube
+from vcbf_drake.plants.mesh import Mesh, merge, torus, tube
 from vcbf_drake.viz.stage import Stage, multiples
 from vcbf_drake.viz.style import OBSTACLE, START, TARGET
 

@@ -161,3 +161,30 @@ def _carried_along(tangents: Array) -> Array:
 
 def _indices(values: Any) -> NDArray[np.int32]:
     return np.ascontiguousarray(values, dtype=np.int32)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A piece of a vehicle.
+
+    Attributes:
+        name: The piece's name.
+        mesh: Its surface in the body frame.
+        color: A hexadecimal colour.
+    """
+
+    name: str
+    mesh: Mesh
+    color: str
+
+
+def about_x(angle: float) -> Array:
+    """The rotation matrix of a turn about x [rad]."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def about_z(angle: float) -> Array:
+    """The rotation matrix of a turn about z [rad]."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

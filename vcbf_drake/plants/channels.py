@@ -1,0 +1,101 @@
+"""Channels: what a plant's states and inputs are called, and their units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import zip_longest
+from typing import Any
+
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import PrismaticJoint
+from pydrake.systems.framework import System
+
+
+@dataclass(frozen=True)
+class Channels:
+    """The names of a plant's channels, each with its unit; empty where it has none.
+
+    Attributes:
+        states: Of the states, n of them.
+        inputs: Of the inputs, m of them.
+        disturbances: Of the disturbances, q of them.
+    """
+
+    states: dict[str, str]
+    inputs: dict[str, str]
+    disturbances: dict[str, str]
+
+    @property
+    def input_labels(self) -> tuple[str, ...]:
+        """The inputs' names with their units, for axes."""
+        return _labels(self.inputs)
+
+    @property
+    def disturbance_labels(self) -> tuple[str, ...]:
+        """The disturbances' names with their units, for axes."""
+        return _labels(self.disturbances)
+
+    @property
+    def angles(self) -> tuple[int, ...]:
+        """Which states are angles [rad]."""
+        units = self.states.values()
+        return tuple(i for i, unit in enumerate(units) if unit == "rad")
+
+
+def channels_of(plant: System) -> Channels:
+    """Returns a plant's channels.
+
+    A `MultibodyPlant` knows those of its joints and actuators; any other system says
+    them in its attributes ``state_names``, ``state_units``, and so for ``input`` and
+    ``disturbance``. Without names they are called x0, ..., u0, ... and d0, ...
+
+    Args:
+        plant: With ports ``input`` (or ``actuation``), ``state`` and, if anything
+            disturbs it, ``disturbance``.
+    """
+    port = "input" if plant.HasInputPort("input") else "actuation"
+    num_inputs = plant.GetInputPort(port).size()
+    num_states = plant.GetOutputPort("state").size()
+    if isinstance(plant, MultibodyPlant):
+        return Channels(_joint_states(plant), _actuators(plant), {})
+    disturbed = plant.HasInputPort("disturbance")
+    size = plant.GetInputPort("disturbance").size() if disturbed else 0
+    return Channels(
+        _named(plant, "state", "x", num_states),
+        _named(plant, "input", "u", num_inputs),
+        _named(plant, "disturbance", "d", size),
+    )
+
+
+def _labels(channels: dict[str, str]) -> tuple[str, ...]:
+    return tuple(
+        name.replace("_", " ") + (f" [{unit}]" if unit else "")
+        for name, unit in channels.items()
+    )
+
+
+def _named(plant: Any, kind: str, letter: str, size: int) -> dict[str, str]:
+    names = getattr(plant, f"{kind}_names", None)
+    units = getattr(plant, f"{kind}_units", ())
+    names = names or [f"{letter}{i}" for i in range(size)]
+    return dict(zip_longest(names, units, fillvalue=""))
+
+
+def _joint_states(plant: MultibodyPlant) -> dict[str, str]:
+    names = plant.GetStateNames(add_model_instance_prefix=False)
+    units = [""] * len(names)
+    for index in plant.GetJointIndices():
+        joint = plant.get_joint(index)
+        unit = "m" if isinstance(joint, PrismaticJoint) else "rad"
+        q, v = joint.position_start(), plant.num_positions() + joint.velocity_start()
+        if joint.num_velocities() == 1:
+            units[q], units[v] = unit, f"{unit}/s"
+    return dict(zip(names, units, strict=True))
+
+
+def _actuators(plant: MultibodyPlant) -> dict[str, str]:
+    found = map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
+    return {
+        each.name(): "N" if isinstance(each.joint(), PrismaticJoint) else "N m"
+        for each in found
+    }

@@ -1,0 +1,109 @@
+"""Vehicle: what a scenario, a study, a replay and a hardware loop know of a robot."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.systems.framework import System
+
+from vcbf_drake.barriers import Barrier, StateInputLimit
+from vcbf_drake.barriers.position import Position
+from vcbf_drake.checks import Array, require
+from vcbf_drake.plants.mesh import Part, sphere
+
+
+class Vehicle(ABC):
+    """A robot: its plant, its controller, where it is, and its own limits.
+
+    A subclass is a dataclass: its fields are the robot's parameters, in a scenario file
+    too, where ``vehicle: !Name {...}`` makes a `Name` (or `NameVehicle`).
+
+    Attributes:
+        position: Which states are the vehicle's position, or a function from the state
+            (n,) to it, of pydrake's operations and those of ``pydrake.math``.
+        heading: Which state turns the body about the vertical, for pictures.
+    """
+
+    position: Position
+    heading: int | None = None
+
+    @abstractmethod
+    def make_plant(self) -> System:
+        """Returns the plant, a control-affine system.
+
+        Its ports are ``input``, ``state`` and, if anything disturbs it,
+        ``disturbance``. What its channels are called, and their units, stand in its
+        attributes ``state_names``, ``state_units``, ``input_names``, ``input_units``.
+        """
+
+    @abstractmethod
+    def make_controller(self, target: Sequence[float]) -> System:
+        """Returns a controller that steers to a target and knows nothing of obstacles.
+
+        Its ports are ``state``, ``reference`` (the input it wants) and, if it
+        compensates the disturbance, ``disturbance_estimate``.
+
+        Args:
+            target: The position to reach [m].
+        """
+
+    def barriers(self) -> list[Barrier | StateInputLimit]:
+        """Returns the robot's own limits, obstacles apart: none by default."""
+        return []
+
+    def altered(self, mass: float, drag: float) -> Vehicle:
+        """Returns the vehicle that is really there when it is not as modelled.
+
+        Args:
+            mass: Its true mass over the modelled one, the field ``mass``.
+            drag: Its true drag over the modelled one, the field ``drag``.
+
+        Raises:
+            InvalidValueError: The vehicle has no such field.
+        """
+        changes = {}
+        for name, ratio in (("mass", mass), ("drag", drag)):
+            if ratio != 1.0:
+                rule = f"1, for {tag(type(self))} has no {name}"
+                require(hasattr(self, name), name, ratio, rule)
+                changes[name] = (ratio * np.array(getattr(self, name))).tolist()
+        return replace(self, **changes)  # type: ignore[type-var]
+
+    def geometry(self, color: str) -> list[Part]:
+        """Returns how the vehicle looks, in its body frame: a ball by default.
+
+        Args:
+            color: What it is told apart by, a hexadecimal colour.
+        """
+        return [Part("ball", sphere(0.1), color)]
+
+    @property
+    def length(self) -> float:
+        """How long the vehicle is, seen from above [m]."""
+        parts = self.geometry("#000000")
+        seen = np.vstack([part.mesh.vertices[:, :2] for part in parts])
+        return float(np.ptp(seen, axis=0).max())
+
+    def pose(self, state: Array) -> RigidTransform:
+        """Returns where the body frame is, from the vehicle's state (n,)."""
+        place = np.zeros(3)
+        found = self.positions(np.atleast_2d(state))[0]
+        place[: len(found)] = found
+        turn = 0.0 if self.heading is None else float(state[self.heading])
+        return RigidTransform(RotationMatrix.MakeZRotation(turn), place)
+
+    def positions(self, states: Array) -> Array:
+        """Returns where the vehicle is, (T, k) [m], from its states (T, n)."""
+        if callable(self.position):
+            return np.array([self.position(x) for x in states], dtype=float)
+        found: Array = states[:, list(self.position)]
+        return found
+
+
+def tag(vehicle: type[Vehicle]) -> str:
+    """Returns a vehicle's tag in a scenario file."""
+    return f"!{vehicle.__name__.removesuffix('Vehicle')}"
