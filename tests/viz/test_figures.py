@@ -19,9 +19,9 @@ from vcbf_drake.viz.feasible_set import (
     polytope_vertices,
     telling_times,
 )
-from vcbf_drake.viz.parallel_view import ParallelView
 from vcbf_drake.viz.runs import label_runs
 from vcbf_drake.viz.series_figures import volume_figure
+from vcbf_drake.viz.space_figure import ParallelView
 from vcbf_drake.viz.style import METHOD_STYLES, figure_style, save_figure
 
 BLIMP_FIGURES = [

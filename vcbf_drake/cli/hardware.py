@@ -275,7 +275,7 @@ def _run(
 ) -> None:
     """Runs a process and exits with the status of its ending."""
     from vcbf_drake.hil import EXIT_STATUSES
-    from vcbf_drake.viz.hardware_report import print_hardware_report
+    from vcbf_drake.viz.terminal import print_hardware_report
 
     signals: list[int] = []
 

@@ -46,7 +46,7 @@ def replay_log(
     The disturbance is what the states tell with hindsight.
     """
     from vcbf_drake.hil import EventLogError, replay_log
-    from vcbf_drake.viz.hardware_report import print_hardware_report
+    from vcbf_drake.viz.terminal import print_hardware_report
 
     if override is not None and scenario is None:
         raise typer.BadParameter("--override needs a SCENARIO")

@@ -15,8 +15,8 @@ from vcbf_drake.viz.feasible_set import (
     polytope_vertices,
 )
 from vcbf_drake.viz.geometry import geometry_of
-from vcbf_drake.viz.parallel_view import ParallelView
 from vcbf_drake.viz.runs import Run
+from vcbf_drake.viz.space_figure import ParallelView
 from vcbf_drake.viz.style import ALARM, INK, MUTED, PAGE_WIDTH, new_figure
 
 _NAME = dict(fontsize=7, color=INK)

@@ -10,17 +10,19 @@ from vcbf_drake.viz.feasible_set import telling_times
 from vcbf_drake.viz.feasible_set_figure import feasible_set_figure
 from vcbf_drake.viz.feasible_solid_figure import feasible_solid_figure
 from vcbf_drake.viz.geometry import geometry_of
-from vcbf_drake.viz.overview_figure import overview_figure
-from vcbf_drake.viz.path_figure import path_figure
-from vcbf_drake.viz.runs import label_runs
+from vcbf_drake.viz.path_figure import draw_plane, path_figure
+from vcbf_drake.viz.runs import Run, label_runs
 from vcbf_drake.viz.series_figures import (
     barrier_figure,
     disturbance_figure,
+    draw_barriers,
+    draw_volume,
     input_figure,
     slack_figure,
     volume_figure,
 )
-from vcbf_drake.viz.style import figure_style, save_figure
+from vcbf_drake.viz.space_figure import draw_space
+from vcbf_drake.viz.style import PAGE_WIDTH, figure_style, new_figure, save_figure
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.result import Result
@@ -65,3 +67,41 @@ def write_figures(
         if len(geometry_of(results[-1]).inputs) == 3:
             write("feasible_solids", feasible_solid_figure(runs, when))
     return paths
+
+
+def overview_figure(runs: Sequence[Run]) -> Any:
+    """The paths, the volume barrier and the least barrier of every run.
+
+    Args:
+        runs: The runs, the one to bring out last.
+
+    Returns:
+        The ``matplotlib.figure.Figure``.
+    """
+    figure = new_figure(1.25 * PAGE_WIDTH, 5.4)
+    grid = figure.add_gridspec(2, 2, height_ratios=[1.35, 1.0])
+    if geometry_of(runs[-1].result).dimensions == 3:
+        draw_space(figure.add_subplot(grid[0, :]), runs)
+    else:
+        draw_plane(figure.add_subplot(grid[0, :]), runs, (0, 1))
+    volume, barriers = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1])
+    draw_volume(volume, runs)
+    draw_barriers(barriers, runs)
+    figure.legend(
+        *_outcomes(volume, runs),
+        loc="outside upper left",
+        ncols=4,
+        fontsize=8 if len(runs) < 4 else 7,
+        columnspacing=1.2,
+    )
+    return figure
+
+
+def _outcomes(axes: Any, runs: Sequence[Run]) -> tuple[list[Any], list[str]]:
+    """The legend: every run's line, its name and how it ended."""
+    lines, _ = axes.get_legend_handles_labels()
+    words = [
+        f"{run.label}: {run.events[-1].text}" if run.events else run.label
+        for run in runs
+    ]
+    return lines, words
