@@ -224,9 +224,11 @@ class Storm:
                 self.sent += 1
 
 
-def flight(hostile: bool) -> tuple[bytes, list[bytes], list[Counter[Reason]], int]:
+def flight(
+    hostile: bool, key: bytes = b""
+) -> tuple[bytes, list[bytes], list[Counter[Reason]], int]:
     """The path, what was said, what each side rejected, and how much was sent."""
-    run = InProcess(load_scenario("car-avoidance"))
+    run = InProcess(load_scenario("car-avoidance"), key=key)
     said: list[bytes] = []
     for bus, channels in (
         (run.controller.bus, ("VCBF_COMMAND",)),
@@ -254,16 +256,20 @@ def flight(hostile: bool) -> tuple[bytes, list[bytes], list[Counter[Reason]], in
     return log.data().tobytes(), said, rejections, storm.sent
 
 
-def test_a_loop_under_attack_moves_as_without_bit_for_bit() -> None:
+@pytest.mark.parametrize("key", [b"", b"0123456789abcdef"])
+def test_a_loop_under_attack_moves_as_without_bit_for_bit(key: bytes) -> None:
     """3 channels, 10 kinds, 60 ticks: the same path, the same messages, all counted."""
     calm_path, calm_said, calm_rejections, _ = flight(hostile=False)
-    path, said, rejections, sent = flight(hostile=True)
+    path, said, rejections, sent = flight(hostile=True, key=key)
     assert path == calm_path
     assert said == calm_said
     assert [found.total() for found in calm_rejections] == [0, 0]
     assert sent > 1500
     for found in rejections:
         assert found.total() == 600
+        if key:
+            assert found == {Reason.SIGNATURE: 600}
+            continue
         assert found[Reason.REPEATED] + found[Reason.OVERTAKEN] >= 60
         for reason in (Reason.FUTURE, Reason.NUMBER, Reason.VERSION):
             assert found[reason] >= 60

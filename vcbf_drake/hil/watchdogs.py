@@ -294,11 +294,10 @@ def _concluded(memory: _Memory, is_refuted: bool) -> _Memory:
     found = [i for i in (2, 0, 1) if counts[i] >= limits[i]]
     refuted_at = memory.time if is_refuted or found else memory.refuted_at
     if found:
-        is_new = memory.finding < 0.0
         return memory._replace(
             refuted_at=refuted_at,
-            alarms=memory.alarms + is_new,
-            finding=float(found[0]) if is_new else memory.finding,
+            alarms=memory.alarms + (memory.finding < 0.0),
+            finding=float(found[0]),
         )
     is_quiet = memory.time - refuted_at > _QUIET and memory.alarms < _MOST_ALARMS
     finding = -1.0 if is_quiet else memory.finding

@@ -1,0 +1,336 @@
+"""Several vehicles and controllers on one bus; signs of life; perceived obstacles."""
+
+from __future__ import annotations
+
+from pydrake.lcm import DrakeLcm
+import pytest
+
+from tests.helpers.relayed_loop import RelayedLoop
+from vcbf_drake import load_scenario
+from vcbf_drake.hil import (
+    Bus,
+    CommandMode,
+    InProcess,
+    PlantProcess,
+    Reason,
+    VehicleMode,
+    controller_of,
+)
+from vcbf_drake.hil.messages import vcbf_command, vcbf_state, vcbf_status
+
+CAR, BLIMP = "car-avoidance", "blimp-multiple-obstacles"
+
+
+def path(run: InProcess) -> bytes:
+    log = run.plant.diagram.GetSubsystemByName("log_path").FindLog(run.plant.context)
+    return log.data().tobytes()
+
+
+def heard(lcm: DrakeLcm, kind, channel: str = ""):
+    """What is published on a channel, in a list that grows."""
+    found: list = []
+    channel = channel or kind.__name__.upper()
+    lcm.Subscribe(channel, lambda data: found.append(kind.decode(data)))
+    return found
+
+
+# Names -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("names", [(CAR, BLIMP), (CAR, CAR)])
+def test_two_pairs_on_one_bus_do_what_each_does_alone_bit_for_bit(names) -> None:
+    alone = [InProcess(load_scenario(name)) for name in names]
+    lcm = DrakeLcm("memq://")
+    together = [
+        InProcess(load_scenario(name), name=f"vehicle-{index}", lcm=lcm)
+        for index, name in enumerate(names)
+    ]
+    for tick in range(1, 101):
+        for run in (*alone, *together):
+            run.advance_to(0.02 * tick)
+    assert [path(run) for run in together] == [path(run) for run in alone]
+    for run in together:
+        assert not run.controller.report()["arrived"]["rejected"]
+        assert not run.plant.report()["arrived"]["rejected"]
+
+
+# The same name ---------------------------------------------------------------------
+
+
+def test_a_second_vehicle_of_the_name_is_neither_controlled_nor_does_it_obey() -> None:
+    """Somebody starts another one by mistake: the first flies as if alone."""
+    alone, run = InProcess(load_scenario(CAR)), InProcess(load_scenario(CAR))
+    statuses = heard(run.lcm, vcbf_status)
+    alone.advance_to(2.0)
+    run.advance_to(0.5)
+    second = PlantProcess(load_scenario(CAR), Bus(run.lcm, run.clock))
+    for tick in range(26, 101):
+        run.advance_to(0.02 * tick)
+        second.diagram.ForcedPublish(second.context)
+        run.controller.step()
+        second.bus.poll()
+        second.advance_to(0.02 * (tick - 25))
+    assert second.mode is VehicleMode.WAITING
+    assert second.report()["arrived"]["rejected"] == {Reason.ADDRESS.value: 75}
+    assert statuses[-1].mode == CommandMode.APPLY
+    assert statuses[-1].reason == (
+        "another vehicle of this name speaks and is not controlled"
+    )
+    assert path(run) == path(alone)
+    # Its end is not the end of the one that is controlled.
+    second._sender.ending = True
+    second.diagram.ForcedPublish(second.context)
+    run.controller.step()
+    assert not run.controller._is_over()
+
+
+def test_a_second_controller_is_not_followed_and_both_say_so() -> None:
+    run = InProcess(load_scenario(CAR))
+    run.advance_to(0.5)
+    run.clock.now += 1
+    second = controller_of(load_scenario(CAR), Bus(run.lcm, run.clock))
+    statuses = heard(run.lcm, vcbf_status)
+    for tick in range(26, 60):
+        run.advance_to(0.02 * tick)
+        second.step()
+        run.plant.bus.poll()
+    assert run.plant.mode is VehicleMode.FOLLOWING
+    assert run.plant.report()["arrived"]["rejected"] == {Reason.SESSION.value: 34}
+    mine = [s for s in statuses if s.session == run.controller.bus.session]
+    others = [s for s in statuses if s.session == second.bus.session]
+    assert all(s.followed and not s.reason for s in mine)
+    assert not any(s.followed for s in others)
+    assert others[-1].reason == (
+        f"the vehicle follows another controller, {run.controller.bus.session}"
+    )
+    # It takes over when the first falls silent, and the first comes back likewise.
+    first = run.controller
+    run.kill_controller()
+    for tick in range(60, 80):
+        run.advance_to(0.02 * tick)
+        second.step()
+        run.plant.bus.poll()
+    assert statuses[-1].followed
+    run.controller = first
+    run.advance_to(2.0)
+    assert statuses[-1].followed
+    assert statuses[-1].session == first.bus.session
+
+
+def test_a_controller_that_takes_over_openly_is_followed_at_once() -> None:
+    run = InProcess(load_scenario(CAR))
+    run.advance_to(0.5)
+    run.clock.now += 1
+    second = controller_of(load_scenario(CAR), Bus(run.lcm, run.clock))
+    sender = second.diagram.GetSubsystemByName("command_sender")
+    sender.takes_over = True
+    statuses = heard(run.lcm, vcbf_status)
+    for tick in range(26, 30):
+        run.advance_to(0.02 * tick)
+        second.step()
+        run.plant.bus.poll()
+    assert [s.followed for s in statuses if s.session == second.bus.session][-1]
+    assert not [s.followed for s in statuses if s.session != second.bus.session][-1]
+
+
+@pytest.mark.parametrize("kind", [vcbf_command, vcbf_state])
+def test_one_stray_farewell_ends_nothing(kind) -> None:
+    """Of a newer session, well formed: END to the vehicle, mode 3 to the controller."""
+    alone, run = InProcess(load_scenario(CAR)), InProcess(load_scenario(CAR))
+    last = heard(run.lcm, kind)
+    alone.advance_to(1.0)
+    run.advance_to(0.5)
+    stray = last[-1]
+    stray.session, stray.sequence = run.clock.now, 0
+    stray.mode = 3
+    run.lcm.Publish(kind.__name__.upper(), stray.encode())
+    run.advance_to(1.0)
+    assert path(run) == path(alone)
+    assert not run.controller._is_over()
+
+
+def test_the_end_of_its_own_vehicle_ends_a_controller() -> None:
+    run = InProcess(load_scenario(CAR))
+    run.advance_to(0.2)
+    run.plant.diagram.GetSubsystemByName("state_sender").ending = True
+    run.plant.diagram.ForcedPublish(run.plant.context)
+    run.controller.run()
+    assert run.controller.ending == "vehicle ended"
+
+
+# Signs of life ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda m: None, "no state yet"),
+        (
+            lambda m: _set(m, sequence=m.sequence + 10**9),
+            "no state yet; 25 rejected, the last: contradictory time stamps or"
+            " sequence",
+        ),
+        (
+            lambda m: _set(m, utime=m.utime + 10**8, utime_measured=m.utime + 10**8),
+            "no state yet; 25 rejected, the last: from the future (its clock is 100.0 s"
+            " ahead; max_clock_offset is 60 s)",
+        ),
+        (
+            lambda m: _set(m, num_states=3, state=[0.0] * 3),
+            "no state yet; 25 rejected, the last: array of another size (num_states is"
+            " 3, not 4)",
+        ),
+        (
+            lambda m: _set(m, version=1),
+            "no state yet; 25 rejected, the last: unknown version (1, ours is 2)",
+        ),
+    ],
+)
+def test_a_status_says_from_the_start_why_nothing_happens(change, words) -> None:
+    def relay(message):
+        return change(message) if hasattr(message, "state") else message
+
+    run = RelayedLoop(load_scenario(CAR), relay)
+    statuses, said = [], []
+    run.controller.tell = said.append
+    run.controller.bus.taps.append(
+        lambda utime, channel, data: statuses.append((channel, data))
+    )
+    for tick in range(1, 25):
+        run.advance_to(0.02 * tick)
+        run.plant.diagram.ForcedPublish(run.plant.context)
+        run.controller._say()
+    found = [vcbf_status.decode(d) for c, d in statuses if c == "VCBF_STATUS"]
+    assert len(found) >= 20
+    last = found[-1]
+    assert (last.state_sequence, last.mode) == (-1, CommandMode.FALLBACK)
+    number = [word for word in last.reason.split() if word.isdigit()]
+    assert last.reason.replace(number[0] if number else "25", "25", 1) == words
+    assert not any(c == "VCBF_COMMAND" for c, _ in statuses)
+    assert run.plant.mode is VehicleMode.WAITING
+    assert 1 <= len(said) <= 2
+    assert said[-1].startswith("fallback, no state yet")
+
+
+def _set(message, **values):
+    for name, value in values.items():
+        setattr(message, name, value)
+    return message
+
+
+def test_a_constant_offset_of_seconds_changes_nothing() -> None:
+    """The vehicle's clock is 5 s ahead: the same motion; the report says how far."""
+    alone = InProcess(load_scenario(CAR))
+    alone.advance_to(1.0)
+    ahead = 5_000_000
+    run = RelayedLoop(
+        load_scenario(CAR),
+        lambda m: _set(
+            m,
+            session=m.session + ahead,
+            utime=m.utime + ahead,
+            **(
+                {"utime_measured": m.utime_measured + ahead}
+                if hasattr(m, "utime_measured")
+                else {}
+            ),
+        ),
+        lambda m: _set(
+            m,
+            state_session=m.state_session - ahead,
+            state_utime=m.state_utime - ahead,
+        ),
+    )
+    run.advance_to(1.0)
+    assert path(run) == path(alone)
+    arrived = run.controller.report()["arrived"]
+    assert arrived["clock_offset_ms"] == 5000.0
+    assert arrived["rejected"] == {}
+
+
+# Perceived obstacles ---------------------------------------------------------------
+
+
+def seeing(**hardware):
+    settings = {"obstacles": "perceived", "most_obstacles": 3, **hardware}
+    return load_scenario(CAR, {"hardware": settings})
+
+
+def test_what_is_perceived_is_what_the_filter_avoids() -> None:
+    """The path is that of the obstacle known; without the obstacle it is another."""
+
+    def unseen(message):
+        if hasattr(message, "radius"):
+            return _set(message, valid=[False] * len(message.valid))
+        return message
+
+    runs = [
+        RelayedLoop(load_scenario(CAR), lambda m: m),
+        RelayedLoop(seeing(), lambda m: m),
+        RelayedLoop(seeing(), unseen),
+    ]
+    for run in runs:
+        run.advance_to(6.0)
+        assert run.controller.mode is CommandMode.APPLY
+    known, seen, blind = (run.plant.report() for run in runs)
+    assert seen["outcome"] == known["outcome"]
+    assert seen["min_barrier"] == pytest.approx(known["min_barrier"], abs=0.02)
+    assert blind["min_barrier"] < 0.5 * known["min_barrier"]
+
+
+def obstacles(message, count: int):
+    """The first obstacle, so many times."""
+    k = len(message.position) // len(message.radius)
+    return _set(
+        message,
+        num_obstacles=count,
+        radius=[message.radius[0]] * count,
+        valid=[True] * count,
+        num_coordinates=k * count,
+        position=list(message.position[:k]) * count,
+        velocity=list(message.velocity[:k]) * count,
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            lambda m: obstacles(m, 4),
+            "4 obstacles are perceived, and there is room for 3",
+        ),
+        (lambda m: _set(m, radius=[-1.0]), "has a negative radius"),
+        (
+            lambda m: _set(obstacles(m, 2), num_obstacles=1),
+            "the 1 obstacles that are perceived have 4 coordinates; it must be 2 each",
+        ),
+        (lambda m: None, "no obstacles have been perceived yet"),
+    ],
+)
+def test_what_cannot_be_perceived_leads_to_the_fallback(change, words) -> None:
+    def relay(message):
+        return change(message) if hasattr(message, "radius") else message
+
+    run = RelayedLoop(seeing(), relay)
+    run.advance_to(0.5)
+    assert run.controller.mode is CommandMode.FALLBACK
+    assert words in run.controller.report()["changes"][-1]["reason"]
+
+
+def test_the_count_of_obstacles_may_change_and_old_ones_are_not_acted_on() -> None:
+    counts = iter([1, 2, 3, 0, 1, 3, 2])
+
+    def relay(message):
+        if not hasattr(message, "radius"):
+            return message
+        return obstacles(message, next(counts)) if message.time < 2.4 else None
+
+    run = RelayedLoop(seeing(max_obstacle_age=1.0), relay)
+    for tick in range(1, 160):
+        run.advance_to(0.02 * tick)
+        if 0.02 * tick < 3.0:
+            assert run.controller.mode is CommandMode.APPLY
+    run.advance_to(3.6)
+    assert run.controller.mode is CommandMode.FALLBACK
+    last = run.controller.report()["changes"][-1]
+    assert "no obstacles have been perceived for 1.0" in last["reason"]
