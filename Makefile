@@ -27,7 +27,7 @@ demo: $(STAMP)
 	$(BIN)/vcbf-drake compare blimp-multiple-obstacles --methods dob-cbf-qp,dob-vcbf-qp
 
 reproduce: $(STAMP)
-	$(BIN)/vcbf-drake reproduce
+	$(BIN)/python -m examples.paper
 
 properties: $(STAMP)
 	$(BIN)/python -m tests.properties

@@ -13,15 +13,11 @@ Records go to JSON-lines files, one line a flight; an interrupted search resumes
 import argparse
 from pathlib import Path
 
+from paper.blimp_courses import BLIMP_COURSES, blimp_course
+from paper.table_1 import RANDOM_STARTS
+
 from vcbf_drake.simulation.loading import merge_overrides
-from vcbf_drake.studies import (
-    BLIMP_COURSES,
-    TABLE_I,
-    Record,
-    Trial,
-    blimp_course,
-    run_study,
-)
+from vcbf_drake.studies import Record, Trial, run_study
 
 SCENARIO = "blimp-multiple-obstacles"
 METHODS = ("dob-cbf-qp", "dob-vcbf-qp")
@@ -46,7 +42,7 @@ def starts_on(course: int) -> list[Trial]:
     """Returns trials on one course from random starts."""
     overrides = merge_overrides(blimp_course(course))
     return [
-        Trial(SCENARIO, method, start, 0, TABLE_I[1], overrides)
+        Trial(SCENARIO, method, start, 0, RANDOM_STARTS, overrides)
         for start in range(STARTS)
         for method in METHODS
     ]

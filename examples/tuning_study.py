@@ -18,12 +18,13 @@ from statistics import median
 
 from matplotlib.figure import Figure
 import numpy as np
+from paper.blimp_courses import BLIMP_COURSES
 from pictures import COLORS
 
 from vcbf_drake import simulate
 from vcbf_drake.safety import VolumeBarrier
 from vcbf_drake.simulation.loading import merge_overrides
-from vcbf_drake.studies import BLIMP_COURSES, Trial, run_study
+from vcbf_drake.studies import Trial, run_study
 
 SETTINGS = {
     "the paper's form": VolumeBarrier(),

@@ -16,6 +16,7 @@ from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 import pytest
 
+from examples.paper.moving_wall import press_against_wall
 from vcbf_drake import (
     AddSafetyFilter,
     Barrier,
@@ -52,7 +53,6 @@ from vcbf_drake.safety import (
     least_height,
 )
 from vcbf_drake.safety.qp import FilterDecision, FilterStatus
-from vcbf_drake.studies.moving_wall import press_against_wall
 
 ROOT = Path(__file__).parents[2]
 GAINS = (4.0, 3.0)

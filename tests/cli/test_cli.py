@@ -142,7 +142,7 @@ def test_help_imports_nothing_heavy() -> None:
         "check",
         "diagram",
         "monte-carlo",
-        "reliability",
+        "faults",
     ],
 )
 def test_help_lists_commands(command: str) -> None:
@@ -176,6 +176,9 @@ def test_list_shows_each_scenario_on_a_line() -> None:
         ([], "Missing command"),
         (["rnu"], "No such command 'rnu'"),
         (["bench", "--quick"], "bench is `make bench`"),
+        (["reproduce"], "reproduce is `make reproduce`"),
+        (["reliability"], "reliability is `vcbf-drake faults SCENARIO...`"),
+        (["rate-sweep"], "rate-sweep is `python -m examples.paper.rates`"),
         (["--colour"], "--colour"),
         (["run"], "Missing argument 'SCENARIO'"),
         (["run", "car-avoidance", "--metod", "x"], "--metod"),
@@ -307,13 +310,13 @@ def test_compare_runs_all_methods_in_80_columns(
     assert row.split() == ["infeasible", "s", "-", "-", "-", "-", "7.6", "-"]
 
 
-def test_results_are_written_whole_or_not_at_all(
+def test_results_are_written_first_and_each_file_whole_or_not_at_all(
     stand_ins: list[Scenario], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
     (out / "mine").mkdir(parents=True)
     (out / "mine" / "notes.txt").write_text("keep")
-    (out / "summary.json").write_text("old")
+    (out / "replay.html").write_text("old")
 
     def write_replay(results: Sequence[Any], path: Path) -> None:
         path.write_text("half a page")
@@ -322,17 +325,32 @@ def test_results_are_written_whole_or_not_at_all(
     with monkeypatch.context() as broken:
         broken.setattr(replay_module, "write_replay", write_replay)
         assert invoke("run", "car-avoidance", "--out", str(out)).exit_code == 1
-    assert files(tmp_path) == {"out/mine/notes.txt", "out/summary.json"}
-    assert (out / "summary.json").read_text() == "old"
-
-    assert invoke("run", "car-avoidance", "--out", str(out)).exit_code == 0
-    assert files(tmp_path) == {
+    whole = {
         "out/mine/notes.txt",
         "out/summary.json",
         "out/paths.svg",
         "out/replay.html",
     }
+    assert files(tmp_path) == whole
     assert json.loads((out / "summary.json").read_text())["outcome"] == "reached"
+    assert (out / "replay.html").read_text() == "old"
+
+    assert invoke("run", "car-avoidance", "--out", str(out)).exit_code == 0
+    assert files(tmp_path) == whole
+    assert (out / "replay.html").read_text() != "old"
+
+
+def test_what_a_killed_process_left_is_removed(
+    stand_ins: list[Scenario], tmp_path: Path
+) -> None:
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    (tmp_path / f".out-{dead.pid}").mkdir()
+    (tmp_path / f".out-{dead.pid}" / "log.npz").write_text("half")
+    (tmp_path / ".out-of-reach").mkdir()
+    done = invoke("run", "car-avoidance", "--out", str(tmp_path / "out"))
+    assert done.exit_code == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"out", ".out-of-reach"}
 
 
 # Check -----------------------------------------------------------------------------

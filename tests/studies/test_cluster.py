@@ -16,13 +16,14 @@ from typer.testing import CliRunner
 
 from vcbf_drake.cli import app
 from vcbf_drake.simulation.scenario import Scenario
-from vcbf_drake.studies import TABLE_I, Trial, Variation, run_study
+from vcbf_drake.studies import Trial, Variation, run_study
 from vcbf_drake.studies.dask_cluster import dask_executor
 
 BLIMP = "blimp-multiple-obstacles"
 SHORT = "{duration: 0.1}"
+STARTS = Variation("initial_state.0: !Add [-0.1, 0.1]")
 TRIALS = [
-    Trial(BLIMP, method, index, variation=TABLE_I[1], overrides=SHORT)
+    Trial(BLIMP, method, index, variation=STARTS, overrides=SHORT)
     for index in range(5)
     for method in ("dob-cbf-qp", "dob-vcbf-qp")
 ]
@@ -61,7 +62,8 @@ def in_one_process(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 def invoke(*arguments: str) -> Any:
-    return CliRunner().invoke(app, ["monte-carlo", BLIMP, "--trials", "5", *arguments])
+    study = ["monte-carlo", BLIMP, "--trials", "5", "--vary", STARTS.text]
+    return CliRunner().invoke(app, [*study, *arguments])
 
 
 def test_the_command_gets_the_same_results_from_a_cluster(

@@ -12,13 +12,13 @@ from vcbf_drake.simulation.scenario import MeasurementNoise
 from vcbf_drake.studies import run_trial
 from vcbf_drake.studies.fault_campaign import (
     FAULTS,
-    SCENARIOS,
     fault_trials,
     summarise_faults,
 )
 from vcbf_drake.studies.fault_report import campaign_markdown, headline
 
 CAR = "car-avoidance"
+SCENARIOS = ("blimp-multiple-obstacles", CAR)
 
 
 def record(**changes):
@@ -101,8 +101,8 @@ def test_a_run_that_crashed_is_an_error_and_nothing_else():
 def test_the_page_names_command_and_trials_and_has_a_row_a_kind():
     kinds = fault_trials([CAR], 1)
     summaries = {kind: summarise_faults([record()]) for kind in kinds}
-    page = campaign_markdown(summaries, 1, 0, "vcbf-drake reliability --quick")
-    assert "`vcbf-drake reliability --quick`: 1 trial" in page
+    page = campaign_markdown(summaries, 1, 0, "vcbf-drake faults car-avoidance")
+    assert "`vcbf-drake faults car-avoidance`: 1 trial" in page
     for kind in kinds:
         assert f"| {' | '.join(kind[1:])} | 1 | 0 |" in page
     guaranteed = f"{len(kinds) - 4} runs under a fault were called guaranteed."
@@ -110,12 +110,20 @@ def test_the_page_names_command_and_trials_and_has_a_row_a_kind():
 
 
 @pytest.mark.slow
-def test_the_quick_campaign_ends_with_a_table(tmp_path):
-    arguments = ["reliability", "--quick", "--workers", "1", "--out", str(tmp_path)]
-    done = CliRunner().invoke(app, arguments)
+def test_the_command_ends_with_a_table(tmp_path):
+    arguments = ["faults", CAR, "--trials", "1", "--workers", "1", "--out"]
+    done = CliRunner().invoke(app, [*arguments, str(tmp_path)])
     assert done.exit_code == 0, done.output
     assert "0 runs had an input that was not finite" in done.output
     assert "0 of them broke a promise" in done.output
     rows = json.loads((tmp_path / "summary.json").read_text())
     assert len(rows) == 4 * len(FAULTS)
-    assert (tmp_path / "reliability.md").exists()
+    assert (tmp_path / "faults.md").exists()
+
+
+def test_an_unknown_scenario_is_refused_before_anything_runs(tmp_path):
+    out = tmp_path / "out"
+    done = CliRunner().invoke(app, ["faults", CAR, "nope", "--out", str(out)])
+    assert done.exit_code == 2
+    assert done.output.startswith("vcbf-drake: nope: neither a file nor")
+    assert not out.exists()

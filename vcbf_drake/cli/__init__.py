@@ -10,11 +10,8 @@ from typing import Any
 from vcbf_drake.cli.application import app
 from vcbf_drake.cli.hardware import controller, plant
 from vcbf_drake.cli.hardware_logs import replay_log
-from vcbf_drake.cli.monte_carlo import monte_carlo
-from vcbf_drake.cli.rate_sweep import rate_sweep
-from vcbf_drake.cli.reliability import reliability
-from vcbf_drake.cli.reproduce import reproduce
 from vcbf_drake.cli.simulations import check, compare, diagram, list_scenarios, run
+from vcbf_drake.cli.studies import faults, monte_carlo
 
 _COMMANDS: dict[str, Callable[..., Any]] = {
     "list": list_scenarios,
@@ -23,9 +20,7 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "check": check,
     "diagram": diagram,
     "monte-carlo": monte_carlo,
-    "reproduce": reproduce,
-    "reliability": reliability,
-    "rate-sweep": rate_sweep,
+    "faults": faults,
     "plant": plant,
     "controller": controller,
     "replay-log": replay_log,

@@ -16,6 +16,10 @@ _FAILED, _BAD_USAGE = 1, 2
 
 # Commands of earlier versions, and where their work is done now.
 _MOVED = {
+    "reliability": "is `vcbf-drake faults SCENARIO...`; hostile ticks are"
+    " `make properties` in a clone of the repository",
+    "reproduce": "is `make reproduce` in a clone of the repository",
+    "rate-sweep": "is `python -m examples.paper.rates` in a clone of the repository",
     "bench": "is `make bench` in a clone of the repository",
 }
 

@@ -20,7 +20,7 @@ from vcbf_drake.cli.options import (
     ScenarioArgument,
     load,
 )
-from vcbf_drake.cli.outputs import plain_json
+from vcbf_drake.files import plain_json
 
 if TYPE_CHECKING:
     from vcbf_drake.hil import Bus, ControllerProcess, PlantProcess

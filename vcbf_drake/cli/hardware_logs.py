@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vcbf_drake.cli.options import OverrideOption, load, out_option
-from vcbf_drake.cli.outputs import whole_or_not_at_all
+from vcbf_drake.cli.progress import progress
 from vcbf_drake.cli.simulations import report_results, write_pictures
+from vcbf_drake.files import whole_directory
 
 if TYPE_CHECKING:
     from vcbf_drake.hil import LogReplay
@@ -56,9 +57,10 @@ def replay_log(
     except EventLogError as error:
         raise typer.BadParameter(str(error)) from None
     directory = out or Path("out") / log.stem
-    with whole_or_not_at_all(directory) as staging:
-        found.result.save(staging)
-        write_pictures([found.result], staging, replay=replay, figures=figures)
+    with progress() as begin:
+        with whole_directory(directory) as staging:
+            found.result.save(staging)
+        write_pictures([found.result], directory, begin, replay=replay, figures=figures)
     if found.damage:
         typer.echo(found.damage, err=True)
     _hint_at_the_period(found)

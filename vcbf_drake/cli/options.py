@@ -9,23 +9,26 @@ import typer
 if TYPE_CHECKING:
     from vcbf_drake.simulation.scenario import Scenario
 
+# Those of `vcbf_drake.safety.METHODS`, which --help must not import; a test compares.
+METHODS = "cbf-qp, robust-cbf-qp, wang-xu-dob-cbf-qp, vcbf-qp, dob-cbf-qp, dob-vcbf-qp"
+
 ScenarioArgument = Annotated[
     str,
     typer.Argument(
-        metavar="SCENARIO", help="A shipped scenario's name, or a YAML file."
+        metavar="SCENARIO",
+        help="A shipped scenario's name (vcbf-drake list), or a YAML file.",
     ),
 ]
-
-
 MethodOption = Annotated[
-    str | None, typer.Option("--method", help="Safety filter, e.g. dob-vcbf-qp.")
+    str | None,
+    typer.Option("--method", metavar="M", help=f"Safety filter: {METHODS}."),
 ]
-
-
 OverrideOption = Annotated[
     str | None,
     typer.Option(
-        "--override", metavar="YAML", help="Values that replace the scenario's."
+        "--override",
+        metavar="YAML",
+        help="Values that replace the scenario's, e.g. '{duration: 5}'.",
     ),
 ]
 
@@ -39,6 +42,11 @@ def out_option(default: str) -> Any:
         show_default=default,
         help="Where the results go.",
     )
+
+
+def method_names(text: str) -> list[str]:
+    """Returns the methods of a list with commas, each once."""
+    return list(dict.fromkeys(name.strip() for name in text.split(",")))
 
 
 def load(name_or_path: str, override: str | None, method: str | None) -> Scenario:

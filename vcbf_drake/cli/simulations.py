@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import dataclasses
 import json
 from pathlib import Path
@@ -14,9 +15,11 @@ from vcbf_drake.cli.options import (
     OverrideOption,
     ScenarioArgument,
     load,
+    method_names,
     out_option,
 )
-from vcbf_drake.cli.outputs import plain_json, whole_or_not_at_all
+from vcbf_drake.cli.progress import Advance, progress
+from vcbf_drake.files import plain_json, whole_directory
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.result import Result
@@ -55,11 +58,12 @@ def run(
     """Simulate one scenario: results, figures, a replay and a summary."""
     chosen = load(scenario, override, method)
     directory = out or Path("out") / f"{chosen.name}-{chosen.method}"
-    with whole_or_not_at_all(directory) as staging:
-        results = _simulate([chosen], log_to)
-        results[0].save(staging)
-        write_pictures(results, staging, replay=replay, figures=figures)
-    report_results(results, directory)
+    with progress() as begin:
+        (result,) = _simulate([chosen], begin, log_to)
+        with whole_directory(directory) as staging:
+            result.save(staging)
+        write_pictures([result], directory, begin, replay=replay, figures=figures)
+    report_results([result], directory)
 
 
 def compare(
@@ -74,14 +78,15 @@ def compare(
     """Simulate one scenario under several methods: one replay, one set of figures."""
     from vcbf_drake.safety.methods import METHODS
 
-    names = list(METHODS) if methods is None else methods.split(",")
-    chosen = [load(scenario, override, name.strip()) for name in dict.fromkeys(names)]
+    names = list(METHODS) if methods is None else method_names(methods)
+    chosen = [load(scenario, override, name) for name in names]
     directory = out or Path("out") / chosen[0].name
-    with whole_or_not_at_all(directory) as staging:
-        results = _simulate(chosen)
-        for result in results:
-            result.save(staging / result.scenario.method)
-        write_pictures(results, staging)
+    with progress() as begin:
+        results = _simulate(chosen, begin)
+        with whole_directory(directory) as staging:
+            for result in results:
+                result.save(staging / result.scenario.method)
+        write_pictures(results, directory, begin)
     report_results(results, directory)
 
 
@@ -119,7 +124,7 @@ def diagram(
 
     chosen = load(scenario, override, method)
     directory = out or Path("out") / f"{chosen.name}-diagram"
-    with whole_or_not_at_all(directory) as staging:
+    with whole_directory(directory) as staging:
         loop = make_loop(chosen)
         write_diagram(loop, staging, chosen.name)
         safety_filter = loop.GetSubsystemByName("filter")
@@ -128,35 +133,40 @@ def diagram(
 
 
 def _simulate(
-    scenarios: list[Scenario], log_directory: Path | None = None
+    scenarios: list[Scenario],
+    begin: Callable[[str], Advance],
+    log_directory: Path | None = None,
 ) -> list[Result]:
     from vcbf_drake.simulation.run import simulate
-    from vcbf_drake.viz.terminal import progress_bar
 
-    def simulate_one(scenario: Scenario) -> Result:
-        task = bar.add_task(scenario.method, total=1.0)
-        return simulate(
-            scenario,
-            lambda done: bar.update(task, completed=done),
-            log_directory=log_directory,
-        )
-
-    with progress_bar() as bar:
-        return [simulate_one(scenario) for scenario in scenarios]
+    return [
+        simulate(each, begin(each.method), log_directory=log_directory)
+        for each in scenarios
+    ]
 
 
 def write_pictures(
-    results: list[Result], directory: Path, replay: bool = True, figures: bool = True
+    results: list[Result],
+    directory: Path,
+    begin: Callable[[str], Advance],
+    replay: bool = True,
+    figures: bool = True,
 ) -> None:
-    """Writes the figures of results, and their replay."""
+    """Writes the figures of results, and their replay, each when all of it is there."""
     if figures:
         from vcbf_drake.viz.figures import write_figures
 
-        write_figures(results, directory)
+        advance = begin("figures")
+        with whole_directory(directory) as staging:
+            write_figures(results, staging)
+        advance(1.0)
     if replay:
         from vcbf_drake.viz.replay import write_replay
 
-        write_replay(results, directory / "replay.html")
+        advance = begin("replay")
+        with whole_directory(directory) as staging:
+            write_replay(results, staging / "replay.html")
+        advance(1.0)
 
 
 def report_results(results: list[Result], directory: Path) -> None:

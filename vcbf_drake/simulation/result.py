@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 import json
-import os
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
 from vcbf_drake.checks import Array
+from vcbf_drake.files import replacing
 from vcbf_drake.simulation.loading import dump_scenario, load_scenario
 from vcbf_drake.simulation.scenario import Scenario
 
@@ -43,11 +41,11 @@ class Result:
         directory = Path(directory)
         directory.mkdir(parents=True, exist_ok=True)
         summary = json.dumps(self.summary, indent=2, allow_nan=True) + "\n"
-        with _replacing(directory / "log.npz") as file:
+        with replacing(directory / "log.npz") as file:
             np.savez_compressed(file, **self.log)  # type: ignore[arg-type]
-        with _replacing(directory / "scenario.yaml") as file:
+        with replacing(directory / "scenario.yaml") as file:
             file.write(dump_scenario(self.scenario).encode())
-        with _replacing(directory / "summary.json") as file:
+        with replacing(directory / "summary.json") as file:
             file.write(summary.encode())
 
 
@@ -63,15 +61,3 @@ def load_result(directory: str | Path) -> Result:
     with np.load(directory / "log.npz") as archive:
         log = dict(archive)
     return Result(load_scenario(directory / "scenario.yaml"), summary, log)
-
-
-@contextmanager
-def _replacing(path: Path) -> Iterator[BinaryIO]:
-    """Opens a file that takes the path's place when it is whole."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with temporary.open("wb") as file:
-            yield file
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -13,11 +13,11 @@ from vcbf_drake.simulation.audit import CONDITIONS
 from vcbf_drake.simulation.parts import make_source
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.studies.trial import Record, Trial
-from vcbf_drake.studies.variation import TABLE_I
 
 METHODS = ("dob-cbf-qp", "dob-vcbf-qp")
 FIDELITIES = ("corrected", "paper")
-SCENARIOS = ("blimp-multiple-obstacles", "car-avoidance")
+# Of the starting position's coordinates [m].
+_START_OFFSETS = ((-0.1, 0.1), (-0.1, 0.1), (0.0, 0.2))
 
 Generator = np.random.Generator
 
@@ -44,8 +44,16 @@ class FaultDraw:
             seed: The study's seed.
             index: Which draw of the study.
         """
-        start = TABLE_I[1].draw(scenario, seed, index)
+        start = _random_start(scenario, np.random.default_rng([seed, index]))
         return start | self.overrides(scenario, np.random.default_rng([seed, index, 1]))
+
+
+def _random_start(scenario: Scenario, generator: Generator) -> dict[str, Any]:
+    """A start that is a little off, the same for every fault of an index."""
+    start = list(scenario.initial_state)
+    for axis, offsets in enumerate(_START_OFFSETS[: len(scenario.target)]):
+        start[axis] += float(generator.uniform(*offsets))
+    return {"initial_state": start}
 
 
 def _none(scenario: Scenario, generator: Generator) -> dict[str, Any]:

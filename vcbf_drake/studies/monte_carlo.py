@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
 from itertools import islice
 import json
-import os
 from pathlib import Path
 from queue import SimpleQueue
 
 from vcbf_drake.errors import ScenarioError
+from vcbf_drake.files import atomic_write
 from vcbf_drake.studies.trial import Record, Trial, error_record, run_trial
 from vcbf_drake.studies.worker_processes import TRIALS_A_PROCESS, run_in_processes
 
@@ -148,10 +148,7 @@ def _read(path: Path, wanted: dict[str, Trial]) -> Iterator[Record]:
 
 
 def _write(path: Path, records: Iterable[Record]) -> None:
-    """Writes the whole file, or leaves it as it was."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_bytes("".join(map(_line, records)).encode())
-    os.replace(temporary, path)
+    atomic_write(path, "".join(map(_line, records)))
 
 
 def _line(record: Record) -> str:

@@ -1,29 +1,37 @@
-"""What differs from one trial of a study to the next."""
+"""Variations of a scenario: what is drawn anew for every trial of a study."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
+import hashlib
+import importlib.util
+import math
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+import yaml
 
+from vcbf_drake.errors import ScenarioError
 from vcbf_drake.simulation.scenario import Scenario
-from vcbf_drake.studies.blimp_courses import blimp_course
-from vcbf_drake.studies.car_courses import car_course
 
-Range = tuple[float, float]
+Generator = np.random.Generator
 
 
 class Draw(Protocol):
-    """What a study draws anew for every trial."""
+    """Something that a study draws anew for every trial."""
 
     @property
     def name(self) -> str:
-        """What results call it."""
+        """Its name in records; another draw has another name."""
 
     def draw(self, scenario: Scenario, seed: int, index: int) -> dict[str, Any]:
         """Returns one draw, as overrides of the scenario.
+
+        It depends on the seed and the index alone: every method of a pair sees the
+        same one, whatever runs before it or beside it.
 
         Args:
             scenario: The scenario around which to draw.
@@ -34,77 +42,254 @@ class Draw(Protocol):
 
 @dataclass(frozen=True)
 class Variation:
-    """Uniform ranges around a scenario.
+    """Random values for any fields of a scenario, written in YAML.
+
+    The text is what an override would be, with a distribution in place of a value. A
+    key with dots reaches into a section or a list::
+
+        vehicle.mass: !Scale [0.8, 1.2]        # times the scenario's own
+        initial_state.0: !Add [-0.1, 0.1]      # added to the scenario's own
+        observer.alpha: !Uniform [4.6, 6.0]
+        volume.threshold: !Normal [0.02, 0.005]    # mean and standard deviation
+        vehicle.controller.approach_gain: !Choice [0.2, 0.4, 0.6]
+
+    ``!Scale`` and ``!Add`` are uniform between the two numbers.
 
     Attributes:
-        name: What results call it.
-        start: Ranges added to the coordinates of the starting position [m].
-        observer: Fields of the scenario's observer, each with its range.
+        text: The YAML text; empty for no variation.
+        label: A short name for records; by default the text on one line.
     """
 
-    name: str = "none"
-    start: tuple[Range, ...] = ()
-    observer: tuple[tuple[str, Range], ...] = ()
+    text: str = ""
+    label: str = ""
+
+    @property
+    def name(self) -> str:
+        """The label, or the text on one line."""
+        return self.label or (_on_one_line(self.text) if self.text else "none")
 
     def draw(self, scenario: Scenario, seed: int, index: int) -> dict[str, Any]:
-        """Returns one draw, as overrides of the scenario.
-
-        The draw depends on the seed and the index alone: every method of a pair sees
-        the same one, whatever runs before it or beside it.
+        """Returns one draw, as overrides of the scenario; see `Draw`.
 
         Args:
             scenario: The scenario around which to draw.
             seed: The study's seed.
             index: Which draw of the study.
+
+        Raises:
+            ScenarioError: The text is no variation of this scenario.
         """
         generator = np.random.default_rng([seed, index])
-        offsets = [float(generator.uniform(*bounds)) for bounds in self.start]
-        gains = {
-            name: float(generator.uniform(*bounds)) for name, bounds in self.observer
-        }
-        overrides: dict[str, Any] = {}
-        if offsets:
-            start = list(scenario.initial_state)
-            # A car's position has two coordinates; the third offset is not for it.
-            for axis, offset in enumerate(offsets[: len(scenario.target)]):
-                start[axis] += offset
-            overrides["initial_state"] = start
-        if gains:
-            overrides["observer"] = gains
+        overrides: dict[str, Any] = _drawn(_parse(self.text), scenario, generator, "")
         return overrides
 
 
 @dataclass(frozen=True)
-class Courses:
-    """Random courses in place of the scenario's own.
+class PythonVariation:
+    """A variation that is computed: ``draw(scenario, generator)`` of a Python file.
+
+    The function gets the `Scenario` and a seeded ``numpy.random.Generator`` and returns
+    overrides as `load_scenario` takes them. A study on a cluster needs the file at the
+    same path on every machine.
 
     Attributes:
-        name: What results call them.
-        course: Returns the course of a seed, as overrides of the scenario.
+        path: The file.
     """
 
-    name: str
-    course: Callable[[int], dict[str, Any]]
+    path: str
+
+    @property
+    def name(self) -> str:
+        """The file's name with a hash of its content."""
+        content = Path(self.path).read_bytes()
+        return f"{Path(self.path).name} {hashlib.sha256(content).hexdigest()[:8]}"
 
     def draw(self, scenario: Scenario, seed: int, index: int) -> dict[str, Any]:
-        """Returns a course; the index alone is its seed.
+        """Returns one draw, as overrides of the scenario; see `Draw`.
 
         Args:
-            scenario: The scenario whose course is replaced.
-            seed: The study's seed; a course is the same in all studies.
-            index: Which course.
+            scenario: The scenario around which to draw.
+            seed: The study's seed.
+            index: Which draw of the study.
+
+        Raises:
+            ScenarioError: The file has no function ``draw``.
         """
-        return self.course(index)
+        generator = np.random.default_rng([seed, index])
+        overrides: dict[str, Any] = _function(self.path)(scenario, generator)
+        return overrides
 
 
-BLIMP_COURSES = Courses("blimp-courses", blimp_course)
-CAR_COURSES = Courses("car-courses", car_course)
+def load_variation(text_or_path: str) -> Variation | PythonVariation:
+    """Returns a variation from YAML text, a YAML file or a Python file.
 
-# The two cases of the paper's Table I; its distribution is not given, uniform is ours.
-TABLE_I = {
-    1: Variation("case-1", start=((-0.1, 0.1), (-0.1, 0.1), (0.0, 0.2))),
-    2: Variation(
-        "case-2",
-        observer=(("alpha", (4.6, 6.0)), ("beta", (5.0, 7.0)), ("gamma", (3.6, 4.4))),
-    ),
-}
+    Args:
+        text_or_path: The text, or a path that ends with ``.yaml``, ``.yml`` or ``.py``.
+
+    Raises:
+        ScenarioError: There is no such file, or the text is no variation.
+    """
+    path = Path(text_or_path)
+    if path.suffix not in (".py", ".yaml", ".yml"):
+        _parse(text_or_path)
+        return Variation(text_or_path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ScenarioError(f"{path}: {error.strerror}") from None
+    if path.suffix == ".py":
+        _function(str(path))
+        return PythonVariation(str(path))
+    _parse(text)
+    return Variation(text)
+
+
+@dataclass(frozen=True)
+class _Distribution:
+    kind: str
+    values: tuple[Any, ...]
+
+    def draw(self, generator: Generator, own: Any, place: str) -> Any:
+        """Returns a value; `own` is the scenario's at that place."""
+        if self.kind == "!Choice":
+            return self.values[int(generator.integers(len(self.values)))]
+        if self.kind == "!Normal":
+            return float(generator.normal(*self.values))
+        drawn = float(generator.uniform(*self.values))
+        if self.kind == "!Uniform":
+            return drawn
+        if not isinstance(own, int | float):
+            raise ScenarioError(
+                f"variation: {place}: {self.kind} needs a number of the scenario; it"
+                f" has {own!r} there"
+            )
+        return own + drawn if self.kind == "!Add" else own * drawn
+
+
+_DISTRIBUTIONS = ("!Uniform", "!Normal", "!Choice", "!Add", "!Scale")
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML with distributions; another tag becomes the key ``_tag`` of its mapping."""
+
+    def distribution(self, node: yaml.Node) -> _Distribution:
+        listed = isinstance(node, yaml.SequenceNode)
+        values = self.construct_sequence(node, deep=True) if listed else []
+        if node.tag == "!Choice":
+            if not values:
+                raise _refusal(node, "takes a list of values")
+            return _Distribution(node.tag, tuple(values))
+        if len(values) != 2 or not all(map(_is_finite, values)):
+            raise _refusal(node, "takes a list of two finite numbers")
+        first, second = map(float, values)
+        if node.tag == "!Normal" and second < 0.0:
+            raise _refusal(node, f"has the standard deviation {second:g}, below 0")
+        if node.tag != "!Normal" and first > second:
+            raise _refusal(node, f"goes from {first:g} down to {second:g}")
+        return _Distribution(node.tag, (first, second))
+
+    def tagged(self, suffix: str, node: yaml.Node) -> Any:
+        if not isinstance(node, yaml.MappingNode):
+            allowed = ", ".join(_DISTRIBUTIONS)
+            raise _refusal(node, f"is no distribution; allowed: {allowed}")
+        return {"_tag": f"!{suffix}"} | self.construct_mapping(node, deep=True)
+
+
+def _refusal(node: yaml.Node, problem: str) -> ScenarioError:
+    return ScenarioError(
+        f"variation: line {node.start_mark.line + 1}: {node.tag} {problem}"
+    )
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value)
+
+
+for _tag in _DISTRIBUTIONS:
+    _Loader.add_constructor(_tag, _Loader.distribution)
+_Loader.add_multi_constructor("!", _Loader.tagged)
+
+
+@lru_cache
+def _parse(text: str) -> Mapping[str, Any]:
+    """The tree of a text, its dotted keys taken apart."""
+    try:
+        tree = yaml.load(text, _Loader) or {}
+    except yaml.YAMLError as error:
+        words = " ".join(str(error).split())
+        raise ScenarioError(f"variation: not YAML: {words}") from None
+    if not isinstance(tree, dict):
+        raise ScenarioError(
+            "variation: it is a mapping from fields to distributions, like"
+            " 'observer.alpha: !Uniform [4.6, 6.0]'"
+        )
+    nested: dict[str, Any] = {}
+    for key, value in tree.items():
+        *parents, last = str(key).split(".")
+        place = nested
+        for parent in parents:
+            place = place.setdefault(parent, {})
+        place[last] = value
+    return nested
+
+
+def _drawn(node: Any, own: Any, generator: Generator, place: str) -> Any:
+    if isinstance(node, _Distribution):
+        return node.draw(generator, own, place)
+    if isinstance(node, dict) and isinstance(own, list | tuple):
+        return _drawn_entries(node, list(own), generator, place)
+    if isinstance(node, dict):
+        return {
+            key: _drawn(child, _field(own, key), generator, f"{place}.{key}".strip("."))
+            for key, child in node.items()
+        }
+    if isinstance(node, list):
+        return [_drawn(child, None, generator, place) for child in node]
+    return node
+
+
+def _drawn_entries(
+    node: Mapping[Any, Any], own: list[Any], generator: Generator, place: str
+) -> list[Any]:
+    """The scenario's list with some entries drawn, by their indices."""
+    for key, child in node.items():
+        if not str(key).isdigit() or int(key) >= len(own):
+            raise ScenarioError(
+                f"variation: {place}.{key}: entries are 0 to {len(own) - 1}"
+            )
+        own[int(key)] = _drawn(child, own[int(key)], generator, f"{place}.{key}")
+    return own
+
+
+def _field(own: Any, key: str) -> Any:
+    return own.get(key) if isinstance(own, dict) else getattr(own, key, None)
+
+
+def _on_one_line(text: str) -> str:
+    node = yaml.compose(text, yaml.SafeLoader)
+    for each in _nodes(node):
+        if isinstance(each, yaml.CollectionNode):
+            each.flow_style = True
+    line: str = yaml.serialize(node, Dumper=yaml.SafeDumper, width=math.inf)
+    return line.strip()
+
+
+def _nodes(node: yaml.Node) -> list[yaml.Node]:
+    if isinstance(node, yaml.MappingNode):
+        inside = [each for pair in node.value for each in pair]
+    else:
+        inside = node.value if isinstance(node, yaml.SequenceNode) else []
+    return [node, *(found for each in inside for found in _nodes(each))]
+
+
+@lru_cache
+def _function(path: str) -> Any:
+    spec = importlib.util.spec_from_file_location(f"variation_{abs(hash(path))}", path)
+    if spec is None or spec.loader is None:
+        raise ScenarioError(f"{path}: not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    function = getattr(module, "draw", None)
+    if not callable(function):
+        raise ScenarioError(f"{path}: has no function draw(scenario, generator)")
+    return function

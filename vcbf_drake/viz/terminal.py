@@ -1,17 +1,15 @@
-"""Tables, reports and the progress bar of the command line."""
+"""Tables and reports of the command line."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from decimal import ROUND_FLOOR, Context
 import math
-import sys
 import textwrap
 from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -50,19 +48,6 @@ _REPORTED_NUMBERS = (
     ("real-time rate", "real_time_rate", ""),
     ("periods missed", "deadlines_missed", ""),
 )
-
-
-def progress_bar() -> Progress:
-    """Returns a bar on stderr that disappears when done; silent in a pipe."""
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:3.0f} %"),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-        transient=True,
-        disable=not sys.stderr.isatty(),
-    )
 
 
 def print_scenarios(scenarios: Sequence[Scenario]) -> None:

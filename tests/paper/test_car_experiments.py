@@ -1,0 +1,93 @@
+"""What the shipped scenarios show of the paper's two experiments with a car."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from examples.paper.car_courses import APPROACH_GAINS
+from vcbf_drake.simulation import load_scenario, simulate
+
+AVOIDANCE, SENSITIVITY = "car-avoidance", "car-sensitivity"
+
+
+def run(name: str, overrides: dict[str, Any]) -> dict[str, Any]:
+    return simulate(load_scenario(name, overrides)).summary
+
+
+def moved_start(index: int) -> list[float]:
+    """A start within 0.1 m and 0.1 rad of the shipped one, at rest."""
+    x, y, _, heading = np.random.default_rng([2025, index]).uniform(-0.1, 0.1, 4)
+    return [float(x), float(y), 0.0, float(heading)]
+
+
+def clearance(summary: dict[str, Any]) -> float:
+    """The distance to the disc's edge [m], from h = rho^2 - R^2 (E35)."""
+    (disc,) = load_scenario(AVOIDANCE).obstacles
+    return math.sqrt(summary["min_barrier"] + disc.radius**2) - disc.radius
+
+
+@pytest.mark.parametrize(
+    "start",
+    [
+        load_scenario(AVOIDANCE).initial_state,
+        pytest.param(moved_start(0), marks=pytest.mark.slow),
+        pytest.param(moved_start(5), marks=pytest.mark.slow),
+    ],
+)
+def test_nominal_collides_robust_goes_wide_and_the_proposed_passes_close(
+    start: list[float],
+) -> None:
+    nominal, robust, proposed = (
+        run(AVOIDANCE, {"method": method, "initial_state": start})
+        for method in ("cbf-qp", "robust-cbf-qp", "dob-vcbf-qp")
+    )
+    (disc,) = load_scenario(AVOIDANCE).obstacles
+    assert nominal["outcome"] == "collision"
+    # Before it has passed the disc, not on coming round.
+    assert nominal["reached_at"] is None
+    assert nominal["final_distance"] > 5.0 - disc.center[0]
+    assert robust["outcome"] == proposed["outcome"] == "reached"
+    assert proposed["max_abs_slack"] == 0.0
+    assert 0.0 < clearance(proposed) < 0.06
+    assert clearance(robust) > 0.15
+
+
+def test_a_slow_car_needs_the_volume_barrier() -> None:
+    controller = load_scenario(SENSITIVITY).vehicle.controller
+    assert controller.approach_gain == APPROACH_GAINS[0] == 0.2
+    stuck = run(SENSITIVITY, {"method": "dob-cbf-qp"})
+    assert stuck["outcome"] == "infeasible"
+    assert 2.0 < stuck["infeasible_at"] < 4.0
+    assert stuck["final_distance"] > 3.0
+    arrives = run(SENSITIVITY, {"method": "dob-vcbf-qp"})
+    assert arrives["outcome"] == "reached"
+    assert arrives["min_barrier"] > 0.0
+    assert arrives["min_volume"] > 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gain", APPROACH_GAINS[1:])
+@pytest.mark.parametrize("method", ["dob-cbf-qp", "dob-vcbf-qp"])
+def test_a_faster_car_arrives_either_way(method: str, gain: float) -> None:
+    faster = {"method": method, "vehicle": {"controller": {"approach_gain": gain}}}
+    assert run(SENSITIVITY, faster)["outcome"] == "reached"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", range(3))
+def test_the_sensitivity_does_not_hang_on_the_exact_start(index: int) -> None:
+    def outcome(method: str, gain: float) -> str:
+        overrides = {
+            "method": method,
+            "vehicle": {"controller": {"approach_gain": gain}},
+            "initial_state": moved_start(index),
+        }
+        return str(run(SENSITIVITY, overrides)["outcome"])
+
+    assert outcome("dob-cbf-qp", 0.2) == "infeasible"
+    assert outcome("dob-vcbf-qp", 0.2) == "reached"
+    assert outcome("dob-cbf-qp", 0.4) == "reached"

@@ -1,0 +1,86 @@
+"""Files and directories that are written whole or not at all, and plain JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+import math
+import os
+from pathlib import Path
+import shutil
+from typing import Any, BinaryIO
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """Opens a file that takes the path's place when it is whole.
+
+    Args:
+        path: Its directory exists.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with temporary.open("wb") as file:
+            yield file
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def atomic_write(path: Path, content: str | bytes) -> None:
+    """Writes a whole file, text as UTF-8, or leaves it as it was.
+
+    Args:
+        path: Its directory exists.
+        content: The whole content.
+    """
+    with replacing(path) as file:
+        file.write(content.encode() if isinstance(content, str) else content)
+
+
+@contextmanager
+def whole_directory(directory: Path) -> Iterator[Path]:
+    """Yields an empty directory whose files move to `directory` when all went well.
+
+    Files of the same name are replaced; others stay. What a killed process left beside
+    the directory is removed.
+
+    Args:
+        directory: It is made when it is needed.
+    """
+    parent, prefix = directory.parent, f".{directory.name}-"
+    parent.mkdir(parents=True, exist_ok=True)
+    for left in parent.glob(f"{prefix}*"):
+        owner = left.name.removeprefix(prefix)
+        if owner.isdigit() and not _is_alive(int(owner)):
+            shutil.rmtree(left, ignore_errors=True)
+    staging = parent / f"{prefix}{os.getpid()}"
+    staging.mkdir()
+    try:
+        yield staging
+        for path in [path for path in staging.rglob("*") if path.is_file()]:
+            target = directory / path.relative_to(staging)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(path, target)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
+def plain_json(value: Any) -> Any:
+    """Returns the value with None for what JSON has no number for."""
+    if isinstance(value, dict):
+        return {key: plain_json(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain_json(item) for item in value]
+    finite = not isinstance(value, float) or math.isfinite(value)
+    return value if finite else None

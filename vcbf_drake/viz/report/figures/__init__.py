@@ -1,1 +1,0 @@
-"""Figures of many runs side by side, which only the report shows."""
