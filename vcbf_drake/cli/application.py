@@ -46,9 +46,9 @@ class OneLineGroup(TyperGroup):
             _complain("interrupted")
             sys.exit(_FAILED)
         except Exception as error:
-            from vcbf_drake.errors import ScenarioError
+            from vcbf_drake.errors import InvalidValueError, ScenarioError
 
-            if isinstance(error, ScenarioError):
+            if isinstance(error, ScenarioError | InvalidValueError):
                 _complain(str(error))
                 sys.exit(_BAD_USAGE)
             kind = type(error).__name__
