@@ -117,6 +117,12 @@ from .plants import (
 from .plants import (
     CarParameters as CarParameters,
 )
+from .plants import (
+    StateFeedback as StateFeedback,
+)
+from .plants import (
+    Vehicle as Vehicle,
+)
 from .safety import (
     METHODS as METHODS,
 )
@@ -149,6 +155,12 @@ from .safety import (
 )
 from .safety import (
     assumptions as assumptions,
+)
+from .simulation import (
+    InputLimits as InputLimits,
+)
+from .simulation import (
+    Obstacle as Obstacle,
 )
 from .simulation import (
     Scenario as Scenario,

@@ -16,7 +16,7 @@ ScenarioArgument = Annotated[
     str,
     typer.Argument(
         metavar="SCENARIO",
-        help="A shipped scenario's name (vcbf-drake list), or a YAML file.",
+        help="A shipped scenario (vcbf-drake list), a YAML file or a Python file.",
     ),
 ]
 MethodOption = Annotated[

@@ -15,7 +15,7 @@ from vcbf_drake.plants.blimp_vehicle import BlimpVehicle
 from vcbf_drake.plants.car import Car, Car_, CarInput, CarParameters, CarState
 from vcbf_drake.plants.car_controller import CarController, CarControllerParameters
 from vcbf_drake.plants.car_vehicle import CarVehicle, TurnLimit
-from vcbf_drake.plants.vehicle import Vehicle
+from vcbf_drake.plants.vehicle import StateFeedback, Vehicle
 
 __all__ = [
     "Blimp",
@@ -34,6 +34,7 @@ __all__ = [
     "CarState",
     "CarVehicle",
     "Car_",
+    "StateFeedback",
     "TurnLimit",
     "Vehicle",
 ]

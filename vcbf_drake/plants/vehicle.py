@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.systems.framework import System
+from pydrake.systems.framework import BasicVector, Context, LeafSystem, System
 
 from vcbf_drake.barriers import Barrier, StateInputLimit
 from vcbf_drake.barriers.position import Position
@@ -102,6 +103,32 @@ class Vehicle(ABC):
             return np.array([self.position(x) for x in states], dtype=float)
         found: Array = states[:, list(self.position)]
         return found
+
+
+class StateFeedback(LeafSystem):
+    """A controller that is a function of the state alone, in Python.
+
+    Ports:
+        state (n): the vehicle's state.
+        reference (m), output: the input that it wants.
+
+    Args:
+        law: From the state, shape (n,), to the input, shape (m,).
+        num_states: n.
+        num_inputs: m.
+    """
+
+    def __init__(
+        self, law: Callable[[Array], ArrayLike], num_states: int, num_inputs: int
+    ) -> None:
+        super().__init__()
+        state = self.DeclareVectorInputPort("state", num_states)
+
+        def calc(context: Context, output: BasicVector) -> None:
+            output.SetFromVector(np.asarray(law(state.Eval(context)), dtype=float))
+
+        needs = {state.ticket()}
+        self.DeclareVectorOutputPort("reference", num_inputs, calc, needs)
 
 
 def tag(vehicle: type[Vehicle]) -> str:

@@ -10,10 +10,17 @@ from vcbf_drake.simulation.loop import make_loop
 from vcbf_drake.simulation.parts import barriers
 from vcbf_drake.simulation.result import Result, load_result
 from vcbf_drake.simulation.run import check_assumptions, simulate
-from vcbf_drake.simulation.scenario import Scenario, validate
+from vcbf_drake.simulation.scenario import (
+    InputLimits,
+    Obstacle,
+    Scenario,
+    validate,
+)
 from vcbf_drake.simulation.step_time import step_cpu_time
 
 __all__ = [
+    "InputLimits",
+    "Obstacle",
     "Result",
     "Scenario",
     "barriers",

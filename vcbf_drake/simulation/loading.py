@@ -33,6 +33,7 @@ import yaml
 
 from vcbf_drake.errors import InvalidValueError, ScenarioError, below, written
 from vcbf_drake.errors import Path as KeyPath
+from vcbf_drake.simulation.python_file import scenario_of
 from vcbf_drake.simulation.scenario import Scenario
 
 Node: TypeAlias = Any  # A yaml.Node; PyYAML has no type stubs.
@@ -57,8 +58,8 @@ def load_scenario(
     """Loads one scenario.
 
     Args:
-        name_or_path: A shipped scenario's name, or a YAML file whose top-level keys
-            are scenario names.
+        name_or_path: A shipped scenario's name; a YAML file whose top-level keys are
+            scenario names; or a Python file with a function ``scenario()``.
         overrides: Values that replace those of the file, as YAML text or as a
             mapping. Mappings merge; lists, numbers and tagged mappings replace (in a
             Python mapping the key ``_tag`` holds the tag, with its ``!``).
@@ -76,6 +77,11 @@ def load_scenario(
             f"{path}: neither a file nor a shipped scenario ({', '.join(shipped)});"
             f" {did_you_mean(str(path), shipped)}"
         )
+    if path.suffix == ".py":
+        scenario = scenario_of(path)
+        if overrides is None:
+            return scenario
+        return parse_scenario(dump_scenario(scenario), str(path), overrides)
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
@@ -233,8 +239,9 @@ def _locate(node: Node, path: KeyPath) -> str:
 
 
 def _where(mark: Any) -> str:
-    # An override is short, and a mapping has no lines.
-    return _OVERRIDE if mark.name == _OVERRIDE else f"{mark.name}:{mark.line + 1}"
+    # An override is short, and what a program made has no lines.
+    has_lines = mark.name != _OVERRIDE and not mark.name.endswith(".py")
+    return f"{mark.name}:{mark.line + 1}" if has_lines else str(mark.name)
 
 
 def _fail(node: Node, path: KeyPath, problem: str) -> NoReturn:

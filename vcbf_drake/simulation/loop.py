@@ -174,7 +174,8 @@ def add_controller_and_filter(
         obstacles=obstacles,
         model=model,
     )
-    if loop.filter.method.disturbance == "estimated":
+    compensates = controller.HasInputPort("disturbance_estimate")
+    if compensates and loop.filter.method.disturbance == "estimated":
         builder.Connect(
             loop.observer.GetOutputPort("disturbance_estimate"),
             controller.GetInputPort("disturbance_estimate"),

@@ -1,0 +1,150 @@
+"""A robot of one's own: a scenario from a Python file, and what follows from one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydrake.math import cos, sin
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+import pytest
+
+from vcbf_drake import ScenarioError, load_scenario, simulate
+from vcbf_drake.errors import InvalidValueError
+from vcbf_drake.plants import BlimpVehicle, CarVehicle, StateFeedback, Vehicle
+from vcbf_drake.plants.channels import channels_of
+from vcbf_drake.simulation import check_assumptions, dump_scenario
+from vcbf_drake.simulation.loading import parse_scenario
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+OWN = EXAMPLES / "own_robot.py"
+
+
+def refusal(path: Path, overrides: str | None = None) -> str:
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario(path, overrides)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_example_has_at_most_60_lines() -> None:
+    assert len(OWN.read_text().splitlines()) <= 60
+
+
+def test_robot_from_a_python_file_reaches_its_target_with_every_promise_kept() -> None:
+    result = simulate(load_scenario(OWN, {"duration": 8.0}), step_time=False)
+    assert result.summary["scenario"] == "own_robot"
+    assert result.summary["outcome"] == "reached"
+    assert result.summary["guaranteed"]
+    # The distance to the posts, by hand.
+    posts = np.array([[1.0, 0.1], [2.0, -0.3]])
+    away = np.linalg.norm(result.log["state"][:, None, :2] - posts, axis=2)
+    clearance = (away - [0.2, 0.3]).min()
+    assert clearance > 0.0
+    assert result.summary["min_barrier"] == pytest.approx(clearance, abs=1e-3)
+
+
+def test_robot_can_be_overridden_dumped_and_loaded_back() -> None:
+    scenario = load_scenario(OWN, "{vehicle: {mass: 0.7}, method: cbf-qp}")
+    assert scenario.vehicle.mass == 0.7  # type: ignore[attr-defined]
+    text = dump_scenario(scenario)
+    assert "vehicle: !Puck" in text
+    assert parse_scenario(text, "dump.yaml") == scenario
+
+
+def test_hypotheses_are_checked_for_a_robot_of_ones_own() -> None:
+    names = {each.name for each in check_assumptions(load_scenario(OWN))}
+    assert "input authority" in names
+
+
+def test_messages_name_the_robots_states() -> None:
+    message = refusal(OWN, "{initial_state: [0, 0]}")
+    assert message.endswith("it must be 4 numbers, one each of x, y, vx, vy")
+    message = refusal(OWN, "{vehicle: {masss: 1}}")
+    assert message == "override: vehicle.masss: unknown key; did you mean mass?"
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "problem"),
+    [
+        ("x = 1\n", "", "no function scenario()"),
+        ("def scenario():\n    return 3\n", "", "a int; it must have a function"),
+        ("x = 1\ny = z\n", ":2", "NameError: name 'z' is not defined"),
+        ("def scenario(:\n", ":1", "SyntaxError"),
+        ("\ndef scenario():\n    return [].pop()\n", ":3", "IndexError: pop from"),
+        (
+            "from vcbf_drake import Obstacle\n\ndef scenario():\n"
+            "    return Obstacle([0.0, 0.0], -1.0)\n",
+            ":4",
+            "radius: -1; it must be finite and above 0",
+        ),
+    ],
+)
+def test_a_file_that_makes_no_scenario_says_where(
+    tmp_path: Path, text: str, place: str, problem: str
+) -> None:
+    path = tmp_path / "robot.py"
+    path.write_text(text)
+    message = refusal(path)
+    assert message.startswith(f"{path}{place}: ")
+    assert problem in message
+
+
+def test_faults_scale_what_a_vehicle_has() -> None:
+    car = CarVehicle(mass=2.0).altered(mass=1.5, drag=1.0)
+    assert car == CarVehicle(mass=3.0)
+    with pytest.raises(InvalidValueError, match="drag: 2; it must be 1, for !Car has"):
+        CarVehicle().altered(mass=1.0, drag=2.0)
+    blimp = BlimpVehicle().altered(mass=2.0, drag=0.5)
+    assert blimp.yaw_inertia == 2.0 * BlimpVehicle().yaw_inertia
+    assert blimp.drag == [0.5 * each for each in BlimpVehicle().drag]
+    message = "override: faults.drag: 2; it must be 1, for !Car has no drag"
+    with pytest.raises(ScenarioError, match=message):
+        load_scenario("car-avoidance", "{faults: {drag: 2}}")
+
+
+def test_position_may_be_a_function_of_the_state() -> None:
+    @dataclass
+    class Pendulum(Vehicle):
+        length: float = 2.0
+
+        def position(self, x: Any) -> Any:  # type: ignore[override]
+            return np.array([self.length * sin(x[0]), -self.length * cos(x[0])])
+
+        def make_plant(self) -> Any: ...
+
+        def make_controller(self, target: Any) -> Any: ...
+
+    states = np.array([[0.3, 0.0], [-1.2, 5.0]])
+    expected = 2.0 * np.column_stack([np.sin(states[:, 0]), -np.cos(states[:, 0])])
+    np.testing.assert_allclose(Pendulum().positions(states), expected)
+    pose = Pendulum().pose(states[0])
+    np.testing.assert_allclose(pose.translation(), [*expected[0], 0.0])
+
+
+def test_a_vehicle_that_looks_like_nothing_is_a_ball() -> None:
+    (part,) = load_scenario(OWN).vehicle.geometry("#123456")
+    assert part.color == "#123456"
+    np.testing.assert_allclose(np.linalg.norm(part.mesh.vertices, axis=1), 0.1)
+
+
+def test_state_feedback_is_its_law() -> None:
+    law = StateFeedback(lambda x: 2.0 * x[:2], 3, 2)
+    context = law.CreateDefaultContext()
+    law.GetInputPort("state").FixValue(context, [1.0, -2.0, 5.0])
+    assert law.GetOutputPort("reference").Eval(context).tolist() == [2.0, -4.0]
+
+
+def test_a_multibody_plant_knows_its_channels() -> None:
+    plant = MultibodyPlant(0.0)
+    Parser(plant).AddModels(str(EXAMPLES / "models" / "planar_arm.urdf"))
+    plant.Finalize()
+    channels = channels_of(plant)
+    assert all(unit in ("rad", "rad/s") for unit in channels.states.values())
+    assert len(channels.states) == plant.num_multibody_states()
+    assert set(channels.inputs.values()) == {"N m"}
+    assert channels.angles == tuple(range(plant.num_positions()))
+    assert channels.input_labels[0].endswith(" [N m]")
