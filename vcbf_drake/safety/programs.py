@@ -117,18 +117,23 @@ def _kept(kind: Any, *size: Any) -> FixedProgram:
 
 
 class LinearProgram(FixedProgram):
-    """min c'v subject to ``A v <= b`` and |v_j| <= limit, by Clp.
+    """min c'v subject to ``A v <= b`` and |v_j| <= limit.
 
     Args:
         num_rows: n.
         num_variables: m.
         limit: Of every variable.
+        solver: One of `SOLVERS` that takes linear programs.
     """
 
     def __init__(
-        self, num_rows: int, num_variables: int, limit: float = math.inf
+        self,
+        num_rows: int,
+        num_variables: int,
+        limit: float = math.inf,
+        solver: str = "Clp",
     ) -> None:
-        super().__init__(num_variables, ClpSolver(), SolverOptions())
+        super().__init__(num_variables, SOLVERS[solver](), SolverOptions())
         v, self._below = self.variables, np.full(num_rows, -np.inf)
         self._cost = self.program.AddLinearCost(
             np.zeros(num_variables), 0.0, v

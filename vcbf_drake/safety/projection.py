@@ -46,7 +46,7 @@ _ROUNDING = 1e-15
 _REACHES = (1e-7, 1e-4, math.inf)
 # Of a linear program: rows with larger multipliers carry the cost; its solution leaves
 # no row by more than ...
-_CARRYING = 1e-9
+_CARRYING = 1e-3
 _EXACT = 1e-10
 # ... or, where the last zoom does not get there, than ...
 _NEARLY_EXACT = 1e-7
@@ -131,7 +131,12 @@ def minimise_linear(cost: Array, A: Array, b: Array) -> Array:
     program, point = LinearProgram.of_size(*A.shape), np.zeros(len(cost))
     excess = math.inf
     for zoom in _ZOOMS:
-        found = program.solve(cost, rows.A, zoom * (rows.b - rows.A @ point))
+        bounds = zoom * (rows.b - rows.A @ point)
+        found = program.solve(cost, rows.A, bounds)
+        if found is None and zoom == _ZOOMS[0]:
+            # Of a set without interior Clp may say that it is empty.
+            other = LinearProgram.of_size(*A.shape, math.inf, DEFAULT_SOLVER)
+            found = other.solve(cost, rows.A, bounds)
         if found is None:
             break
         move, multipliers = found
