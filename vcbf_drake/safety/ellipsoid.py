@@ -30,7 +30,7 @@ from vcbf_drake.safety.polytope import (
     largest_ball,
     recession_direction,
 )
-from vcbf_drake.safety.programs import EllipsoidProgram
+from vcbf_drake.safety.programs import DEFAULT_SOLVER, EllipsoidProgram
 
 # Of a set of unit size the cone program reaches this tolerance; one Newton step is then
 # enough.
@@ -169,9 +169,12 @@ class InscribedEllipsoidSolver:
 
     Args:
         input_set: The inputs before any row cuts them.
+        solver: The name of the solver that proposes; where it takes no cone programs,
+            `DEFAULT_SOLVER` does.
     """
 
-    def __init__(self, input_set: InputSet) -> None:
+    def __init__(self, input_set: InputSet, solver: str = DEFAULT_SOLVER) -> None:
+        self._solver = solver
         self._A, self._b = input_set.A_normalised, input_set.b_normalised
         self._is_box = input_set.is_box
         self._all_rows, self._all_inputs = map(np.arange, self._A.shape)
@@ -259,7 +262,7 @@ class InscribedEllipsoidSolver:
             [self._A[own[:, None], cut], normals / length[:, None]]
         )
         block_b = np.concatenate([self._b[own], distance / length])
-        found = _of_rows(block_A, block_b)
+        found = _of_rows(block_A, block_b, self._solver)
         center, shape = self._free.center.copy(), self._free.shape.copy()
         center[cut], shape[cut[:, None], cut] = found.center, found.shape
         multipliers = np.zeros(len(rows))
@@ -271,12 +274,12 @@ class InscribedEllipsoidSolver:
         )
 
 
-def _of_rows(A: Array, b: Array) -> CertifiedEllipsoid | Ellipsoid:
+def _of_rows(A: Array, b: Array, solver: str) -> CertifiedEllipsoid | Ellipsoid:
     """The largest ellipsoid of unit rows, of a set of about unit size."""
     if A.shape[1] == 1:
         found = interval(A, b)
     else:
-        guess = EllipsoidProgram.of_size(*A.shape, _FAST_TOLERANCE).solve(A, b)
+        guess = EllipsoidProgram.of_size(*A.shape, _FAST_TOLERANCE, solver).solve(A, b)
         found = guess and polish(A, b, *guess)
     if found and found.certified_gap <= ACCEPTED_GAP:
         return found

@@ -92,7 +92,7 @@ class FeasibleSet:
         k = self.num_input_rows
         b_v = self.b_v.copy()
         b_v[k:] -= reserve
-        cutting = _cutting(self.A_v, b_v, k)
+        cutting = cutting_rows(self.A_v, b_v, k)
         return replace(self, b_v=b_v, margin=self.margin - reserve, cutting=cutting)
 
     @cached_property
@@ -140,11 +140,11 @@ def feasible_set(
         known=known,
         weights=np.ones(len(rows.b)) if weights is None else weights,
         input_set=input_set,
-        cutting=_cutting(A_v, b_v, k),
+        cutting=cutting_rows(A_v, b_v, k),
     )
 
 
-def _cutting(A_v: Array, b_v: Array, num_input_rows: int) -> NDArray[np.intp]:
+def cutting_rows(A_v: Array, b_v: Array, num_input_rows: int) -> NDArray[np.intp]:
     """Returns the rows that can matter; see `FeasibleSet.cutting`."""
     k = num_input_rows
     cut = (b_v[k:] < np.abs(A_v[k:]).sum(axis=1)).nonzero()[0]

@@ -30,7 +30,7 @@ from pydrake.solvers import (
     SolverOptions,
 )
 
-from vcbf_drake.checks import Array
+from vcbf_drake.checks import Array, require
 
 DEFAULT_SOLVER = "Clarabel"
 # Drake's solvers that take the QP ...
@@ -54,17 +54,15 @@ def check_solver(name: str) -> None:
         name: One of `SOLVERS`.
 
     Raises:
-        ValueError: It is not, with those that are.
+        InvalidValueError: It is not, with those that are.
     """
     usable = [key for key, kind in SOLVERS.items() if _is_usable(kind())]
-    if name in usable:
-        return
-    reason = f"got {name!r}"
-    if name in SOLVERS:
+    rule = f"one of {', '.join(usable)}"
+    if name in SOLVERS and name not in usable:
         is_built = SOLVERS[name]().available()
         lack = "has no license here" if is_built else "is not in this build of Drake"
-        reason = f"{name} {lack}"
-    raise ValueError(f"solver: {reason}; allowed: {', '.join(usable)}")
+        rule = f"{rule}, for {name} {lack}"
+    require(name in usable, "solver", name, rule)
 
 
 def _is_usable(solver: SolverInterface) -> bool:

@@ -59,11 +59,13 @@ class VolumeRow:
         a: Shape (m,).
         c: The right-hand side.
         slack_penalty: M of (E24), for the inexact slack.
+        name: For whoever reads the program.
     """
 
     a: Array
     c: float
     slack_penalty: float
+    name: str = "volume"
 
     @property
     def is_finite(self) -> bool:
@@ -92,6 +94,8 @@ class QP:
         num_firm: How many rows, the first, limit the input whatever the state.
         num_hard: How many rows, the first, do not give way.
         num_volume: How many of those, the last, are volume rows.
+        rows: Which of the feasible set's rows are the first.
+        further_rows: The names of those that follow.
     """
 
     A: Array
@@ -101,6 +105,8 @@ class QP:
     num_firm: int
     num_hard: int
     num_volume: int
+    rows: tuple[int, ...] = ()
+    further_rows: tuple[str, ...] = ()
 
     def solved(self, solver: str) -> Array:
         """Returns the minimiser z, shape (d,).
@@ -221,15 +227,16 @@ def _stated(
         A = np.concatenate([A, [row.a for row in volume_rows]])
         b = np.concatenate([b, [row.c for row in volume_rows]])
     num_firm = feasible.num_input_rows
+    rows, names = tuple(feasible.cutting.tolist()), tuple(r.name for r in volume_rows)
     if exact_slack or not volume_rows:
-        return QP(A, b, reference, m, num_firm, len(b), count)
+        return QP(A, b, reference, m, num_firm, len(b), count, rows, names)
     # Each with its free slack delta at the cost M delta^2 (E24): in the variables
     # (v, sqrt(M) delta) the cost is a distance again.
     root = np.sqrt([row.slack_penalty for row in volume_rows])
     num_hard = len(b) - count
     slopes = np.concatenate([np.zeros((num_hard, count)), np.diag(1.0 / root)])
     A, reference = np.hstack([A, slopes]), np.append(reference, np.zeros(count))
-    return QP(A, b, reference, m, num_firm, num_hard, 0)
+    return QP(A, b, reference, m, num_firm, num_hard, 0, rows, names)
 
 
 def _solution(qp: QP, solver: str) -> tuple[Array, QP]:

@@ -43,6 +43,7 @@ from vcbf_drake.safety.qp import (
     failed_decision,
 )
 from vcbf_drake.safety.settings import FilterSettings
+from vcbf_drake.safety.tick_programs import TickPrograms, state_programs
 from vcbf_drake.safety.volume import Volume, VolumeMeasure, volume, volume_row
 
 
@@ -160,9 +161,10 @@ class SafetyFilter(LeafSystem):
         self._weights = _checked_weights(
             self.settings.violation_weights, len(self.barriers)
         )
-        self._measure = self.settings.volume.measure(input_set)
-        self._guard = self.settings.volume.guard_measure(input_set)
-        self._ellipsoid_solver = InscribedEllipsoidSolver(input_set)
+        solver = self.settings.solver
+        self._measure = self.settings.volume.measure(input_set, solver)
+        self._guard = self.settings.volume.guard_measure(input_set, solver)
+        self._ellipsoid_solver = InscribedEllipsoidSolver(input_set, solver)
         self._plateau = {
             measure: self._volume_of_input_set(measure)
             for measure in (self._measure, self._guard)
@@ -290,6 +292,20 @@ class SafetyFilter(LeafSystem):
         value: FilterDecision = _found(self._decision_entry, context)
         return value
 
+    def programs(self, context: Context) -> TickPrograms | None:
+        """Returns the tick's two programs, stated anew as they were solved.
+
+        Both are stated where no solver was asked, too: the reference that satisfies
+        every row is the QP's solution. Of a tick whose answer solves no QP (INFEASIBLE,
+        FAILED) there are none.
+        """
+        decision, feasible = self.decision(context), self.feasible_set(context)
+        if decision.qp is None:
+            return None
+        names = tuple(map(self.row_name, range(self.num_rows)))
+        widening = self.settings.volume.widening
+        return state_programs(decision.qp, feasible, names, widening)
+
     def row_name(self, row: int) -> str:
         """Returns what a row of the feasible set stands for."""
         k, m = len(self.input_set.b), self.model.num_inputs
@@ -382,6 +398,7 @@ class SafetyFilter(LeafSystem):
                 self.input_set,
                 self.settings.corrections.exact_slack,
                 self.settings.infeasible,
+                self.settings.solver,
             )
 
         decision = choose()
@@ -412,19 +429,24 @@ class SafetyFilter(LeafSystem):
         """The rows that act, the guard's first, and whether one could not be found."""
         barrier, measured = self.settings.volume, []
         if self.method.volume and self._guard is not None:
-            measured.append((_found(self._guard_entry, context), barrier.guard_gain))
+            guard = _found(self._guard_entry, context)
+            measured.append(("guard", guard, barrier.guard_gain))
         if self.method.volume:
-            measured.append((self.volume(context), barrier.gain))
+            measured.append(("volume", self.volume(context), barrier.gain))
         rows = [
-            self._volume_row(context, v, gain)
-            for v, gain in measured
+            self._volume_row(context, name, v, gain)
+            for name, v, gain in measured
             if v is not None and not v.is_on_plateau  # Else 0 <= lambda_Vv V_v.
         ]
         finite = [row for row in rows if row.is_finite]
-        is_whole = len(finite) == len(rows) and all(v is not None for v, _ in measured)
+        is_whole = len(finite) == len(rows) and all(
+            v is not None for _, v, _ in measured
+        )
         return finite, not is_whole
 
-    def _volume_row(self, context: Context, v: Volume, gain: float) -> VolumeRow:
+    def _volume_row(
+        self, context: Context, name: str, v: Volume, gain: float
+    ) -> VolumeRow:
         drift, input_matrix = self.model.drift_and_input_matrix(
             self._state.Eval(context)
         )
@@ -437,7 +459,7 @@ class SafetyFilter(LeafSystem):
             gain,
             self.settings.corrections.total_derivative,
         )
-        return VolumeRow(a, c, self.settings.volume.slack_penalty)
+        return VolumeRow(a, c, self.settings.volume.slack_penalty, name)
 
     def _calc_packed_feasible_set(self, context: Context, output: BasicVector) -> None:
         feasible = self.feasible_set(context)

@@ -17,6 +17,7 @@ from vcbf_drake.disturbances.rise_certificate import STEPS, ObserverStep
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
 from vcbf_drake.safety.methods import METHODS
+from vcbf_drake.safety.programs import DEFAULT_SOLVER, check_solver
 from vcbf_drake.safety.qp import INFEASIBLE_POLICIES, InfeasiblePolicy
 from vcbf_drake.safety.volume import VolumeBarrier
 
@@ -86,6 +87,8 @@ class FilterSettings:
         violation_weights: How much a violation of each barrier counts when not all can
             hold, (N,); empty for 1 each.
         observer: The disturbance observer.
+        solver: Drake's solver that proposes solutions of the QP and, where it takes
+            cone programs, the largest ellipsoid: one of `SOLVERS`.
 
     Raises:
         InvalidValueError: A field is outside what is allowed; one line says which.
@@ -99,8 +102,10 @@ class FilterSettings:
     between_ticks: BetweenTicks = "none"
     violation_weights: list[float] = field(default_factory=list)
     observer: ObserverSettings = field(default_factory=ObserverSettings)
+    solver: str = DEFAULT_SOLVER
 
     def __post_init__(self) -> None:
+        check_solver(self.solver)
         check_parameter("period", self.period)
         require_choice("method", self.method, METHODS)
         if not isinstance(self.fidelity, Corrections):

@@ -17,6 +17,7 @@ from vcbf_drake.safety.ellipsoid import (
 )
 from vcbf_drake.safety.feasible_set import DisturbanceKnowledge, FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
+from vcbf_drake.safety.programs import DEFAULT_SOLVER
 
 GUARDS = ("none", "volume")
 
@@ -62,15 +63,19 @@ class VolumeBarrier:
             return "volume"
         return f"volume, inputs x {self.widening:g}"
 
-    def measure(self, input_set: InputSet) -> VolumeMeasure:
+    def measure(
+        self, input_set: InputSet, solver: str = DEFAULT_SOLVER
+    ) -> VolumeMeasure:
         """Returns the measure that the volume row keeps positive."""
-        return VolumeMeasure(input_set, self.threshold, self.widening)
+        return VolumeMeasure(input_set, self.threshold, self.widening, solver)
 
-    def guard_measure(self, input_set: InputSet) -> VolumeMeasure | None:
+    def guard_measure(
+        self, input_set: InputSet, solver: str = DEFAULT_SOLVER
+    ) -> VolumeMeasure | None:
         """Returns the measure that the guard's row keeps positive, if there is one."""
         if self.guard == "none":
             return None
-        return VolumeMeasure(input_set, self.threshold)
+        return VolumeMeasure(input_set, self.threshold, solver=solver)
 
 
 @dataclass(frozen=True)
@@ -105,14 +110,19 @@ class VolumeMeasure:
         input_set: The inputs before any row cuts them.
         threshold: xi, the share of the bounding box's volume that must remain.
         widening: kappa.
+        solver: The name of the solver that proposes ellipsoids.
     """
 
     def __init__(
-        self, input_set: InputSet, threshold: float, widening: float = 1.0
+        self,
+        input_set: InputSet,
+        threshold: float,
+        widening: float = 1.0,
+        solver: str = DEFAULT_SOLVER,
     ) -> None:
         self._num_limits = len(input_set.b_normalised)
         self._threshold, self._widening = threshold, widening
-        self._solver = InscribedEllipsoidSolver(input_set)
+        self._solver = InscribedEllipsoidSolver(input_set, solver)
 
     @cached_property
     def of_input_set(self) -> Measurement | None:
