@@ -16,6 +16,7 @@ from vcbf_drake.simulation.scenario import (
     Scenario,
     validate,
 )
+from vcbf_drake.simulation.schema import scenario_page, scenario_schema
 from vcbf_drake.simulation.step_time import step_cpu_time
 
 __all__ = [
@@ -30,6 +31,8 @@ __all__ = [
     "load_scenario",
     "make_loop",
     "read_log_files",
+    "scenario_page",
+    "scenario_schema",
     "shipped_scenarios",
     "simulate",
     "step_cpu_time",

@@ -113,7 +113,7 @@ def parse_scenario(
 
 def dump_scenario(scenario: Scenario) -> str:
     """Returns the whole scenario as YAML text that loads back to the same."""
-    return cast(str, yaml_dump({scenario.name: _plain(scenario, Scenario)}))
+    return cast(str, yaml_dump({scenario.name: plain(scenario, Scenario)}))
 
 
 def merge_overrides(*overrides: str | Mapping[str, Any]) -> str:
@@ -160,7 +160,7 @@ def _select(root: Node, source: str, name: str | None) -> Node:
     """Returns the node of a scenario, which then holds its name."""
     entries = {k: each for k, each in _entries(root).items() if k[:1] != "_"}
     problem = ""
-    known = {*_hints(Scenario), *Scenario.MOVED}
+    known = {*field_types(Scenario), *Scenario.MOVED}
     if misplaced := [key for key in entries if key in known]:
         problem = f"{misplaced[0]} at the top; a scenario's name is missing above it"
     elif not entries:
@@ -261,7 +261,7 @@ def _shown(node: Node) -> str:
 # Values ----------------------------------------------------------------------------
 
 
-def _members(hint: Any) -> tuple[Any, ...]:
+def allowed_types(hint: Any) -> tuple[Any, ...]:
     """Returns the types that a hint allows: of an abstract class, its subclasses."""
     if inspect.isabstract(hint):
         return tuple(hint.__subclasses__())
@@ -269,15 +269,15 @@ def _members(hint: Any) -> tuple[Any, ...]:
     return get_args(hint) if is_union else (hint,)
 
 
-def _tags(hint: Any) -> dict[str, Any]:
+def tagged_types(hint: Any) -> dict[str, Any]:
     """Returns the dataclasses that a hint allows, by their tags."""
-    found = (each for each in _members(hint) if is_dataclass(each))
+    found = (each for each in allowed_types(hint) if is_dataclass(each))
     return {f"!{each.__name__.removesuffix('Vehicle')}": each for each in found}  # type: ignore[union-attr]
 
 
 def _build(node: Node, hint: Any, path: KeyPath) -> Any:
     """Returns what a type hint asks for; only whole numbers may become floats."""
-    classes, (first, *others) = _tags(hint), _members(hint)
+    classes, (first, *others) = tagged_types(hint), allowed_types(hint)
     if types.NoneType in others and _shown(node) == "nothing":
         return None
     if is_dataclass(first) or (classes and isinstance(node, yaml.MappingNode)):
@@ -306,7 +306,7 @@ def _build_object(
     if tag not in classes:
         _fail(node, path, f"unknown tag {tag}; {did_you_mean(tag, classes)}")
     schema, values = classes[tag], {}
-    hints = _hints(schema)
+    hints = field_types(schema)
     for name, (key, value) in _entries(node, path).items():
         if name not in hints:
             advice = did_you_mean(name, hints)
@@ -322,7 +322,7 @@ def _build_object(
         return schema(**values)
 
 
-def _hints(schema: Any) -> dict[str, Any]:
+def field_types(schema: Any) -> dict[str, Any]:
     """Returns the types of a dataclass's fields."""
     hints = get_type_hints(schema)
     return {each.name: hints[each.name] for each in fields(schema)}
@@ -349,14 +349,14 @@ def _build_scalar(node: Node, kind: Any, path: KeyPath) -> float | int | bool | 
     _fail(node, path, f"expected {_KINDS[kind]}, got {_shown(node)}")
 
 
-def _plain(value: Any, hint: Any) -> Any:
+def plain(value: Any, hint: Any) -> Any:
     """Returns what YAML can hold; a member of a union has its tag."""
     if is_dataclass(value):
-        hints, tags = _hints(type(value)), _tags(hint)
-        data = {key: _plain(getattr(value, key), hints[key]) for key in hints}
+        hints, tags = field_types(type(value)), tagged_types(hint)
+        data = {key: plain(getattr(value, key), hints[key]) for key in hints}
         names = [tag for tag, each in tags.items() if each is type(value)]
         is_one_of = len(tags) > 1 or inspect.isabstract(hint)
         return {"_tag": names[0], **data} if is_one_of else data
     if isinstance(value, list | tuple | np.ndarray):
-        return [_plain(each, *get_args(hint)) for each in value]
+        return [plain(each, *get_args(hint)) for each in value]
     return value.item() if isinstance(value, np.generic) else value
