@@ -120,3 +120,22 @@ def _check_numbers(
     require(is_list, path, value, f"a list of {size} number{'s' * (size != 1)}")
     for index, each in enumerate(value):
         _check_numbers((*path, index), each, None, is_allowed, rule)
+
+
+def finite_vector(values: Sequence[float] | Array, name: str) -> Array:
+    """Returns a read-only copy of the values as floats, shape (k,).
+
+    Args:
+        values: The numbers.
+        name: What they are, for the error message.
+
+    Raises:
+        ValueError: Not one-dimensional, or not finite.
+    """
+    vector = np.array(values, dtype=float)
+    if vector.ndim != 1:
+        raise ValueError(f"{name}: expected a flat list, got shape {vector.shape}")
+    if not np.isfinite(vector).all():
+        raise ValueError(f"{name}: every number must be finite, got {vector.tolist()}")
+    vector.flags.writeable = False
+    return vector

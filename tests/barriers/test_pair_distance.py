@@ -46,7 +46,7 @@ def test_where_both_are_in_one_place_the_row_is_nan() -> None:
 
 def test_bad_pairs_are_refused() -> None:
     for distance in (0.0, -1.0, np.inf, np.nan):
-        with pytest.raises(ValueError, match=r"^pair: distance is"):
+        with pytest.raises(ValueError, match=r"^pair: distance:"):
             PairDistance(distance)
     for second in [(4,), (4, 5, 6), (4, 4)]:
         with pytest.raises(ValueError, match="'pair': position must name 2 states"):

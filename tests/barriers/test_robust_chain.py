@@ -86,8 +86,8 @@ def test_without_a_bound_the_row_is_the_plain_one(model):
     ball = moving.barrier(GAINS)
     calm = ControlAffineModel(
         model.state,
-        model.drift_expressions,
-        model.input_matrix_expressions,
+        np.array(model.dynamics.f),
+        np.array(model.dynamics.g),
         np.zeros((6, 0)),
     )
     state = np.array([0.1, 0.2, 0.3, -0.4, 0.5, 0.6])

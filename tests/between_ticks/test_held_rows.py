@@ -41,8 +41,8 @@ from vcbf_drake.barriers import (
     ackermann_limit,
 )
 from vcbf_drake.between_ticks import held_rows
+from vcbf_drake.between_ticks.enclosures import reach_tube
 from vcbf_drake.between_ticks.interval import Interval
-from vcbf_drake.between_ticks.reach_tube import reach_tube
 from vcbf_drake.disturbances import DisturbanceBounds
 from vcbf_drake.plants import BlimpParameters, CarParameters
 from vcbf_drake.safety import (
@@ -596,7 +596,7 @@ def test_wrong_choices_are_named():
 
     with pytest.raises(ValueError, match="'always'; it must be one of none,"):
         add(between_ticks="always")
-    with pytest.raises(ValueError, match=r"between_ticks: certified; .*error_floor"):
+    with pytest.raises(ValueError, match=r"between_ticks: 'certified'; .*error_floor"):
         add(between_ticks="certified", fidelity="paper")
     add(between_ticks="certified", fidelity="paper", method="robust-cbf-qp")
 

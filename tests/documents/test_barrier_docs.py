@@ -41,7 +41,7 @@ def test_every_class_that_makes_barriers_is_in_the_table() -> None:
 
 def test_links_to_the_theory_resolve() -> None:
     theory = (DOCS / "theory.md").read_text(encoding="utf-8")
-    links = re.findall(r"\]\(theory\.md#([^)]+)\)", PAGE)
+    links = re.findall(r"\]\(\.\./theory\.md#([^)]+)\)", PAGE)
     assert len(links) >= 4
     for link in links:
         assert f'<a id="{link}"></a>' in theory

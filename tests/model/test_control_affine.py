@@ -182,8 +182,8 @@ def test_blimp_model_has_names_shapes_and_the_disturbed_channels() -> None:
     model = ControlAffineModel.from_system(Blimp())
     assert (model.num_states, model.num_inputs, model.num_disturbances) == (8, 3, 3)
     assert model.state_names == ("x", "y", "z", "yaw", "vx", "vy", "vz", "yaw_rate")
-    assert model.state.shape == model.drift_expressions.shape == (8,)
-    assert model.input_matrix_expressions.shape == (8, 3)
+    assert model.state.shape == np.shape(model.dynamics.f) == (8,)
+    assert np.shape(model.dynamics.g) == (8, 3)
     np.testing.assert_array_equal(model.disturbance_matrix, np.eye(8)[:, 4:7])
 
 
@@ -374,8 +374,8 @@ def test_states_and_parts_of_wrong_shape_are_refused() -> None:
     with pytest.raises(ValueError, match=r"must be \(4,\), \(4, m\) and \(4, q\)"):
         ControlAffineModel(
             model.state,
-            model.drift_expressions,
-            model.input_matrix_expressions,
+            np.array(model.dynamics.f),
+            np.array(model.dynamics.g),
             np.eye(3),
         )
 

@@ -42,7 +42,6 @@ _WARM = (
     "quadprog",
     "scipy.optimize",
     "scipy.spatial",
-    "sympy",
 )
 # Of the package, from the ground up: what a module imports is not imported before it.
 _OWN = ("errors", "plants", "control", "disturbances", "barriers", "safety")
@@ -65,15 +64,10 @@ _NOTICED = (
 class _Stopwatch:
     """A pytest plugin: how long each test took, and an end to tests that hang."""
 
-    def __init__(self, folder: Path, usual: dict[str, float] | None = None) -> None:
+    def __init__(self, usual: dict[str, float] | None = None) -> None:
         self.seconds: dict[str, float] = {}
         self.failed: list[str] = []
-        self._cache, self._usual = folder.absolute() / "cache", usual
-
-    @pytest.hookimpl(trylast=True)
-    def pytest_configure(self) -> None:
-        """Generated code is kept: no mutant changes it."""
-        os.environ["VCBF_DRAKE_CACHE"] = str(self._cache)
+        self._usual = usual
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> object:
@@ -132,7 +126,7 @@ def _measure(tests: list[str], folder: Path) -> None:
 
     def run() -> int:
         os.environ["COVERAGE_FILE"] = str(data)
-        watch = _Stopwatch(folder)
+        watch = _Stopwatch()
         status = pytest.main([*_QUIET, *_MEASURING, *tests], plugins=[watch])
         seconds.write_text(json.dumps({"all": watch.seconds, "failed": watch.failed}))
         return int(status)
@@ -167,7 +161,7 @@ def _tried(
 
     def run() -> int:
         sys.meta_path.insert(0, _Swap(module, str(path), mutant.code))
-        watch = _Stopwatch(folder, usual)
+        watch = _Stopwatch(usual)
         return int(pytest.main([*_QUIET, "-x", *tests], plugins=[watch]))
 
     status = _in_child(run)

@@ -10,8 +10,7 @@ from typing import TypeAlias
 import numpy as np
 from pydrake.symbolic import Expression
 
-from vcbf_drake.barriers.finite_vector import finite_vector
-from vcbf_drake.checks import Array, check_parameter
+from vcbf_drake.checks import Array, check_parameter, finite_vector
 from vcbf_drake.model.compiled import Expressions
 
 BarrierFunction: TypeAlias = Callable[

@@ -9,17 +9,17 @@ import math
 import numpy as np
 
 from vcbf_drake.barriers.barrier import Barrier
-from vcbf_drake.barriers.barrier_rows import BarrierRows, RowsAlong
 from vcbf_drake.barriers.compared import require_same_numbers
-from vcbf_drake.barriers.input_limits import StateInputLimit
+from vcbf_drake.barriers.limits import StateInputLimit
 from vcbf_drake.barriers.perceived_spheres import PerceivedBarrier
-from vcbf_drake.barriers.row_functions import (
+from vcbf_drake.barriers.rows import (
+    BarrierRows,
     RowFunctions,
+    RowsAlong,
     barrier_functions,
     limit_functions,
     no_row,
 )
-from vcbf_drake.between_ticks.row_enclosures import RowEnclosures
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.compiled import CompiledFunction
@@ -32,6 +32,7 @@ class BarrierSet:
     Attributes:
         names: Their names, N of them.
         obstacles_size: How many numbers describe the perceived obstacles.
+        num_entries: How many entries [A, b, w] a row has, m + 1 + q.
     """
 
     def __init__(
@@ -61,7 +62,7 @@ class BarrierSet:
         self._model = model
         self._num_states = model.num_states
         self._num_inputs = model.num_inputs
-        self._num_entries = model.num_inputs + 1 + model.num_disturbances
+        self.num_entries = model.num_inputs + 1 + model.num_disturbances
         self._functions = [_functions(model, barrier) for barrier in barriers]
         require_same_numbers(model, zip(barriers, self._functions, strict=True))
         self._perceived = [
@@ -71,7 +72,7 @@ class BarrierSet:
         ]
         self.obstacles_size = _obstacles_size([each for _, each in self._perceived])
         degrees = [functions.relative_degree for functions in self._functions]
-        start = self._num_entries
+        start = self.num_entries
         self._chains = [(i, slice(start, start + r)) for i, r in enumerate(degrees)]
         self._width = start + max(degrees, default=0) + 1
 
@@ -94,14 +95,14 @@ class BarrierSet:
         Raises:
             ValueError: x or obstacles has another shape.
         """
-        point, functions = self._point(x, t), self._functions_at(t, obstacles)
+        point, functions = self._point(x, t), self.functions_at(t, obstacles)
         lists = [
             _evaluate(each.row, (*point, *each.constants), self._width)
             for each in functions
         ]
         numbers = np.array(lists, dtype=float).reshape(self.size, self._width)
         numbers.flags.writeable = False
-        m, e = self._num_inputs, self._num_entries
+        m, e = self._num_inputs, self.num_entries
         return BarrierRows(
             value=numbers[:, e],
             chain=tuple([numbers[chain] for chain in self._chains]),
@@ -120,7 +121,7 @@ class BarrierSet:
         rows: Sequence[int],
     ) -> Array:
         """Returns the derivatives of some rows' entries at one point [x; t]."""
-        shape = len(rows), self._num_entries, self._num_states + 1
+        shape = len(rows), self.num_entries, self._num_states + 1
         lists = []
         for each in map(functions.__getitem__, rows):
             arguments = (*point, *each.constants)
@@ -164,27 +165,6 @@ class BarrierSet:
         ]
         return np.array(values, dtype=float).reshape(len(t), self.size)
 
-    def enclosures(self, t: float, obstacles: Array | None = None) -> RowEnclosures:
-        """Returns what bounds the rows over boxes of states and times.
-
-        Args:
-            t: The time for which obstacles are perceived [s].
-            obstacles: What is perceived then, shape (obstacles_size,).
-
-        Raises:
-            ModelError: A row has no enclosure on intervals.
-            ValueError: obstacles has another shape.
-        """
-        return RowEnclosures(self._functions_at(t, obstacles), self._num_entries)
-
-    def require_enclosures(self) -> None:
-        """Raises ModelError, with the row's name, unless `enclosures` has them all."""
-        for name, functions in zip(self.names, self._functions, strict=True):
-            try:
-                RowEnclosures([functions], self._num_entries)
-            except ModelError as error:
-                raise ModelError(f"'{name}': {error}") from error
-
     def rows_along(self, x: Array, t: Array) -> RowsAlong:
         """Returns every row along a trajectory, without perceived obstacles.
 
@@ -198,13 +178,13 @@ class BarrierSet:
         lists = [
             [
                 _evaluate(each.row, (*point, *each.constants), self._width)
-                for each in self._functions_at(point[-1], None)
+                for each in self.functions_at(point[-1], None)
             ]
             for point in self._points(x, t)
         ]
         shape = len(lists), self.size, self._width
         numbers = np.array(lists, dtype=float).reshape(shape)
-        m, e = self._num_inputs, self._num_entries
+        m, e = self._num_inputs, self.num_entries
         return RowsAlong(
             value=numbers[:, :, e],
             chain=numbers[:, :, e:],
@@ -237,7 +217,7 @@ class BarrierSet:
         """Returns every h at one point [x; t]."""
         return [
             _evaluate(each.value, (*point, *each.parameters), 1)[0]
-            for each in self._functions_at(point[-1], obstacles)
+            for each in self.functions_at(point[-1], obstacles)
         ]
 
     @cached_property
@@ -245,8 +225,18 @@ class BarrierSet:
         """What an empty slot has."""
         return no_row(self._model)
 
-    def _functions_at(self, t: float, obstacles: Array | None) -> list[RowFunctions]:
-        """Returns the functions with the perceived obstacles' parameters."""
+    def functions_at(
+        self, t: float, obstacles: Array | None = None
+    ) -> list[RowFunctions]:
+        """Returns every row's functions, with the perceived obstacles' parameters.
+
+        Args:
+            t: The time for which obstacles are perceived [s].
+            obstacles: What is perceived then, shape (obstacles_size,).
+
+        Raises:
+            ValueError: obstacles has another shape.
+        """
         if not self._perceived:
             return self._functions
         if obstacles is None or obstacles.shape != (self.obstacles_size,):

@@ -9,7 +9,6 @@ import numpy as np
 from pydrake.symbolic import Expression
 
 from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
-from vcbf_drake.barriers.finite_vector import finite_vector
 from vcbf_drake.barriers.local_frame import LocalFrame
 from vcbf_drake.barriers.moving_point import MovingPoint
 from vcbf_drake.barriers.position import (
@@ -18,7 +17,7 @@ from vcbf_drake.barriers.position import (
     position_function,
 )
 from vcbf_drake.barriers.smooth_excess import smooth_excess
-from vcbf_drake.checks import Array, check_parameter
+from vcbf_drake.checks import Array, check_parameter, finite_vector
 from vcbf_drake.model.compiled import Expressions
 
 

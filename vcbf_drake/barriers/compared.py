@@ -9,9 +9,9 @@ import numpy as np
 from pydrake.symbolic import Expression
 
 from vcbf_drake.barriers.barrier import Barrier
-from vcbf_drake.barriers.formula import as_expressions
-from vcbf_drake.barriers.input_limits import StateInputLimit
-from vcbf_drake.barriers.row_functions import RowFunctions
+from vcbf_drake.barriers.chain import as_expressions
+from vcbf_drake.barriers.limits import StateInputLimit
+from vcbf_drake.barriers.rows import RowFunctions
 from vcbf_drake.checks import Array
 from vcbf_drake.model.agreement import require_agreement, sample_points
 from vcbf_drake.model.control_affine import ControlAffineModel

@@ -9,13 +9,12 @@ import numpy as np
 from pydrake.symbolic import Expression
 
 from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
-from vcbf_drake.barriers.finite_vector import finite_vector
 from vcbf_drake.barriers.position import (
     Position,
     PositionFunction,
     position_function,
 )
-from vcbf_drake.checks import Array, check_parameter
+from vcbf_drake.checks import Array, check_parameter, finite_vector
 from vcbf_drake.model.compiled import Expressions
 
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vcbf_drake.barriers.finite_vector import finite_vector
-from vcbf_drake.checks import Array
+from vcbf_drake.checks import Array, finite_vector
 
 
 @dataclass(frozen=True)

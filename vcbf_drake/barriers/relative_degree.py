@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.symbolic import Evaluate, Expression, Variable
 
-from vcbf_drake.barriers.formula import Symbols
-from vcbf_drake.barriers.lie_derivatives import LieDerivatives, gradient
+from vcbf_drake.barriers.chain import Chain
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
-from vcbf_drake.model.compiled import Expressions
 from vcbf_drake.model.control_affine import ControlAffineModel
 
 _NUM_SAMPLES = 8
@@ -20,20 +17,22 @@ _SEARCHED_BEYOND = 2  # How many more derivatives an error message looks at.
 
 
 def check_relative_degree(
-    derivatives: LieDerivatives, parameters: Array, robust: bool = False
+    model: ControlAffineModel, chain: Chain, constants: Sequence[float]
 ) -> None:
-    """Checks that the input enters L_f^r h first, and the disturbance no earlier (R2).
+    """Checks that the input enters the last level first (R2).
+
+    The disturbance must come no earlier, unless the chain is robust (E70).
 
     Args:
-        derivatives: h, L_f h, ..., L_f^r h.
-        parameters: The values of h's parameters, shape (k,).
-        robust: Whether the disturbance may come earlier (E70).
+        model: The plant.
+        chain: phi^0, ..., phi^(r-1).
+        constants: The values of the chain's constants.
 
     Raises:
         ModelError: The input enters earlier or later, or the disturbance earlier.
     """
-    r, model = derivatives.order, derivatives.symbols.model
-    inputs, disturbances = _relative_degrees(derivatives, parameters, r)
+    r = chain.formula.order
+    inputs, disturbances = _relative_degrees(model, chain, constants)
     first = inputs.min(initial=np.inf)
     first_disturbance = disturbances.min(initial=np.inf)
     if first < r:
@@ -41,7 +40,7 @@ def check_relative_degree(
             f"input {inputs.argmin()} enters derivative {first:.0f} of h, so its"
             f" relative degree is {first:.0f}, not {r}: give {_gains(first)}"
         )
-    if first_disturbance < r and not robust:
+    if first_disturbance < r and not chain.formula.robust:
         channel = int(disturbances.argmin())
         raise ModelError(
             f"disturbance {channel} (on {_disturbed(model, channel)}) enters derivative"
@@ -51,20 +50,23 @@ def check_relative_degree(
             " barrier.robust_to(bound)"
         )
     if np.isinf(first):
-        raise ModelError(_explain_higher_degree(derivatives, parameters))
+        raise ModelError(_explain_higher_degree(model, chain, constants))
 
 
-def _explain_higher_degree(derivatives: LieDerivatives, parameters: Array) -> str:
+def _explain_higher_degree(
+    model: ControlAffineModel, chain: Chain, constants: Sequence[float]
+) -> str:
     """Returns the message for a barrier whose first r derivatives no input enters."""
-    r, symbols = derivatives.order, derivatives.symbols
-    searched = max(r, min(r + _SEARCHED_BEYOND, symbols.model.num_states))
-    further = LieDerivatives.of(derivatives.expressions[0], symbols, searched)
-    inputs, _ = _relative_degrees(further, parameters, searched)
+    r, k = chain.formula.order, len(chain.formula.parameters)
+    searched = max(r, min(r + _SEARCHED_BEYOND, model.num_states))
+    further = Chain.of(chain.formula._replace(order=searched, robust=False))
+    parameters = constants[len(constants) - k :]
+    inputs, _ = _relative_degrees(model, further, [*np.ones(searched), *parameters])
     degree = inputs.min(initial=np.inf)
     if np.isinf(degree):
         return (
             f"no input enters a derivative of h up to order {searched}: choose an h of"
-            f" states that the inputs of {symbols.model.name} move"
+            f" states that the inputs of {model.name} move"
         )
     return (
         f"no input enters derivative {r} of h, its relative degree is {degree:.0f}:"
@@ -73,56 +75,52 @@ def _explain_higher_degree(derivatives: LieDerivatives, parameters: Array) -> st
 
 
 def _relative_degrees(
-    derivatives: LieDerivatives, parameters: Array, up_to: int
+    model: ControlAffineModel, chain: Chain, constants: Sequence[float]
 ) -> tuple[Array, Array]:
     """Returns which derivative of h each input and each disturbance enters first.
 
     Shapes (m,) and (q,); infinite for a channel that enters none of them.
     """
-    model = derivatives.symbols.model
-    channels = np.hstack([model.input_matrix_expressions, model.disturbance_matrix])
-    degrees = np.full(channels.shape[1], np.inf)
-    for k, derivative in enumerate(derivatives.expressions[:up_to], start=1):
-        samples = _samples(derivatives.symbols, parameters)
-        enters = _is_nonzero(gradient(derivative, model.state), channels, samples)
-        degrees[enters & np.isinf(degrees)] = k
+    entered = _entered(model, chain, constants)
+    degrees = np.where(entered.any(axis=0), entered.argmax(axis=0) + 1.0, np.inf)
     return degrees[: model.num_inputs], degrees[model.num_inputs :]
 
 
-def _is_nonzero(
-    slope: Expressions, channels: Expressions, samples: Iterator[dict[Variable, float]]
+def _entered(
+    model: ControlAffineModel,
+    chain: Chain,
+    constants: Sequence[float],
 ) -> NDArray[np.bool_]:
-    """Returns which entries of ``slope @ channels`` are not zero everywhere.
+    """Returns which channel enters the derivative of which level, (r, m + q).
 
-    An entry is zero if its expression is, or else if it is at every sample, up to
-    rounding. Where no sample can be evaluated, the expression alone decides.
+    It does not where its formula is zero, or else where it is at every sample, up to
+    rounding. Where no sample can be evaluated, the formula alone decides.
     """
-    zero = Expression(0.0)
-    written = np.array([not e.EqualTo(zero) for e in slope @ channels], dtype=bool)
-    if not written.any():
-        return written
-    seen: list[NDArray[np.bool_]] = []
-    for sample in samples:
-        if seen and (written <= np.any(seen, axis=0)).all():
+    slopes, written, n = chain.slopes, chain.written, model.num_states
+    seen = np.zeros_like(written)
+    evaluated = False
+    for point in _samples(n):
+        if (seen == written).all():
             break
         try:
-            values = Evaluate(np.vstack([slope, channels.T]), sample)
-        except (RuntimeError, ValueError):  # Outside the domain of h or of the model.
+            values = np.array(slopes(*point, *constants)).reshape(-1, n)
+            _, g = model.drift_and_input_matrix(np.array(point[:n]))
+        except (ArithmeticError, ValueError):  # Outside the domain of h or the model.
             continue
-        if np.isfinite(values).all():
-            products = values[1:] @ values[0]
-            scale = np.abs(values[1:]).sum(axis=1) * np.abs(values[0]).max()
-            seen.append(np.abs(products) > 1e-12 * scale)
-    return written & np.any(seen, axis=0) if seen else written
+        channels = np.hstack([g, model.disturbance_matrix])
+        if np.isfinite(values).all() and np.isfinite(channels).all():
+            evaluated = True
+            scale = np.outer(np.abs(values).max(axis=1), np.abs(channels).sum(axis=0))
+            seen |= written & (np.abs(values @ channels) > 1e-12 * scale)
+    return seen if evaluated or not written.any() else written
 
 
-def _samples(symbols: Symbols, parameters: Array) -> Iterator[dict[Variable, float]]:
-    """Yields states and times of several magnitudes, the same ones every time."""
+def _samples(num_states: int) -> Iterator[list[float]]:
+    """Yields [x; t] of several magnitudes, the same ones every time."""
     generator = np.random.default_rng(0)
-    for magnitude in np.geomspace(0.1, 10.0, _NUM_SAMPLES):
-        state = magnitude * generator.standard_normal(symbols.model.num_states)
-        values = [*state, magnitude, *parameters]
-        yield dict(zip(symbols.variables, values, strict=True))
+    for magnitude in np.geomspace(0.1, 10.0, _NUM_SAMPLES).tolist():
+        state = magnitude * generator.standard_normal(num_states)
+        yield [*state.tolist(), magnitude]
 
 
 def _gains(number: float) -> str:

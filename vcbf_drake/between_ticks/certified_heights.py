@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vcbf_drake.barriers import Barrier
+from vcbf_drake.between_ticks.enclosures import RowEnclosures
 from vcbf_drake.between_ticks.interval import Interval
 from vcbf_drake.checks import Array
 from vcbf_drake.safety import (
@@ -142,7 +143,7 @@ class _Holds:
             return -math.inf
         start, end = self._times[first], self._times[last - 1] + self._rows.period
         box = [*tube.states, Interval(float(start), float(end))]
-        low, _ = self._barriers.enclosures(float(start)).values(box)
+        low, _ = RowEnclosures.at(self._barriers, float(start)).values(box)
         return _least(low[list(self._decay_rates)])
 
     def least(self, k: int) -> float:

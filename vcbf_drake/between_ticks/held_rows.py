@@ -11,8 +11,13 @@ from typing import TypeAlias
 import numpy as np
 
 from vcbf_drake.barriers import BarrierRows, BarrierSet
+from vcbf_drake.between_ticks.enclosures import (
+    ReachTube,
+    RowEnclosures,
+    nominal_rate_over,
+    reach_tube,
+)
 from vcbf_drake.between_ticks.interval import Interval, Number
-from vcbf_drake.between_ticks.reach_tube import ReachTube, reach_tube
 from vcbf_drake.checks import Array
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.feasible_set import DisturbanceKnowledge, disturbance_margin
@@ -83,9 +88,13 @@ class HeldRows:
         Raises:
             ModelError: The model or a row has no enclosure on intervals.
         """
-        barrier_set.require_enclosures()
+        RowEnclosures.at(barrier_set, 0.0, np.zeros(barrier_set.obstacles_size))
         with contextlib.suppress(ArithmeticError, ValueError):  # Singular at 0.
-            model.nominal_rate_over([0.0] * model.num_states, [0.0] * model.num_inputs)
+            nominal_rate_over(
+                model,
+                np.zeros(model.num_states).tolist(),
+                np.zeros(model.num_inputs).tolist(),
+            )
         # Ticks are whole periods up to rounding.
         self.period = period * (1.0 + _ROUNDING)
         self._model = model
@@ -144,7 +153,7 @@ class HeldRows:
         if tube is None:
             return np.full(self._barriers.size, -np.inf)
         box = [*tube.states, Interval(0.0, self.period) + tick.time]
-        enclosures = self._barriers.enclosures(tick.time, tick.obstacles)
+        enclosures = RowEnclosures.at(self._barriers, tick.time, tick.obstacles)
         weights = _pair([*(-u).tolist(), 1.0, *d])
         # Far from its bound, a row is safe wherever in the tube the state is (E75) ...
         least = _least_products(_middle_and_radius(*enclosures.entries(box)), weights)

@@ -1,23 +1,31 @@
-"""Symbolic expressions compiled to one fast function of plain floats."""
+"""Formulas compiled to one fast function of plain floats."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from pathlib import Path
-import re
-from typing import TypeAlias
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+import linecache
+import math
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.symbolic import Expression, Variable
 
-from vcbf_drake.model.code_cache import cache_key, load_code, store_code
-from vcbf_drake.model.generated_code import function_of
+from vcbf_drake.model.graph import COMPARISONS, Node, Reader, variable, variables_of
 
 Expressions: TypeAlias = NDArray[np.object_]
 CompiledFunction: TypeAlias = Callable[..., list[float]]
 
-_PLAIN_NAME = re.compile(r"[\w$]+(\(\d+\))?")  # x, $x_0, x(0)
+# What generated code may call.
+_NAMES: dict[str, Any] = {
+    **{name: value for name, value in vars(math).items() if name[0] != "_"},
+    "abs": abs,
+    "max": max,
+    "min": min,
+}
+# Python's parser does not take parentheses nested much deeper than this.
+_DEEPEST = 30
 
 
 def compile_expressions(
@@ -25,13 +33,12 @@ def compile_expressions(
     expressions: Expressions | Iterable[Expression | Variable | float],
     name: str = "compiled",
 ) -> CompiledFunction:
-    """Compiles expressions to one function of plain floats.
+    """Compiles pydrake's expressions to one function of plain floats.
 
     The function takes one positional ``float`` per argument and returns the values
     of the expressions, in order, as a flat list: ``values = function(*x.tolist())``.
-    Common subexpressions are computed once. The generated code is the same in every
-    process, whatever PYTHONHASHSEED is, so its results are too, bit for bit. It is kept
-    on disk (see `code_cache`).
+    Common subexpressions are computed once. Its results are the same in every process,
+    whatever PYTHONHASHSEED is, bit for bit.
 
     A singular point is the caller's to handle: the function raises what Python's own
     float arithmetic raises there, ZeroDivisionError (1 / 0), ValueError (sqrt(-1)) or
@@ -49,50 +56,123 @@ def compile_expressions(
             uninterpreted function, for example).
     """
     variables = list(arguments)
-    flat = [
-        e if isinstance(e, Expression) else Expression(e)
-        for e in np.asarray(expressions, dtype=object).flat
-    ]
-    _require_known(variables, flat, name)
-    function: CompiledFunction = function_of(_code(variables, flat), name)
-    return function
-
-
-def _code(variables: list[Variable], expressions: list[Expression]) -> str:
-    variables, expressions = _clearly_named(variables, expressions)
-    generator = Path(__file__).with_name("float_code.py").read_text(encoding="utf-8")
-    names = " ".join(v.get_name() for v in variables)
-    key = cache_key(generator, names, *map(str, expressions))
-    code = load_code(key)
-    if code is None:
-        from vcbf_drake.model.float_code import float_code  # SymPy's import is slow.
-
-        code = float_code(variables, expressions)
-        store_code(key, code)
-    return code
-
-
-def _clearly_named(
-    variables: list[Variable], expressions: list[Expression]
-) -> tuple[list[Variable], list[Expression]]:
-    """The same, in variables whose names make the expressions' text say what is meant.
-
-    Renaming visits shared subexpressions as often as they are used, which takes minutes
-    for some barriers, so it is done only where names are repeated or could be formulas.
-    """
-    names = [v.get_name() for v in variables]
-    if len(set(names)) == len(names) and all(map(_PLAIN_NAME.fullmatch, names)):
-        return variables, expressions
-    arguments = [Variable(f"a{i}") for i in range(len(variables))]
-    renamed = {v: Expression(a) for v, a in zip(variables, arguments, strict=True)}
-    return arguments, [e.Substitute(renamed) for e in expressions]
-
-
-def _require_known(
-    variables: list[Variable], expressions: list[Expression], name: str
-) -> None:
+    flat = list(np.asarray(expressions, dtype=object).flat)
     known = {v.get_id() for v in variables}
-    used = [v for e in expressions for v in e.GetVariables()]
+    used = [v for e in map(as_expression, flat) for v in e.GetVariables()]
     unknown = sorted({v.get_name() for v in used if v.get_id() not in known})
     if unknown:
         raise ValueError(f"{name}: not among its arguments: {', '.join(unknown)}")
+    nodes = [variable(f"a{i}") for i in range(len(variables))]
+    reader = Reader(dict(zip(variables, nodes, strict=True)))
+    return compile_nodes(nodes, reader.read(flat), name)
+
+
+def as_expression(value: Expression | Variable | float) -> Expression:
+    """Returns a variable or a number as an expression."""
+    return value if isinstance(value, Expression) else Expression(value)
+
+
+def compile_nodes(
+    arguments: Sequence[Node], outputs: Iterable[Node], name: str = "compiled"
+) -> CompiledFunction:
+    """Compiles a graph's nodes to one function of plain floats.
+
+    Args:
+        arguments: Variables, in the order the function takes them.
+        outputs: What to compute, in the order in which the function returns it.
+        name: The function's name, for messages.
+
+    Raises:
+        ValueError: An output depends on a variable that is not an argument.
+    """
+    outputs = list(outputs)
+    unknown = sorted(v.arguments[0] for v in variables_of(outputs) - set(arguments))
+    if unknown:
+        raise ValueError(f"{name}: not among its arguments: {', '.join(unknown)}")
+    function: CompiledFunction = function_of(_code(arguments, outputs), name)
+    return function
+
+
+def function_of(
+    source: str, name: str, meaning: Mapping[str, Callable[..., Any]] | None = None
+) -> Any:
+    """Returns the function that the code defines, under a name.
+
+    Its code stays readable: in tracebacks and by ``inspect.getsource``.
+
+    Args:
+        source: The definition of one function.
+        name: The function's name, for messages.
+        meaning: The functions that the code calls, by name; those on floats by
+            default.
+    """
+    file = f"<{name} {hash(source):x}>"
+    linecache.cache[file] = len(source), None, source.splitlines(True), file
+    scope: dict[str, Any] = {}
+    names = _NAMES if meaning is None else meaning
+    exec(compile(source, file, "exec"), {**names, "__builtins__": {}}, scope)
+    (function,) = scope.values()
+    function.__name__ = name
+    return function
+
+
+def _code(arguments: Sequence[Node], outputs: Sequence[Node]) -> str:
+    """The function's text: what is used more than once has a name of its own."""
+    order = _depth_first(outputs)
+    uses = Counter(parent for node in order for parent in node.parents)
+    uses.update(outputs)
+    text = {node: f"a{i}" for i, node in enumerate(arguments)}
+    depth = dict.fromkeys(text, 0)
+    lines: list[str] = []
+    for node in order:
+        if node in text:
+            continue
+        text[node] = _text(node, text)
+        depth[node] = 1 + max((depth[p] for p in node.parents), default=-1)
+        shared = uses[node] > 1 and node.number is None
+        if shared or depth[node] > _DEEPEST:
+            lines.append(f"    t{len(lines)} = {text[node]}\n")
+            text[node], depth[node] = f"t{len(lines) - 1}", 0
+    head = f"def function({', '.join(f'a{i}' for i in range(len(arguments)))}):\n"
+    values = ", ".join(text[node] for node in outputs)
+    return f"{head}{''.join(lines)}    return [{values}]\n"
+
+
+def _depth_first(outputs: Sequence[Node]) -> list[Node]:
+    """All nodes, arguments first, in an order that is the formula's own."""
+    order: dict[Node, None] = {}
+    stack = list(reversed(outputs))
+    while stack:
+        node = stack[-1]
+        new = [p for p in node.parents if p not in order]
+        if new and node not in order:
+            stack += reversed(new)
+        else:
+            order[stack.pop()] = None
+    return list(order)
+
+
+def _text(node: Node, text: Mapping[Node, str]) -> str:
+    operation = node.operation
+    if operation == "number":
+        return repr(node.arguments[0])
+    parts = [text[p] for p in node.parents]
+    if operation == "+":
+        a, b = node.arguments
+        if b.operation == "neg" and text[b].startswith("(-"):
+            return f"({parts[0]} - {text[b.arguments[0]]})"
+        if a.operation == "neg" and text[a].startswith("(-"):
+            return f"({parts[1]} - {text[a.arguments[0]]})"
+    if operation in ("+", "*", "/", "and", "or") or operation in COMPARISONS:
+        return f"({f' {operation} '.join(parts)})"
+    if operation == "neg":
+        return f"(-{parts[0]})"
+    if operation == "not":
+        return f"(not {parts[0]})"
+    if operation == "if":
+        return f"({parts[1]} if {parts[0]} else {parts[2]})"
+    if operation == "pow":
+        exponent = node.arguments[1].number
+        if exponent is not None and exponent.is_integer():
+            return f"(({parts[0]})**{exponent:.0f})"
+    return f"{operation}({', '.join(parts)})"

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Mapping, Sequence
 import math
+from typing import NamedTuple
 
 import numpy as np
-from pydrake.symbolic import Expression, Jacobian, MakeVectorVariable
 
-from vcbf_drake.between_ticks.interval import Number
-from vcbf_drake.between_ticks.interval_function import interval_function
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.agreement import require_agreement, sample_points
-from vcbf_drake.model.compiled import (
-    CompiledFunction,
-    Expressions,
-    compile_expressions,
+from vcbf_drake.model.compiled import Expressions, compile_nodes
+from vcbf_drake.model.graph import (
+    ONE,
+    ZERO,
+    Node,
+    Nodes,
+    Reader,
+    along,
+    gradients,
+    substitute,
+    variable,
+    variables_of,
 )
 from vcbf_drake.model.symbolic_dynamics import (
     Context,
@@ -27,8 +32,34 @@ from vcbf_drake.model.symbolic_dynamics import (
     symbolic_dynamics,
 )
 
-# What pydrake.symbolic raises where an expression has no value: 1 / 0, sqrt(-1).
-_NO_VALUE = (RuntimeError, ValueError)
+
+class Dynamics(NamedTuple):
+    """The formulas of dx/dt = f + g u + E d; equal for models that read the same.
+
+    Attributes:
+        x: The state's variables, n nodes.
+        f: n nodes.
+        g: n rows of m nodes.
+        E: n rows of q numbers.
+    """
+
+    x: tuple[Node, ...]
+    f: tuple[Node, ...]
+    g: tuple[tuple[Node, ...], ...]
+    E: tuple[tuple[float, ...], ...]
+
+    def drift_rate(self, phi: Node, time: Node) -> Node:
+        """Returns the Lie derivative along the extended drift [f; 1] (E2)."""
+        (rate,) = along([phi], {**dict(zip(self.x, self.f, strict=True)), time: ONE})
+        return rate
+
+    def input_rates(self, phi: Node) -> Nodes:
+        """Returns L_g phi, shape (m,)."""
+        return gradients([phi], self.x)[0] @ np.array(self.g, dtype=object)
+
+    def disturbance_rates(self, phi: Node) -> Nodes:
+        """Returns E' grad phi, shape (q,)."""
+        return gradients([phi], self.x)[0] @ np.array(self.E, dtype=object)
 
 
 class ControlAffineModel:
@@ -50,8 +81,7 @@ class ControlAffineModel:
         num_inputs: m.
         num_disturbances: q; 0 for a model without a disturbance.
         state: The state's variables, shape (n,).
-        drift_expressions: f(x), shape (n,).
-        input_matrix_expressions: g(x), shape (n, m).
+        dynamics: The formulas of f, g and E.
         disturbance_matrix: E, shape (n, q).
         state_names: What the states are called, n names.
         name: What the model is called in messages.
@@ -90,8 +120,6 @@ class ControlAffineModel:
             )
         self.num_states, self.num_inputs, self.num_disturbances = n, m, q
         self.state = state
-        self.drift_expressions = drift
-        self.input_matrix_expressions = input_matrix
         self.disturbance_matrix = disturbance_matrix
         self.state_names = tuple(state_names or (f"x{i}" for i in range(n)))
         self.name = name
@@ -99,10 +127,14 @@ class ControlAffineModel:
             np.full(m, np.inf) if effort_limits is None else effort_limits
         )
         self.wrapping_periods = self._periods(wrapped_states)
-        self._f_and_g = compile_expressions(
-            state, [*drift, *input_matrix.flat], name=f"{name}, f and g"
-        )
-        self._nominal_rate = _compiled_rate(state, drift, input_matrix, name)
+        x = tuple(variable(f"x{i}") for i in range(n))
+        reader = Reader(dict(zip(state, x, strict=True)))
+        f, g = reader.read(drift), reader.read(input_matrix)
+        E = tuple(map(tuple, disturbance_matrix.tolist()))
+        self.dynamics = Dynamics(x, tuple(f), tuple(map(tuple, g)), E)
+        self._f_and_g = compile_nodes(x, [*f, *g.flat], f"{name}, f and g")
+        u = np.array([variable(f"u{j}") for j in range(m)], dtype=object)
+        self.compiled_rate = compile_nodes([*x, *u], f + g @ u, f"{name}, f + g u")
 
     @classmethod
     def from_system(
@@ -134,7 +166,7 @@ class ControlAffineModel:
         m = len(dynamics.input)
         parts = _solve(dynamics.mass_matrix, _affine_parts(dynamics))
         model = cls(
-            state=dynamics.state,
+            state=dynamics.variables,
             drift=parts[:, 0],
             input_matrix=parts[:, 1 : 1 + m],
             disturbance_matrix=_constant_matrix(parts[:, 1 + m :], dynamics),
@@ -145,13 +177,6 @@ class ControlAffineModel:
         )
         _require_same_rates(model, dynamics)
         return model
-
-    @cached_property
-    def content(self) -> Hashable:
-        """The text of f and g, and E: equal for models that read the same."""
-        f, g = self.drift_expressions, self.input_matrix_expressions
-        E = self.disturbance_matrix
-        return tuple(str(e) for e in (*f, *g.flat)), E.shape, E.tobytes()
 
     def difference(self, x_1: Array, x_0: Array) -> Array:
         """Returns x_1 - x_0, shape (..., n), the short way round in wrapped states."""
@@ -206,33 +231,7 @@ class ControlAffineModel:
             ValueError: f or g has no real value at x.
             ArithmeticError: f or g is singular at x.
         """
-        return np.array(self._nominal_rate(*x.tolist(), *u.tolist()))
-
-    def nominal_rate_over(
-        self, box: Sequence[Number], inputs: Sequence[Number]
-    ) -> list[Number]:
-        """Encloses f(x) + g(x) u, n entries, for all states and inputs of a box.
-
-        Args:
-            box: Where x is, n intervals or numbers.
-            inputs: Where u is, m of them.
-
-        Raises:
-            ModelError: f or g has no enclosure on intervals.
-            ArithmeticError: f or g is singular somewhere in the box.
-            ValueError: f or g has no real value somewhere in the box.
-        """
-        return interval_function(self._nominal_rate)(*box, *inputs)
-
-
-# Arithmetic of expressions leaves floating-point flags that NumPy takes for its own.
-@np.errstate(invalid="ignore")
-def _compiled_rate(
-    state: Expressions, drift: Expressions, input_matrix: Expressions, name: str
-) -> CompiledFunction:
-    u = MakeVectorVariable(input_matrix.shape[1], "u")
-    rate = drift + input_matrix @ u
-    return compile_expressions([*state, *u], rate, f"{name}, f + g u")
+        return np.array(self.compiled_rate(*x.tolist(), *u.tolist()))
 
 
 def _require_same_rates(model: ControlAffineModel, dynamics: SymbolicDynamics) -> None:
@@ -271,10 +270,9 @@ def _unit_quaternions(x: Array, names: Sequence[str]) -> Array:
     return x
 
 
-def _affine_parts(dynamics: SymbolicDynamics) -> Expressions:
+def _affine_parts(dynamics: SymbolicDynamics) -> Nodes:
     """The parts [F0, F1], shape (n, 1 + m + q), of F = F0(x) + F1(x) [u; d]."""
-    w = np.concatenate([dynamics.input, dynamics.disturbance])
-    rows = [_affine_row(force, dynamics.state, w) for force in dynamics.force]
+    rows = [_affine_row(force, dynamics) for force in dynamics.force]
     for state, row in zip(dynamics.state_names, rows, strict=True):
         if row is None:
             raise ModelError(
@@ -286,41 +284,37 @@ def _affine_parts(dynamics: SymbolicDynamics) -> Expressions:
     return np.array(rows)
 
 
-def _affine_row(
-    force: Expression, x: Expressions, w: Expressions
-) -> Expressions | None:
+def _affine_row(force: Node, dynamics: SymbolicDynamics) -> Nodes | None:
     """The parts [F0, F1] of a force F0(x) + F1(x) w; None if it is not affine in w."""
-    zero = {variable: 0.0 for variable in w}
+    w: list[Node] = [*dynamics.input, *dynamics.disturbance]
     try:
-        gradient = Jacobian([force], w)[0]
-        row = np.array([e.Substitute(zero) for e in (force, *gradient)])
-    except _NO_VALUE:
+        gradient = list(gradients([force], w)[0]) if w else []
+    except ValueError:
         return None
+    row = np.array(substitute([force, *gradient], dict.fromkeys(w, ZERO)), dtype=object)
     # A gradient may hold w only for want of simplification: numbers tell.
-    used = {v.get_id() for e in gradient for v in e.GetVariables()}
-    structural = used.isdisjoint(v.get_id() for v in w)
-    return row if structural or _agree(force, row, x, w) else None
+    structural = variables_of(gradient).isdisjoint(w)
+    return row if structural or _agree(force, row, [*dynamics.state], w) else None
 
 
-def _agree(force: Expression, row: Expressions, x: Expressions, w: Expressions) -> bool:
+def _agree(force: Node, row: Nodes, x: Sequence[Node], w: Sequence[Node]) -> bool:
     """Whether F(x, w) = row . [1; w] at random points, near and far."""
     random = np.random.default_rng(0)
+    compiled = compile_nodes([*x, *w], [force, *row])
     errors = []
     for scale in np.geomspace(1e-3, 1e3, 25):
         x_value = random.normal(size=len(x))
         w_value = scale * random.normal(size=len(w))
-        point = dict(zip([*x, *w], [*x_value, *w_value], strict=True))
         try:
-            terms = np.array([e.Evaluate(point) for e in row]) * [1.0, *w_value]
-            error = force.Evaluate(point) - terms.sum()
-        except _NO_VALUE:
+            F, *parts = compiled(*x_value.tolist(), *w_value.tolist())
+        except (ArithmeticError, ValueError):
             continue
-        errors.append(abs(error) / (np.abs(terms).max() or 1.0))
+        terms = np.array(parts) * [1.0, *w_value]
+        errors.append(abs(F - terms.sum()) / (np.abs(terms).max() or 1.0))
     return bool(errors) and max(errors) < 1e-9
 
 
-@np.errstate(invalid="ignore")
-def _solve(M: Expressions, R: Expressions) -> Expressions:
+def _solve(M: Nodes, R: Nodes) -> Nodes:
     """Solves M X = R for X, shape (n, k), by Gaussian elimination.
 
     Without pivoting: M is the identity, or a positive definite matrix of inertia.
@@ -328,7 +322,7 @@ def _solve(M: Expressions, R: Expressions) -> Expressions:
     M, X = M.copy(), np.array(R)
     for k in range(len(M)):
         for i in range(k + 1, len(M)):
-            if not M[i, k].EqualTo(0.0):
+            if M[i, k] is not ZERO:
                 factor = M[i, k] / M[k, k]
                 M[i, k + 1 :] = M[i, k + 1 :] - factor * M[k, k + 1 :]
                 X[i] = X[i] - factor * X[k]
@@ -337,11 +331,11 @@ def _solve(M: Expressions, R: Expressions) -> Expressions:
     return X
 
 
-def _constant_matrix(E: Expressions, dynamics: SymbolicDynamics) -> Array:
+def _constant_matrix(E: Nodes, dynamics: SymbolicDynamics) -> Array:
     """The numbers of E, shape (n, q)."""
     matrix = np.empty(E.shape)
     for (i, j), entry in np.ndenumerate(E):
-        value = _constant(entry, dynamics.state)
+        value = _constant(entry, [*dynamics.state])
         if value is None:
             raise ModelError(
                 f"{dynamics.name}: the disturbance matrix E is not constant:"
@@ -352,12 +346,15 @@ def _constant_matrix(E: Expressions, dynamics: SymbolicDynamics) -> Array:
     return matrix
 
 
-def _constant(entry: Expression, x: Expressions) -> float | None:
-    """The value of an expression that is the same at random points, else None."""
-    points = np.random.default_rng(0).normal(size=(8, len(x)))
+def _constant(entry: Node, x: Sequence[Node]) -> float | None:
+    """The value of a formula that is the same at random points, else None."""
+    if entry.number is not None:
+        return entry.number
+    compiled = compile_nodes(x, [entry])
+    points = np.random.default_rng(0).normal(size=(8, len(x))).tolist()
     try:
-        values = [entry.Evaluate(dict(zip(x, point, strict=True))) for point in points]
-    except _NO_VALUE:
+        values = [compiled(*point)[0] for point in points]
+    except (ArithmeticError, ValueError):
         return None
     same = np.ptp(values) <= 1e-9 * np.max(np.abs(values))
     return float(values[0]) if same else None

@@ -7,12 +7,21 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
-from pydrake.symbolic import Expression, Jacobian, Variable
+from pydrake.symbolic import Expression, Variable
 from pydrake.systems.framework import InputPort, PortDataType
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.model.graph import (
+    ZERO,
+    Nodes,
+    Reader,
+    gradients,
+    substitute,
+    variable,
+    variables_of,
+)
 from vcbf_drake.model.massless_bodies import give_mass
 
 # pydrake's classes carry no types that a checker can use.
@@ -29,11 +38,12 @@ class SymbolicDynamics:
     Attributes:
         name: What the System is called in messages.
         state_names: What its states are called, n names.
+        variables: The state's variables in pydrake's terms, shape (n,).
         state: The variables x, shape (n,).
         input: The variables u, shape (m,).
         disturbance: The variables d, shape (q,).
-        mass_matrix: M, shape (n, n), expressions over x.
-        force: F, shape (n,), expressions over x, u and d.
+        mass_matrix: M, shape (n, n), formulas of x.
+        force: F, shape (n,), formulas of x, u and d.
         effort_limits: How large each input may be, shape (m,); infinite for most.
         rate: ``rate(x, u, d)`` is dx/dt, shape (n,), in plain numbers, by the System
             itself.
@@ -41,11 +51,12 @@ class SymbolicDynamics:
 
     name: str
     state_names: tuple[str, ...]
-    state: Expressions
-    input: Expressions
-    disturbance: Expressions
-    mass_matrix: Expressions
-    force: Expressions
+    variables: Expressions
+    state: Nodes
+    input: Nodes
+    disturbance: Nodes
+    mass_matrix: Nodes
+    force: Nodes
     effort_limits: Array
     rate: Callable[[Array, Array, Array], Array]
 
@@ -97,20 +108,40 @@ def symbolic_dynamics(
         symbolic.get_input_port(disturbance.get_index()).FixValue(target, d)
 
     residual = _residual(symbolic, target, rate, name)
-    at_rest = {variable: 0.0 for variable in rate}
-    force = np.array([-e.Substitute(at_rest) for e in residual])
-    # Without F, whose derivatives pydrake may leave unsimplified, as 0 / (..).
-    inertial = [r + f for r, f in zip(residual, force, strict=True)]
-    mass_matrix = Jacobian(inertial, rate)
-    # Linear in the rates; a rate in it is there only for want of simplification.
-    for entry, value in np.ndenumerate(mass_matrix):
-        mass_matrix[entry] = value.Substitute(at_rest)
-    _require_time_invariant(force, mass_matrix, time, state_names, name)
+    named = dict(x=x, r=rate, u=u, d=d)
+    nodes = {
+        key: np.array([variable(f"{key}{i}") for i in range(len(each))], dtype=object)
+        for key, each in named.items()
+    }
+    reader = Reader(
+        {time: variable("t")}
+        | {v: n for key in named for v, n in zip(named[key], nodes[key], strict=True)}
+    )
+    force, mass_matrix = _force_and_mass(reader.read(residual), nodes["r"])
+    _require_time_invariant(force, mass_matrix, state_names, name)
     limits = _effort_limits(system, input_)
     own_rate = _own_rate(system, input_, disturbance, context)
     return SymbolicDynamics(
-        name, state_names, x, u, d, mass_matrix, force, limits, own_rate
+        name=name,
+        state_names=state_names,
+        variables=x,
+        state=nodes["x"],
+        input=nodes["u"],
+        disturbance=nodes["d"],
+        mass_matrix=mass_matrix,
+        force=force,
+        effort_limits=limits,
+        rate=own_rate,
     )
+
+
+def _force_and_mass(residual: Nodes, rate: Nodes) -> tuple[Nodes, Nodes]:
+    """F and M of the residual M dx/dt - F, which is linear in the rates."""
+    at_rest = dict.fromkeys(rate, ZERO)
+    force = -np.array(substitute(residual, at_rest), dtype=object)
+    # A rate in it is there only for want of simplification.
+    mass = substitute(gradients(residual, rate).ravel(), at_rest)
+    return force, np.array(mass, dtype=object).reshape(len(residual), len(rate))
 
 
 def _disturbance_port(system: System, name: str, choice: PortChoice) -> Port:
@@ -304,12 +335,8 @@ def _residual(
 
 
 def _require_time_invariant(
-    force: Expressions,
-    mass_matrix: Expressions,
-    time: Variable,
-    state_names: tuple[str, ...],
-    name: str,
+    force: Nodes, mass_matrix: Nodes, state_names: tuple[str, ...], name: str
 ) -> None:
     for state, *row in zip(state_names, force, *mass_matrix.T, strict=True):
-        if any(time in e.GetVariables() for e in row):
+        if variable("t") in variables_of(row):
             raise ModelError(f"{name}: the derivative of {state} depends on time")

@@ -1,0 +1,188 @@
+"""The chain of a barrier: derivatives up to the one that the input enters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.symbolic import Expression, MakeVectorVariable, Variable
+
+from vcbf_drake.errors import ModelError
+from vcbf_drake.model.compiled import (
+    CompiledFunction,
+    Expressions,
+    as_expression,
+    compile_nodes,
+)
+from vcbf_drake.model.control_affine import ControlAffineModel, Dynamics
+from vcbf_drake.model.graph import ZERO, Node, Nodes, Reader, gradients, variable
+
+TIME = variable("t")
+
+
+class Symbols:
+    """The arguments x, t and p of a barrier's or limit's function.
+
+    Attributes:
+        model: The model, whose state is x.
+        parameters: The nodes of p, shape (k,).
+    """
+
+    def __init__(self, model: ControlAffineModel, num_parameters: int) -> None:
+        """Makes symbols for a function of one model."""
+        self.model = model
+        self.parameters = _nodes("p", num_parameters)
+        self._time = Variable("t")
+        self._parameters = MakeVectorVariable(num_parameters, "p")
+        variables = [*model.state, self._time, *self._parameters]
+        nodes = [*model.dynamics.x, TIME, *self.parameters]
+        self._reader = Reader(dict(zip(variables, nodes, strict=True)))
+
+    def call(self, function: Callable[..., Any]) -> Any:
+        """Returns function(x, t, p), in pydrake's expressions.
+
+        Raises:
+            ModelError: It raises.
+        """
+        x, p = as_expressions(self.model.state), as_expressions(self._parameters)
+        try:
+            return function(x, Expression(self._time), p)
+        except (
+            AttributeError,
+            IndexError,
+            RuntimeError,
+            TypeError,
+            ValueError,
+        ) as error:
+            raise ModelError(f"function(x, t, p) fails on symbols: {error}") from error
+
+    def read(self, values: Any) -> Nodes:
+        """Returns the formulas of what a function returned, of the same shape.
+
+        Raises:
+            ModelError: A value is not an expression of x, t and p, or has no
+                counterpart in plain Python.
+        """
+        try:
+            return self._reader.read(values)
+        except (TypeError, ValueError) as error:
+            raise ModelError(
+                "function(x, t, p) must return symbolic expressions or numbers"
+            ) from error
+        except KeyError as error:
+            raise ModelError(
+                "function(x, t, p) cannot be compiled: not among its arguments:"
+                f" {error.args[0]}"
+            ) from None
+        except NotImplementedError as error:
+            raise ModelError(
+                f"function(x, t, p) cannot be compiled: {error}"
+            ) from error
+
+
+def as_expressions(values: Any) -> Expressions:
+    """Returns variables and numbers as expressions, shape (k,)."""
+    return np.array([as_expression(value) for value in values], dtype=object)
+
+
+def _nodes(prefix: str, size: int) -> tuple[Node, ...]:
+    return tuple(variable(f"{prefix}{i}") for i in range(size))
+
+
+class Formula(NamedTuple):
+    """All that a barrier's chain depends on; equal for barriers that read the same.
+
+    Attributes:
+        h: The barrier.
+        dynamics: The model's.
+        parameters: The parameters of h.
+        order: The relative degree r.
+        robust: Whether the disturbance may come before the input (E70).
+    """
+
+    h: Node
+    dynamics: Dynamics
+    parameters: tuple[Node, ...]
+    order: int
+    robust: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """The functions phi^0 = h, ..., phi^(r-1), whose last derivative has the input.
+
+    Each is the last one's rate along the extended drift and lambda times it (E3); of a
+    robust chain less the worst that a bounded disturbance does to it (E70). The plain
+    chain is the robust one with the bound 0.
+
+    Attributes:
+        formula: What it was derived from.
+        levels: phi^0, ..., phi^(r-1).
+        constants: What they depend on beside x and t: the decay rates lambda_i, of a
+            robust chain the bound and the smoothing, the parameters.
+    """
+
+    formula: Formula
+    levels: tuple[Node, ...]
+    constants: tuple[Node, ...]
+
+    @staticmethod
+    @lru_cache(maxsize=64)
+    def of(formula: Formula) -> Chain:
+        """Derives the chain.
+
+        Raises:
+            ValueError: The barrier has not as many derivatives.
+        """
+        dynamics, robust = formula.dynamics, formula.robust
+        rates = _nodes("lambda", formula.order)
+        disturbance = (variable("bound"), variable("smoothing")) if robust else ()
+        levels = [formula.h]
+        for rate in rates[:-1]:
+            level = levels[-1]
+            worst = ZERO
+            if disturbance:
+                bound, smoothing = disturbance
+                w = [e for e in dynamics.disturbance_rates(level) if e is not ZERO]
+                squares = sum((e * e for e in w), start=smoothing * smoothing)
+                worst = bound * squares**0.5 if w else ZERO
+            levels.append(dynamics.drift_rate(level, TIME) - worst + rate * level)
+        constants = (*rates, *disturbance, *formula.parameters)
+        return Chain(formula, tuple(levels), constants)
+
+    def row(self) -> Nodes:
+        """Returns [A, b, w] of the last level's row (E5), (E71), shape (m + 1 + q,).
+
+        Raises:
+            ValueError: The last level has no derivative.
+        """
+        dynamics, last = self.formula.dynamics, self.levels[-1]
+        rate = self.constants[self.formula.order - 1]
+        A = -dynamics.input_rates(last)
+        b = dynamics.drift_rate(last, TIME) + rate * last
+        return np.array([*A, b, *dynamics.disturbance_rates(last)], dtype=object)
+
+    def compiled(self, outputs: Any, name: str) -> CompiledFunction:
+        """Returns a function of x, t and the constants."""
+        arguments = [*self.formula.dynamics.x, TIME, *self.constants]
+        return compile_nodes(arguments, outputs, name)
+
+    @cached_property
+    def slopes(self) -> CompiledFunction:
+        """A function of x, t and the constants: every level's gradient by x."""
+        slopes = gradients(self.levels, self.formula.dynamics.x)
+        return self.compiled(slopes.ravel(), "barrier_slopes")
+
+    @cached_property
+    def written(self) -> NDArray[np.bool_]:
+        """Whether each channel is in the formula of each level's rate, (r, m + q)."""
+        dynamics = self.formula.dynamics
+        rates = [
+            [*dynamics.input_rates(level), *dynamics.disturbance_rates(level)]
+            for level in self.levels
+        ]
+        return np.array([[rate is not ZERO for rate in row] for row in rates])

@@ -1,0 +1,241 @@
+"""The rows that barriers put on the input: their numbers, and what computes them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vcbf_drake.barriers.barrier import Barrier
+from vcbf_drake.barriers.chain import TIME, Chain, Formula, Symbols
+from vcbf_drake.barriers.limits import StateInputLimit
+from vcbf_drake.barriers.relative_degree import check_relative_degree
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import ModelError
+from vcbf_drake.model.compiled import CompiledFunction, compile_nodes
+from vcbf_drake.model.control_affine import ControlAffineModel, Dynamics
+from vcbf_drake.model.graph import Node, gradients, number
+
+
+@dataclass(frozen=True)
+class BarrierRows:
+    """N rows ``A u <= b + w d`` and their derivatives by xbar = [x; t], read-only.
+
+    Few rows touch the ellipsoid at a time, and most of a row's numbers are its
+    derivatives: they are evaluated when they are asked for.
+
+    Rows of a barrier are (E7), (E17); rows of a limit on the input have w = 0 and no
+    value. A row is not finite where its barrier is singular.
+
+    Attributes:
+        value: h, shape (N,); nan for a limit.
+        chain: phi^0, ..., phi^(r-1) of (E3) for each row, shapes (r_i,); empty for a
+            limit.
+        A: -L_g L_f^(r-1) h, shape (N, m).
+        b: K' eta + L_f^r h, shape (N,).
+        w: E' grad_x L_f^(r-1) h, shape (N, q).
+        num_states: n.
+        gradients: ``gradients(rows)`` returns the derivatives of the entries [A, b, w]
+            of the rows with these indices, shape (len(rows), m + 1 + q, n + 1).
+    """
+
+    value: Array
+    chain: tuple[Array, ...]
+    A: Array
+    b: Array
+    w: Array
+    num_states: int
+    gradients: Callable[[Sequence[int]], Array]
+
+    @cached_property
+    def _all_gradients(self) -> Array:
+        return self.gradients(range(len(self.b)))
+
+    @property
+    def A_gradient(self) -> Array:
+        """The derivatives of A, shape (N, m, n + 1)."""
+        return self._all_gradients[:, : self.A.shape[1]]
+
+    @property
+    def b_gradient(self) -> Array:
+        """The derivatives of b, shape (N, n + 1)."""
+        return self._all_gradients[:, self.A.shape[1]]
+
+    @property
+    def w_gradient(self) -> Array:
+        """The derivatives of w, shape (N, q, n + 1)."""
+        return self._all_gradients[:, self.A.shape[1] + 1 :]
+
+    def authority(self, scale: Array) -> Array:
+        """Returns how far the input moves each row, |A diag(scale)|, shape (N,).
+
+        Args:
+            scale: What counts as one of each input, shape (m,).
+        """
+        authority: Array = np.linalg.norm(self.A * scale, axis=1)
+        return authority
+
+    def rows_without_authority(
+        self, scale: Array, tolerance: float = 1e-6
+    ) -> NDArray[np.bool_]:
+        """Returns which rows no input can move at this state (R33), shape (N,).
+
+        Args:
+            scale: What counts as one of each input, shape (m,).
+            tolerance: The least authority that counts, in units of b.
+        """
+        return self.authority(scale) <= tolerance
+
+
+class RowsAlong(NamedTuple):
+    """The rows of `BarrierRows` along a trajectory of T states.
+
+    Attributes:
+        value: h, shape (T, N).
+        chain: phi^0, phi^1, ..., shape (T, N, r + 1) with the largest r; nan beyond a
+            row's own phi^(r-1).
+        A: Shape (T, N, m).
+        b: Shape (T, N).
+        w: Shape (T, N, q).
+    """
+
+    value: Array
+    chain: Array
+    A: Array
+    b: Array
+    w: Array
+
+
+@dataclass(frozen=True)
+class RowFunctions:
+    """One barrier's or limit's numbers as functions of plain floats.
+
+    Attributes:
+        row: ``row(*x, t, *constants)`` returns a flat list: the entries [A, b, w]
+            (m + 1 + q), then for a barrier phi^0, ..., phi^(r-1).
+        gradient: ``gradient(*x, t, *constants)`` returns the entries' derivatives by
+            [x; t] in C order.
+        constants: What follows x and t: decay rates and the like, then parameters.
+        value: ``value(*x, t, *parameters)`` returns [h]; [] for a limit.
+        parameters: What follows x and t there.
+        relative_degree: r; 0 for a limit.
+    """
+
+    row: CompiledFunction
+    gradient: CompiledFunction
+    constants: tuple[float, ...]
+    value: CompiledFunction
+    parameters: tuple[float, ...]
+    relative_degree: int
+
+    def with_parameters(self, parameters: tuple[float, ...]) -> RowFunctions:
+        """Returns the same barrier's functions with other parameters."""
+        fixed = self.constants[: len(self.constants) - len(self.parameters)]
+        constants = (*fixed, *parameters)
+        return replace(self, constants=constants, parameters=parameters)
+
+
+def no_row(model: ControlAffineModel) -> RowFunctions:
+    """Returns the functions of a row that every input satisfies, 0 u <= 1."""
+    always = tuple(number(value) for value in (*np.zeros(model.num_inputs), 1.0))
+    row, gradient = _compile_limit(always, model.dynamics, ())
+    return RowFunctions(row, gradient, (), _no_value, (), 0)
+
+
+def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctions:
+    """Returns a barrier's functions, its relative degree checked.
+
+    Raises:
+        ModelError: The barrier's function cannot be derived or compiled, or its
+            relative degree is not r.
+    """
+    parameters = tuple(barrier.parameters.tolist())
+    symbols = Symbols(model, len(parameters))
+    h = np.asarray(symbols.call(barrier.function), dtype=object)
+    if h.shape != ():
+        raise ModelError(
+            f"function(x, t, p) must return one scalar expression, got shape {h.shape}"
+        )
+    early = barrier.early_disturbance
+    formula = Formula(
+        symbols.read(h).item(),
+        model.dynamics,
+        symbols.parameters,
+        barrier.relative_degree,
+        early is not None,
+    )
+    worst = () if early is None else (early.bound, early.smoothing)
+    constants = (*barrier.decay_rates.tolist(), *worst, *parameters)
+    try:
+        check_relative_degree(model, Chain.of(formula), constants)
+        row, gradient, value = _compile_barrier(formula)
+    except ValueError as error:
+        raise ModelError(
+            "function(x, t, p) cannot be differentiated as often as needed: write it"
+            f" without abs and without the root of a square ({error})"
+        ) from error
+    return RowFunctions(
+        row, gradient, constants, value, parameters, barrier.relative_degree
+    )
+
+
+def limit_functions(model: ControlAffineModel, limit: StateInputLimit) -> RowFunctions:
+    """Returns a limit's functions.
+
+    Raises:
+        ModelError: The limit's function cannot be derived or compiled.
+    """
+    parameters = tuple(limit.parameters.tolist())
+    symbols = Symbols(model, len(parameters))
+    result = symbols.call(limit.function)
+    shapes = [np.shape(part) for part in result] if isinstance(result, tuple) else None
+    if shapes != [(model.num_inputs,), ()]:
+        raise ModelError(
+            f"function(x, t, p) must return a row of shape ({model.num_inputs},) and a"
+            f" scalar bound, got {'no pair' if shapes is None else shapes}"
+        )
+    row, bound = result
+    entries = tuple(symbols.read([*row, bound]))
+    try:
+        compiled, gradient = _compile_limit(entries, model.dynamics, symbols.parameters)
+    except ValueError as error:
+        raise ModelError(
+            f"function(x, t, p) cannot be differentiated: {error}"
+        ) from error
+    return RowFunctions(compiled, gradient, parameters, _no_value, parameters, 0)
+
+
+@lru_cache(maxsize=64)
+def _compile_barrier(
+    formula: Formula,
+) -> tuple[CompiledFunction, CompiledFunction, CompiledFunction]:
+    """Returns `row`, `gradient`, `value` of RowFunctions, for any constants."""
+    chain, x = Chain.of(formula), formula.dynamics.x
+    entries = chain.row()
+    slopes = gradients(entries, [*x, TIME]).ravel()
+    row = chain.compiled([*entries, *chain.levels], "barrier_row")
+    gradient = chain.compiled(slopes, "barrier_gradient")
+    value = compile_nodes([*x, TIME, *formula.parameters], [formula.h], "barrier_value")
+    return row, gradient, value
+
+
+@lru_cache(maxsize=64)
+def _compile_limit(
+    entries: tuple[Node, ...], dynamics: Dynamics, parameters: tuple[Node, ...]
+) -> tuple[CompiledFunction, CompiledFunction]:
+    """Returns `row` and `gradient` of RowFunctions."""
+    no_disturbance = map(number, np.zeros(len(dynamics.E[0])))
+    outputs, xbar = [*entries, *no_disturbance], [*dynamics.x, TIME]
+    slopes, arguments = gradients(outputs, xbar), [*xbar, *parameters]
+    return (
+        compile_nodes(arguments, outputs, "limit_row"),
+        compile_nodes(arguments, slopes.ravel(), "limit_gradient"),
+    )
+
+
+def _no_value(*_: float) -> list[float]:
+    return []
