@@ -258,7 +258,7 @@ def test_an_empty_slot_starts_nowhere():
     found = {
         each.name: each
         for each in assumptions(
-            safety_filter, safety_filter.GetMyContextFromRoot(context), observer, PERIOD
+            safety_filter, safety_filter.GetMyContextFromRoot(context), observer
         )
     }
     assert not any(name.startswith("start inside: seen obstacle") for name in found)

@@ -81,6 +81,8 @@ OneOfEverything:
   infeasible: hold
   between_ticks: certified
   violation_weights: [1.0, 2.0]
+  solver: Clp
+  warn: true
   initial_state: [0.0, 0.0, 0.1, 0.2]
   target: [5.0, 0.0]
   duration: 6.0

@@ -167,6 +167,8 @@ class CommandSender(LeafSystem):
             return Verdict(CommandMode.FALLBACK, f"refuted: {findings[0]}")
         stops = self._filter.settings.infeasible == "stop"
         if verdict.mode is CommandMode.APPLY and stops:
+            if self._sample_of(context)["status"][0] == FilterStatus.FAILED:
+                return Verdict(CommandMode.FALLBACK, "the filter's tick FAILED")
             conflicts = self.conflicts(context)
             if conflicts:
                 reason = f"no input satisfies {', '.join(conflicts)}"

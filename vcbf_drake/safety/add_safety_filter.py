@@ -9,15 +9,16 @@ from pydrake.systems.framework import DiagramBuilder, InputPort, OutputPort, Sys
 from pydrake.systems.primitives import ZeroOrderHold
 
 from vcbf_drake.barriers import Barrier, StateInputLimit
+from vcbf_drake.checks import require
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceObserver
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety.infeasibility_monitor import InfeasibilityMonitor
 from vcbf_drake.safety.input_set import InputSet
+from vcbf_drake.safety.loop_monitor import LoopMonitor
 from vcbf_drake.safety.safety_filter import SafetyFilter
 from vcbf_drake.safety.settings import FilterSettings
 
-# What the monitor of the policy ``stop`` is called, after the filter's name.
-STOP_MONITOR = "infeasibility_monitor"
+# What the monitor is called, after the filter's name.
+LOOP_MONITOR = "loop_monitor"
 
 
 class AddedSafetyFilter(NamedTuple):
@@ -41,21 +42,22 @@ def AddSafetyFilter(
     reference: OutputPort | None,
     barriers: Sequence[Barrier | StateInputLimit],
     input_set: InputSet,
-    bounds: DisturbanceBounds,
+    bounds: DisturbanceBounds | None = None,
     settings: FilterSettings | None = None,
     state: OutputPort | None = None,
     observer: DisturbanceObserver | None = None,
     model: ControlAffineModel | None = None,
     obstacles: OutputPort | None = None,
     applied_input: OutputPort | None = None,
-    name: str = "filter",
+    name: str | None = None,
 ) -> AddedSafetyFilter:
     """Puts a safety filter between a controller's output and a plant's input.
 
     Adds filter, hold and observer to the builder and connects them: state and
     reference to the filter, its command through the hold to the plant, state and held
-    input to the observer, the observer's estimate to the filter. With the policy
-    ``stop`` it also adds a monitor that ends the simulation at an infeasible tick.
+    input to the observer, the observer's estimate to the filter. A `LoopMonitor` says
+    at the start which hypotheses fail, and when there first is no feasible input; with
+    the policy ``stop`` it ends the simulation there.
 
     Args:
         builder: Holds the plant and the controller already.
@@ -67,7 +69,8 @@ def AddSafetyFilter(
             ``reference`` to connect, or to export from a diagram.
         barriers: What must stay true.
         input_set: What the actuators can do.
-        bounds: delta1, delta2, delta3 of the disturbance.
+        bounds: delta1, delta2, delta3 of the disturbance; not needed for a plant
+            without one.
         settings: Period, method and all other choices; a scenario does, too.
             `FilterSettings()` by default.
         state: The measured state; the plant's output named ``state`` or its only one
@@ -84,6 +87,7 @@ def AddSafetyFilter(
         applied_input: The mean input that the plant really applied since the last
             tick, where it tells; the held input by default.
         name: The filter's name; hold, observer and monitor are named after it.
+            ``filter`` by default, or ``filter_2`` where there is one.
 
     Raises:
         ModelError: The plant is not control affine or a barrier does not fit it.
@@ -98,6 +102,8 @@ def AddSafetyFilter(
         state = state or _state_output(system)
     if model is None or state is None:
         raise ValueError("plant: None; then model and state must be given")
+    bounds = _checked_bounds(bounds, model)
+    name = _free_name(builder, name)
     if observer is None:
         observer = settings.make_observer(model, bounds)
     safety_filter = SafetyFilter(
@@ -132,12 +138,35 @@ def AddSafetyFilter(
         builder.Connect(
             observer.GetOutputPort("estimate"), safety_filter.GetInputPort("estimate")
         )
-    if settings.infeasible == "stop":
-        monitor = builder.AddNamedSystem(
-            f"{name}_{STOP_MONITOR}", InfeasibilityMonitor(settings.period)
-        )
-        builder.Connect(safety_filter.GetOutputPort("status"), monitor.get_input_port())
+    if settings.warn or settings.infeasible == "stop":
+        monitor = LoopMonitor(safety_filter)
+        builder.AddNamedSystem(f"{name}_{LOOP_MONITOR}", monitor)
+        for i in range(monitor.num_input_ports()):
+            port = monitor.get_input_port(i)
+            builder.Connect(safety_filter.GetOutputPort(port.get_name()), port)
     return AddedSafetyFilter(safety_filter, hold, observer)
+
+
+def _checked_bounds(
+    bounds: DisturbanceBounds | None, model: ControlAffineModel
+) -> DisturbanceBounds:
+    if isinstance(bounds, DisturbanceBounds):
+        return bounds
+    is_calm = bounds is None and model.num_disturbances == 0
+    rule = "DisturbanceBounds(delta1, delta2, delta3), for the plant has a disturbance"
+    require(is_calm, "bounds", bounds, rule)
+    return DisturbanceBounds(0.0, 0.0, 0.0)
+
+
+def _free_name(builder: DiagramBuilder, name: str | None) -> str:
+    if name is not None:
+        require(not builder.HasSubsystemNamed(name), "name", name, "new to the builder")
+        return name
+    name, count = "filter", 1
+    while builder.HasSubsystemNamed(name):
+        count += 1
+        name = f"filter_{count}"
+    return name
 
 
 def _obstacles_port(safety_filter: SafetyFilter) -> InputPort:

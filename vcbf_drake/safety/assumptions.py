@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.systems.framework import Context
 
-from vcbf_drake.barriers import Barrier, BarrierRows
+from vcbf_drake.barriers import Barrier
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceObserver, RiseObserver
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.polytope import recession_direction
-from vcbf_drake.safety.safety_filter import SafetyFilter
+
+if TYPE_CHECKING:
+    from vcbf_drake.safety.safety_filter import SafetyFilter
+
+# How far an input must move a row, in the unit of its barrier's last derivative.
+_LEAST_AUTHORITY = 1e-9
 
 
 @dataclass(frozen=True)
@@ -26,7 +31,7 @@ class Assumption:
         statement: What has to hold, in words and symbols.
         holds: Whether it does; None when it is information that no proof needs.
         numbers: The quantities that decide it.
-        consequence: What is lost when it does not hold.
+        consequence: What is lost when it does not hold, and what to do.
     """
 
     name: str
@@ -35,12 +40,19 @@ class Assumption:
     numbers: dict[str, float] = field(default_factory=dict)
     consequence: str = ""
 
+    @property
+    def verdict(self) -> str:
+        """Name, verdict and numbers in a few words."""
+        verdict = {True: "holds", False: "does not hold", None: "is no condition"}
+        numbers = ", ".join(f"{name} = {n:.3g}" for name, n in self.numbers.items())
+        words = f"{self.name} {verdict[self.holds]}"
+        return f"{words} ({numbers})" if numbers else words
+
 
 def assumptions(
     safety_filter: SafetyFilter,
     filter_context: Context,
     observer: DisturbanceObserver,
-    period: float,
     noise: float = 0.0,
 ) -> tuple[Assumption, ...]:
     """Returns every hypothesis with its numbers, at the state the context holds.
@@ -49,47 +61,134 @@ def assumptions(
         safety_filter: The filter.
         filter_context: Its context, input ports connected, at the start.
         observer: The observer that feeds it.
-        period: The control period [s].
         noise: Largest standard deviation of the noise on the disturbed states
             [m/s].
     """
-    method = safety_filter.method
-    found: list[Assumption] = [_bounded_inputs(safety_filter)]
-    if method.disturbance == "ignored":
-        found.append(_no_disturbance(observer))
-    if method.disturbance == "estimated":
-        found.extend(_observer_conditions(observer))
-        found.append(_known_start(noise))
-    found.extend(_equations_as_proven(safety_filter))
-    found.append(_disturbance_relative_degree(safety_filter))
-    found.extend(_barriers_at_start(safety_filter, filter_context))
-    found.append(_authority_at_start(safety_filter, filter_context))
-    found.append(_volume_at_start(safety_filter, filter_context))
-    if method.disturbance == "estimated" and isinstance(observer, RiseObserver):
-        found.extend(_rate_orders(safety_filter, observer))
-    found.append(_sampling(safety_filter, filter_context, period))
-    return tuple(found)
+    levels, authority, volume = (
+        safety_filter.GetOutputPort(name).Eval(filter_context)
+        for name in ("levels", "authority", "volume")
+    )
+    found = [
+        *_standing(safety_filter, observer, noise),
+        *start_assumptions(safety_filter, levels, authority, float(volume[0])),
+    ]
+    return (*found, *_information(safety_filter, filter_context, observer))
 
 
-def _bounded_inputs(safety_filter: SafetyFilter) -> Assumption:
-    inputs = safety_filter.input_set
+def start_assumptions(
+    safety_filter: SafetyFilter, levels: Array, authority: Array, volume: float
+) -> Iterator[Assumption]:
+    """Yields the hypotheses about the state in which a loop starts.
+
+    Args:
+        safety_filter: The filter.
+        levels: The value of its port of that name.
+        authority: Likewise.
+        volume: Likewise.
+    """
+    names = safety_filter.barrier_set.names
+    phi = safety_filter.levels_of_barriers(levels)
+    # A slot without an obstacle has no level and says nothing.
+    empty = np.array([len(p) > 0 and np.isnan(p).all() for p in phi], dtype=bool)
+    empty &= authority == 0.0
+    for name, chain, is_empty in zip(names, phi, empty, strict=True):
+        if len(chain) > 0 and not is_empty:
+            yield _start_inside(name, chain)
+    yield _input_authority(names, np.where(empty, np.inf, authority))
+    yield _volume_at_start(safety_filter, volume)
+
+
+def _start_inside(name: str, chain: Array) -> Assumption:
+    remedy = "start slower or farther away, or take larger gains"
+    if not chain[0] >= 0.0:
+        remedy = "start outside it"
     return Assumption(
-        "bounded input set",
-        "U = {u : A_m u <= b_m} is bounded and has an interior",
-        recession_direction(inputs.A) is None and bool(np.all(inputs.scale > 0.0)),
-        {"smallest half-width": float(inputs.scale.min())},
-        "the largest inscribed ellipsoid (E20) would not exist",
+        f"start inside: {name}",
+        "phi_k(0) >= 0 for every k (E3), the largest decay rate first (R21)",
+        bool(np.all(chain >= 0.0)),
+        {f"phi_{k}": float(value) for k, value in enumerate(chain)},
+        "Theorem 1 does not apply to this barrier, it may become negative; " + remedy,
     )
 
 
-def _no_disturbance(observer: DisturbanceObserver) -> Assumption:
-    delta1 = observer.bounds.delta1
+def _input_authority(names: tuple[str, ...], authority: Array) -> Assumption:
+    weakest = int(np.argmin(authority)) if len(authority) else -1
+    least = float(authority[weakest]) if len(authority) else np.inf
+    row = f" ({names[weakest]})" if len(authority) else ""
     return Assumption(
-        "no disturbance",
-        "d = 0: this method's rows ignore it",
-        delta1 == 0.0,
-        {"delta1": delta1},
-        "a barrier may become negative",
+        "input authority",
+        "every row has an input that moves it: L_g L_f^(r-1) h != 0 (R33)",
+        bool(least > _LEAST_AUTHORITY),
+        {"least authority": least},
+        f"a row that no input moves{row} is infeasible as soon as its right side is"
+        " negative; let the input act on a derivative that every state moves, through"
+        " integrators for example",
+    )
+
+
+def _volume_at_start(safety_filter: SafetyFilter, volume: float) -> Assumption:
+    threshold = safety_filter.settings.volume.threshold
+    return Assumption(
+        "volume at the start",
+        "V_v(0) > 0 (Theorem 2)",
+        bool(volume > 0.0) if safety_filter.method.volume else None,
+        {"V_v(0)": volume, "threshold": threshold},
+        "the volume row gives way from the first tick on, for the feasible set starts"
+        f" smaller than it wants it; take a threshold below {volume + threshold:.2g}",
+    )
+
+
+def _standing(
+    safety_filter: SafetyFilter, observer: DisturbanceObserver, noise: float
+) -> Iterator[Assumption]:
+    """The hypotheses that hold at every state or at none."""
+    method, applied = safety_filter.method, safety_filter.settings.corrections
+    inputs, delta1 = safety_filter.input_set, observer.bounds.delta1
+    is_bounded = recession_direction(inputs.A) is None
+    yield Assumption(
+        "bounded input set",
+        "U = {u : A_m u <= b_m} is bounded and has an interior",
+        is_bounded and bool(np.all(inputs.scale > 0.0)),
+        {"smallest half-width": float(inputs.scale.min())},
+        "the largest inscribed ellipsoid (E20) would not exist",
+    )
+    if method.disturbance == "ignored":
+        yield Assumption(
+            "no disturbance",
+            "d = 0: this method's rows ignore it",
+            delta1 == 0.0,
+            {"delta1": delta1},
+            "a barrier may become negative",
+        )
+    if method.disturbance == "estimated":
+        yield from _observer_conditions(observer)
+        yield Assumption(
+            "known start",
+            "the observer starts at the true state: xtil(0) = 0 (R8)",
+            noise == 0.0,
+            {"measurement noise": noise},
+            "the error bound is calibrated, not proven",
+        )
+        if not applied.error_floor:
+            yield Assumption(
+                "floor of the error bound",
+                "the error bound contains what sampling costs (E39), (R49)",
+                False,
+                consequence="no sampled observer meets the published bound (E13)",
+            )
+        if method.volume and not applied.total_derivative:
+            yield Assumption(
+                "total derivative of the volume",
+                "the volume row counts that the estimate moves (E28), (R30)",
+                False,
+                consequence="Theorem 2 is false for the published row",
+            )
+    yield Assumption(
+        "disturbance relative degree",
+        "no barrier meets the disturbance before the input (R2)",
+        True,
+        {"barriers": float(safety_filter.barrier_set.size)},
+        "h' and phi_1 would be unknown (checked when the filter is built)",
     )
 
 
@@ -112,136 +211,42 @@ def _observer_conditions(observer: DisturbanceObserver) -> Iterator[Assumption]:
         )
 
 
-def _known_start(noise: float) -> Assumption:
-    return Assumption(
-        "known start",
-        "the observer starts at the true state: xtil(0) = 0 (R8)",
-        noise == 0.0,
-        {"measurement noise": noise},
-        "the error bound is calibrated, not proven",
-    )
-
-
-def _equations_as_proven(safety_filter: SafetyFilter) -> Iterator[Assumption]:
-    """What the published equations leave out and a proof needs."""
-    method, applied = safety_filter.method, safety_filter.settings.corrections
-    if method.disturbance != "estimated":
-        return
-    if not applied.error_floor:
-        yield Assumption(
-            "floor of the error bound",
-            "the error bound contains what sampling costs (E39), (R49)",
-            False,
-            consequence="no sampled observer meets the published bound (E13)",
-        )
-    if method.volume and not applied.total_derivative:
-        yield Assumption(
-            "total derivative of the volume",
-            "the volume row counts that the estimate moves (E28), (R30)",
-            False,
-            consequence="Theorem 2 is false for the published row",
-        )
-
-
-def _disturbance_relative_degree(safety_filter: SafetyFilter) -> Assumption:
-    return Assumption(
-        "disturbance relative degree",
-        "no barrier meets the disturbance before the input (R2)",
-        True,
-        {"barriers": float(safety_filter.barrier_set.size)},
-        "h' and phi_1 would be unknown (checked when the filter is built)",
-    )
-
-
-def _barriers_at_start(
-    safety_filter: SafetyFilter, context: Context
+def _information(
+    safety_filter: SafetyFilter, context: Context, observer: DisturbanceObserver
 ) -> Iterator[Assumption]:
-    rows, names = (
-        safety_filter.feasible_set(context).rows,
-        safety_filter.barrier_set.names,
-    )
-    for name, chain, is_empty in zip(names, rows.chain, _are_empty(rows), strict=True):
-        if len(chain) == 0 or is_empty:
-            continue
+    """What the paper asks for and no proof needs, and what sampling costs."""
+    method = safety_filter.method
+    if method.disturbance == "estimated" and isinstance(observer, RiseObserver):
+        decay, barriers = observer.decay_rate, safety_filter.barriers
+        rates = (b.decay_rates[-1] for b in barriers if isinstance(b, Barrier))
         yield Assumption(
-            f"start inside: {name}",
-            "phi_k(0) >= 0 for every k (E3), the largest decay rate first (R21)",
-            bool(np.all(chain >= 0.0)),
-            {f"phi_{k}": float(value) for k, value in enumerate(chain)},
-            "Theorem 1 does not apply to this barrier: it may become negative",
-        )
-
-
-def _authority_at_start(safety_filter: SafetyFilter, context: Context) -> Assumption:
-    rows = safety_filter.feasible_set(context).rows
-    authority = np.linalg.norm(rows.A * safety_filter.input_set.scale, axis=1)
-    least = float(authority[~_are_empty(rows)].min(initial=np.inf))
-    return Assumption(
-        "input authority",
-        "every row has an input that moves it: L_g L_f^(r-1) h != 0 (R33)",
-        least > 1e-9,
-        {"least authority": least},
-        "a row without authority is infeasible as soon as its right side is negative",
-    )
-
-
-def _are_empty(rows: BarrierRows) -> NDArray[np.bool_]:
-    """Which rows are those of slots without an obstacle: no value, and no condition."""
-    says_nothing = ~rows.A.any(axis=1) & (rows.b >= 0.0)
-    has_levels = np.array([len(chain) > 0 for chain in rows.chain], dtype=bool)
-    return np.isnan(rows.value) & says_nothing & has_levels
-
-
-def _volume_at_start(safety_filter: SafetyFilter, context: Context) -> Assumption:
-    v = safety_filter.volume(context)
-    value = np.nan if v is None else v.value
-    holds = bool(value > 0.0)
-    return Assumption(
-        "volume at the start",
-        "V_v(0) > 0 (Theorem 2)",
-        holds if safety_filter.method.volume else None,
-        {"V_v(0)": value, "threshold": safety_filter.settings.volume.threshold},
-        "the feasible set starts smaller than the volume barrier wants it",
-    )
-
-
-def _rate_orders(
-    safety_filter: SafetyFilter, observer: RiseObserver
-) -> Iterator[Assumption]:
-    decay = observer.decay_rate
-    slowest = min(
-        (b.decay_rates[-1] for b in safety_filter.barriers if isinstance(b, Barrier)),
-        default=np.nan,
-    )
-    yield Assumption(
-        "lambda_V >= lambda_r",
-        "asked for by Theorem 1 as printed; its proof does not need it (R21)",
-        None,
-        {"lambda_V": decay, "lambda_r": float(slowest)},
-        "nothing",
-    )
-    if safety_filter.method.volume:
-        yield Assumption(
-            "lambda_V >= lambda_Vv",
-            "asked for by Theorem 2 as printed; its proof does not need it (R36)",
+            "lambda_V >= lambda_r",
+            "asked for by Theorem 1 as printed; its proof does not need it (R21)",
             None,
-            {"lambda_V": decay, "lambda_Vv": safety_filter.settings.volume.gain},
+            {"lambda_V": decay, "lambda_r": float(min(rates, default=np.nan))},
             "nothing",
         )
+        if method.volume:
+            yield Assumption(
+                "lambda_V >= lambda_Vv",
+                "asked for by Theorem 2 as printed; its proof does not need it (R36)",
+                None,
+                {"lambda_V": decay, "lambda_Vv": safety_filter.settings.volume.gain},
+                "nothing",
+            )
+    yield _sampling(safety_filter, context)
 
 
-def _sampling(
-    safety_filter: SafetyFilter, context: Context, period: float
-) -> Assumption:
+def _sampling(safety_filter: SafetyFilter, context: Context) -> Assumption:
+    period = safety_filter.settings.period
     if safety_filter.held_rows is not None:
         x = safety_filter.GetInputPort("state").Eval(context)
         u, model = safety_filter.input_set.center, safety_filter.model
-        is_enclosed = safety_filter.held_rows.can_enclose(x, u)
         return Assumption(
             "sampled input",
             "inputs are chosen to keep the rows until the next tick (Theorem 4, E77),"
             " which takes a motion that can be enclosed: T abs(df/dx) below about 1",
-            is_enclosed and safety_filter.certified_hold >= period,
+            safety_filter.held_rows.can_enclose(x, u),
             {"period": period, "T abs(df/dx)": period * _slope(model, x, u)},
             "between_ticks: certified does nothing there: barriers may dip between"
             " ticks. Take a shorter period",

@@ -65,6 +65,7 @@ class SafetyFilter(LeafSystem):
         - volume
         - slack
         - barriers
+        - levels
         - authority
         - row_margin
         - status
@@ -92,6 +93,7 @@ class SafetyFilter(LeafSystem):
     | ``volume`` | 1 | V_v, what the volume row keeps positive; nan on failure |
     | ``slack`` | 1 | delta of (E24), at most 0; 0 unless the volume row gave way |
     | ``barriers`` | N | h_i; nan for a state-dependent input limit or an empty slot |
+    | ``levels`` | | phi_0, ..., phi_(r-1) of every barrier, one after the other (E3) |
     | ``authority`` | N | how far the inputs move each row; 0 when not at all (R33) |
     | ``row_margin`` | 1 | the rows' least until the next tick (E77); nan unless asked |
     | ``status`` | 1 | a `FilterStatus` |
@@ -145,6 +147,8 @@ class SafetyFilter(LeafSystem):
         self.model = model
         self.barriers = tuple(barriers)
         self.barrier_set = BarrierSet(model, barriers)
+        # A limit of the input has no level; it is an inequality of the input itself.
+        self._num_levels = [len(getattr(b, "gains", ())) for b in self.barriers]
         self.input_set = input_set
         self._estimate_gain = estimate_gain
         hold = max(self.settings.period, longest_hold)
@@ -240,6 +244,12 @@ class SafetyFilter(LeafSystem):
         self._output("volume", 1, self._volume_entry, _volume_value)
         self._output("barriers", N, feasible, lambda found: found.rows.value)
         self._output(
+            "levels",
+            sum(self._num_levels),
+            feasible,
+            lambda found: np.concatenate([np.zeros(0), *found.rows.chain]),
+        )
+        self._output(
             "authority", N, feasible, lambda found: found.rows.authority(scale)
         )
         self.DeclareVectorOutputPort(
@@ -256,6 +266,14 @@ class SafetyFilter(LeafSystem):
             output.SetFromVector(read(_found(entry, context)))
 
         return self.DeclareVectorOutputPort(name, size, calc, {entry.ticket()})
+
+    def levels_of_barriers(self, levels: Array) -> list[Array]:
+        """Returns the value of the port ``levels`` barrier by barrier.
+
+        Args:
+            levels: What the port puts out.
+        """
+        return np.split(levels, np.cumsum(self._num_levels)[:-1])
 
     @property
     def num_rows(self) -> int:

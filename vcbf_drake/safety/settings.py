@@ -89,6 +89,8 @@ class FilterSettings:
         observer: The disturbance observer.
         solver: Drake's solver that proposes solutions of the QP and, where it takes
             cone programs, the largest ellipsoid: one of `SOLVERS`.
+        warn: Whether the log says which hypotheses fail at the start, and when there
+            first is no feasible input.
 
     Raises:
         InvalidValueError: A field is outside what is allowed; one line says which.
@@ -103,6 +105,7 @@ class FilterSettings:
     violation_weights: list[float] = field(default_factory=list)
     observer: ObserverSettings = field(default_factory=ObserverSettings)
     solver: str = DEFAULT_SOLVER
+    warn: bool = True
 
     def __post_init__(self) -> None:
         check_solver(self.solver)

@@ -35,6 +35,7 @@ from vcbf_drake.simulation.audit import (
     reasons_against,
 )
 from vcbf_drake.simulation.faults import fault_assumptions
+from vcbf_drake.simulation.loading import load_scenario
 from vcbf_drake.simulation.loop import make_loop
 from vcbf_drake.simulation.parts import measurement_noise
 from vcbf_drake.simulation.result import Result
@@ -52,7 +53,7 @@ _LONGEST_PIECE = 10.0
 
 
 def simulate(
-    scenario: Scenario,
+    scenario: Scenario | str | Path,
     progress: Progress | None = None,
     step_time: bool = True,
     log_directory: str | Path | None = None,
@@ -60,13 +61,15 @@ def simulate(
     """Runs the scenario's loop from its initial state to its end.
 
     Args:
-        scenario: A validated scenario.
+        scenario: The scenario, or what `load_scenario` takes.
         progress: Called now and then with the fraction of the duration that is done.
         step_time: Whether to measure the filter's step afterwards, for the summary.
         log_directory: Where the log grows while the run goes, one .npy file an array,
             readable at any time by `read_log_files`; the result's arrays are mapped
             from there, and memory stays flat. In memory if None.
     """
+    if not isinstance(scenario, Scenario):
+        scenario = load_scenario(scenario)
     diagram = make_loop(scenario)
     simulator = make_simulator(diagram, scenario)
     found = loop_assumptions(scenario, diagram, simulator.get_context())
@@ -172,7 +175,6 @@ def loop_assumptions(
         safety_filter,
         safety_filter.GetMyContextFromRoot(context),
         diagram.GetSubsystemByName("filter_observer"),
-        scenario.period,
         measurement_noise(scenario, safety_filter.model),
     )
     return (*found, *fault_assumptions(scenario.faults))

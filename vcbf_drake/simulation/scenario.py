@@ -257,6 +257,8 @@ class Scenario(FilterSettings):
 
     name: str = ""
     description: str = ""
+    # A run's summary says it.
+    warn: bool = False
     vehicle: Vehicle
     input_set: InputLimits
     disturbance: list[

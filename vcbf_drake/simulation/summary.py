@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from vcbf_drake.checks import Array
 from vcbf_drake.safety import FilterStatus, SafetyFilter
-from vcbf_drake.safety.add_safety_filter import STOP_MONITOR
+from vcbf_drake.safety.add_safety_filter import LOOP_MONITOR
 from vcbf_drake.simulation.audit import LEAST_AUTHORITY, authority
 from vcbf_drake.simulation.loop import COLLISION_MONITOR
 from vcbf_drake.simulation.scenario import Scenario
@@ -55,13 +55,13 @@ def summarise(
     reached_at = _first(
         path_time, _distance(scenario, path) <= scenario.arrival_tolerance
     )
-    stopped = ending.monitor.endswith(STOP_MONITOR)
+    stopped = ending.monitor.endswith(LOOP_MONITOR)
     slack, fidelity = np.abs(log["slack"]), scenario.fidelity
     return {
         "scenario": scenario.name,
         "method": scenario.method,
         "fidelity": fidelity if isinstance(fidelity, str) else "custom",
-        "outcome": _outcome(collided_at, stopped, reached_at),
+        "outcome": _outcome(collided_at, stopped, int(log["status"][-1]), reached_at),
         "running_time": min(
             t for t in (infeasible_at, collided_at, ending.time) if t is not None
         ),
@@ -96,11 +96,13 @@ def _without_authority(safety_filter: SafetyFilter, log: dict[str, Array]) -> li
     ]
 
 
-def _outcome(collided_at: float | None, stopped: bool, reached_at: float | None) -> str:
+def _outcome(
+    collided_at: float | None, stopped: bool, status: int, reached_at: float | None
+) -> str:
     if collided_at is not None:
         return "collision"
     if stopped:
-        return "infeasible"
+        return "failed" if status == FilterStatus.FAILED else "infeasible"
     return "timeout" if reached_at is None else "reached"
 
 

@@ -23,7 +23,13 @@ _MOST_COLUMNS = 1000
 # Many columns are drawn finely.
 _MANY = 60
 _PAIR = "#c5ccd5"
-_MARKERS = {"reached": "o", "timeout": "s", "infeasible": "x", "collision": "*"}
+_MARKERS = {
+    "reached": "o",
+    "timeout": "s",
+    "infeasible": "x",
+    "failed": "+",
+    "collision": "*",
+}
 
 
 def write_running_times(

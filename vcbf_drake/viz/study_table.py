@@ -9,7 +9,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-_OUTCOMES = ("reached", "timeout", "infeasible", "collision", "error")
+_OUTCOMES = ("reached", "timeout", "infeasible", "failed", "collision", "error")
 # More commands than these are for the file.
 _MOST_COMMANDS = 5
 

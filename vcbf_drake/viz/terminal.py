@@ -21,6 +21,7 @@ OUTCOME_STYLES = {
     "reached": "green",
     "timeout": "yellow",
     "infeasible": "red",
+    "failed": "red",
     "collision": "bold red",
 }
 _VERDICTS = {

@@ -1,0 +1,125 @@
+"""LoopMonitor: the voice of a filter that knows of a fault in its loop."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import (
+    Context,
+    DiscreteValues,
+    EventStatus,
+    LeafSystem,
+    State,
+)
+
+from vcbf_drake.checks import Array
+from vcbf_drake.safety.assumptions import start_assumptions
+from vcbf_drake.safety.packed_feasible_set import unpack_feasible_set
+from vcbf_drake.safety.qp import FilterStatus
+from vcbf_drake.safety.safety_filter import SafetyFilter
+
+_LOG = logging.getLogger("vcbf_drake")
+
+
+class LoopMonitor(LeafSystem):
+    """Checks the hypotheses at the start, and tells when there is no safe input.
+
+    .. pydrake_system::
+
+        name: LoopMonitor
+        input_ports:
+        - status
+        - feasible_set
+        - levels
+        - authority
+        - volume
+
+    All ports are the filter's. At the start it logs a line for each hypothesis about
+    the start that fails, and at the first tick that is INFEASIBLE or FAILED one that
+    names the rows that exclude each other; to the logger ``vcbf_drake``, unless the
+    setting `warn` is off. With the policy ``stop`` that tick ends the simulation.
+    """
+
+    def __init__(self, safety_filter: SafetyFilter) -> None:
+        """Declares ports and events.
+
+        Args:
+            safety_filter: The filter whose ports are connected.
+        """
+        super().__init__()
+        self._filter, self._settings = safety_filter, safety_filter.settings
+        self._ports = {
+            name: self.DeclareVectorInputPort(
+                name, safety_filter.GetOutputPort(name).size()
+            )
+            for name in ("status", "feasible_set", "levels", "authority", "volume")
+        }
+        # The first hypothesis that failed at the start; the worst status so far.
+        self._failed = self.DeclareAbstractState(Value[object](("",)))
+        self.DeclareDiscreteState(1)
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._check_start)
+        period = self._settings.period
+        self.DeclarePeriodicPublishEvent(period, 0.0, self._check)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._remember)
+
+    def _read(self, context: Context, port: str) -> Array:
+        value: Array = self._ports[port].Eval(context)
+        return value
+
+    def _check_start(self, context: Context, state: State) -> EventStatus:
+        levels, authority = (
+            self._read(context, "levels"),
+            self._read(context, "authority"),
+        )
+        has_volume = self._filter.method.volume
+        volume = self._read(context, "volume")[0] if has_volume else np.nan
+        failed = [
+            each
+            for each in start_assumptions(self._filter, levels, authority, volume)
+            if each.holds is False
+        ]
+        first = failed[0].verdict if failed else ""
+        state.get_mutable_abstract_state(0).set_value((first,))
+        for each in failed:
+            self._warn(f"{each.verdict}: {each.consequence}")
+        return EventStatus.Succeeded()
+
+    def _check(self, context: Context) -> EventStatus:
+        status = FilterStatus(int(self._read(context, "status")[0]))
+        worst = context.get_discrete_state_vector()[0]
+        if status < FilterStatus.INFEASIBLE:
+            return EventStatus.Succeeded()
+        if self._settings.infeasible == "stop":
+            return EventStatus.ReachedTermination(self, self._reason(context, status))
+        if worst < FilterStatus.INFEASIBLE:
+            self._warn(self._reason(context, status))
+        return EventStatus.Succeeded()
+
+    def _remember(self, context: Context, discrete: DiscreteValues) -> None:
+        worst = context.get_discrete_state_vector()[0]
+        discrete.set_value([max(worst, self._read(context, "status")[0])])
+
+    def _warn(self, line: str) -> None:
+        if self._settings.warn:
+            _LOG.warning("%s: %s", self._filter.get_name(), line)
+
+    def _reason(self, context: Context, status: FilterStatus) -> str:
+        """One line on why there is no safe input at a tick."""
+        at = f"at {context.get_time():.4g} s"
+        if status == FilterStatus.FAILED:
+            reason = (
+                f"FAILED {at}: data are not finite, or no solver's answer was verified"
+            )
+        else:
+            packed = unpack_feasible_set(
+                self._read(context, "feasible_set")[None],
+                self._filter.num_rows,
+                self._filter.model.num_inputs,
+            )
+            rows = self._filter.conflicting_rows(packed.A[0], packed.b[0])
+            reason = f"no feasible input {at}"
+            reason += f": {' against '.join(rows)}" if rows else ""
+        (failed,) = context.get_abstract_state(0).get_value()
+        return f"{reason}; at the start: {failed}" if failed else reason
