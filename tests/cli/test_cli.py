@@ -5,8 +5,10 @@ import json
 import logging
 import math
 from pathlib import Path
+import signal
 import subprocess
 import sys
+import time
 from typing import Any
 
 import numpy as np
@@ -14,9 +16,10 @@ import pytest
 from typer.testing import CliRunner
 
 from vcbf_drake.cli import app
+from vcbf_drake.cli.options import METHODS as METHOD_NAMES
 from vcbf_drake.safety.assumptions import Assumption
 from vcbf_drake.safety.methods import METHODS
-from vcbf_drake.simulation.loading import shipped_scenarios
+from vcbf_drake.simulation.loading import load_scenario, shipped_scenarios
 from vcbf_drake.simulation.log_files import LogFiles
 import vcbf_drake.simulation.run as run_module
 from vcbf_drake.simulation.scenario import Scenario
@@ -150,6 +153,63 @@ def test_help_lists_commands(command: str) -> None:
     assert invoke(command, "--help").exit_code == 0
 
 
+def test_nothing_at_all_asks_for_help() -> None:
+    shown = invoke()
+    assert shown.exit_code == 0
+    assert shown.output == invoke("--help").output
+    assert "Exit status: 0 done" in " ".join(shown.output.split())
+
+
+def test_help_names_every_method_and_wraps_once() -> None:
+    assert METHOD_NAMES == ", ".join(METHODS)
+    for command in ("run", "plant", "controller", "monte-carlo"):
+        told = invoke(command, "--help").output.partition("╭")[0]
+        lines = [line.strip() for line in told.splitlines()]
+        broken = [a for a, b in zip(lines, lines[1:], strict=False) if b and a]
+        assert all(len(line) > 50 for line in broken), broken
+
+
+def test_the_module_is_the_command_line() -> None:
+    command = [sys.executable, "-m", "vcbf_drake", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout
+
+
+def test_show_prints_a_scenario_that_loads(tmp_path: Path) -> None:
+    shown = invoke("show", "car-avoidance")
+    copy = tmp_path / "mine.yaml"
+    copy.write_text(shown.output)
+    assert load_scenario(copy) == load_scenario("car-avoidance")
+    assert invoke("show", "car-avoidence").exit_code == 2
+
+
+def test_one_scenario_of_a_file_is_chosen_by_its_name(
+    stand_ins: list[Scenario], tmp_path: Path
+) -> None:
+    text = "".join(invoke("show", name).output for name in shipped_scenarios()[:2])
+    (tmp_path / "two.yaml").write_text(text)
+    refused = invoke("run", str(tmp_path / "two.yaml"))
+    assert refused.exit_code == 2 and "scenario" in refused.output
+    name = shipped_scenarios()[1]
+    options = ["--scenario-name", name, "--out", str(tmp_path / "out")]
+    assert invoke("run", str(tmp_path / "two.yaml"), *options).exit_code == 0
+    assert [scenario.name for scenario in stand_ins] == [name]
+
+
+def test_a_terminated_command_ends_with_the_signals_status(tmp_path: Path) -> None:
+    arguments = ["monte-carlo", "car-avoidance", "--trials", "50", "--workers", "1"]
+    arguments += ["--vary", "initial_state.0: !Add [-0.1, 0.1]", "--override", SHORT]
+    command = [sys.executable, "-m", "vcbf_drake", *arguments, "--out", str(tmp_path)]
+    records = tmp_path / "trials.jsonl"
+    running = subprocess.Popen(command)
+    while not (records.exists() and records.read_bytes()):
+        assert running.poll() is None
+        time.sleep(0.01)
+    running.terminate()
+    assert running.wait(timeout=60) == 128 + signal.SIGTERM
+    assert list(tmp_path.iterdir()) == [records]
+
+
 def test_version(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.metadata.version", lambda name: f"{name} 1.2.3")
     shown = invoke("--version")
@@ -157,7 +217,7 @@ def test_version(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_list_shows_each_scenario_on_a_line() -> None:
-    lines = invoke("list").output.splitlines()
+    lines = invoke("list").stdout.splitlines()
     assert [line.split()[0] for line in lines] == [
         "blimp-multiple-obstacles",
         "blimp-single-obstacle",
@@ -173,7 +233,6 @@ def test_list_shows_each_scenario_on_a_line() -> None:
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        ([], "Missing command"),
         (["rnu"], "No such command 'rnu'"),
         (["bench", "--quick"], "bench is `make bench`"),
         (["reproduce"], "reproduce is `make reproduce`"),

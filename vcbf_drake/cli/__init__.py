@@ -5,16 +5,27 @@ imports what it needs. A command is a plain function; this list is their order.
 """
 
 from collections.abc import Callable
-from typing import Any
+import inspect
+import signal
+import sys
+from typing import Any, NoReturn
 
 from vcbf_drake.cli.application import app
 from vcbf_drake.cli.hardware import controller, plant
 from vcbf_drake.cli.hardware_logs import replay_log
-from vcbf_drake.cli.simulations import check, compare, diagram, list_scenarios, run
+from vcbf_drake.cli.simulations import (
+    check,
+    compare,
+    diagram,
+    list_scenarios,
+    run,
+    show,
+)
 from vcbf_drake.cli.studies import faults, monte_carlo
 
 _COMMANDS: dict[str, Callable[..., Any]] = {
     "list": list_scenarios,
+    "show": show,
     "run": run,
     "compare": compare,
     "check": check,
@@ -26,12 +37,24 @@ _COMMANDS: dict[str, Callable[..., Any]] = {
     "replay-log": replay_log,
 }
 
+
+def _help(command: Callable[..., Any]) -> str:
+    """The docstring, one line a paragraph: the terminal wraps it."""
+    paragraphs = (inspect.getdoc(command) or "").split("\n\n")
+    return "\n\n".join(" ".join(each.split()) for each in paragraphs)
+
+
 for _name, _command in _COMMANDS.items():
-    app.command(_name)(_command)
+    app.command(_name, help=_help(_command))(_command)
 
 __all__ = ["app", "main"]
 
 
 def main() -> None:
-    """Runs the command line."""
+    """Runs the command line; what a terminated command began is removed."""
+    signal.signal(signal.SIGTERM, _terminate)
     app()
+
+
+def _terminate(number: int, frame: object) -> NoReturn:
+    sys.exit(128 + number)

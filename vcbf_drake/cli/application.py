@@ -9,7 +9,7 @@ from typing import Annotated, Any, cast
 import typer
 from typer.core import TyperGroup
 
-from vcbf_drake.drake_log import show_warnings_only
+from vcbf_drake.environment import show_warnings_only
 
 _FAILED, _BAD_USAGE = 1, 2
 
@@ -28,11 +28,7 @@ _UsageError = cast(type[Exception], typer.BadParameter.__base__)
 
 
 class OneLineGroup(TyperGroup):
-    """Commands whose errors are one line on stderr and an exit status.
-
-    Status 2 is bad usage or a bad scenario, 1 anything else. The option
-    ``--traceback`` shows where an error comes from.
-    """
+    """Commands whose errors are one line on stderr and an exit status."""
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Runs the command line and exits."""
@@ -54,6 +50,10 @@ class OneLineGroup(TyperGroup):
             kind = type(error).__name__
             _complain(f"{kind}: {error} (vcbf-drake --traceback ... shows where)")
             sys.exit(_FAILED)
+
+    def parse_args(self, ctx: Any, args: list[str]) -> Any:
+        """Reads the options; nothing at all asks for help."""
+        return super().parse_args(ctx, args or ["--help"])
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Finds the command; of one that has moved, says where to."""
@@ -80,6 +80,9 @@ def _complain(message: str) -> None:
 app = typer.Typer(
     cls=OneLineGroup,
     add_completion=False,
+    epilog="Exit status: 0 done, whatever became of the vehicle; 1 something failed;"
+    " 2 bad usage or a bad scenario, told in one line. The commands plant and"
+    " controller have more: see their help.",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 

@@ -19,6 +19,14 @@ ScenarioArgument = Annotated[
         help="A shipped scenario (vcbf-drake list), a YAML file or a Python file.",
     ),
 ]
+ScenarioNameOption = Annotated[
+    str | None,
+    typer.Option(
+        "--scenario-name",
+        metavar="NAME",
+        help="Which scenario of a file that holds several.",
+    ),
+]
 MethodOption = Annotated[
     str | None,
     typer.Option("--method", metavar="M", help=f"Safety filter: {METHODS}."),
@@ -49,12 +57,17 @@ def method_names(text: str) -> list[str]:
     return list(dict.fromkeys(name.strip() for name in text.split(",")))
 
 
-def load(name_or_path: str, override: str | None, method: str | None) -> Scenario:
+def load(
+    name_or_path: str,
+    override: str | None,
+    method: str | None,
+    scenario_name: str | None = None,
+) -> Scenario:
     """Returns the scenario with the overrides and the method of the command line."""
     from vcbf_drake.simulation.loading import load_scenario
     from vcbf_drake.simulation.scenario import validate
 
-    scenario = load_scenario(name_or_path, override)
+    scenario = load_scenario(name_or_path, override, scenario_name)
     if method is not None:
         scenario.method = method
         validate(scenario)

@@ -1,4 +1,4 @@
-"""The commands about single runs: list, run, compare, check, diagram."""
+"""The commands about single runs: list, show, run, compare, check, diagram."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from vcbf_drake.cli.options import (
     MethodOption,
     OverrideOption,
     ScenarioArgument,
+    ScenarioNameOption,
     load,
     method_names,
     out_option,
@@ -27,17 +28,31 @@ if TYPE_CHECKING:
 
 
 def list_scenarios() -> None:
-    """List the shipped scenarios."""
-    from vcbf_drake.simulation.loading import load_scenario, shipped_scenarios
+    """List the shipped scenarios, and where they are."""
+    from vcbf_drake.simulation.loading import (
+        load_scenario,
+        scenario_path,
+        shipped_scenarios,
+    )
     from vcbf_drake.viz.terminal import print_scenarios
 
-    print_scenarios([load_scenario(name) for name in shipped_scenarios()])
+    names = shipped_scenarios()
+    print_scenarios([load_scenario(name) for name in names])
+    typer.echo(f"in {scenario_path(names[0]).parent}", err=True)
+
+
+def show(scenario: ScenarioArgument) -> None:
+    """Print a scenario's file, to copy and change: show NAME > mine.yaml."""
+    from vcbf_drake.simulation.loading import scenario_path
+
+    typer.echo(scenario_path(scenario).read_text(encoding="utf-8"), nl=False)
 
 
 def run(
     scenario: ScenarioArgument,
     method: MethodOption = None,
     override: OverrideOption = None,
+    scenario_name: ScenarioNameOption = None,
     out: Annotated[Path | None, out_option("out/SCENARIO-METHOD")] = None,
     replay: Annotated[
         bool, typer.Option("--replay/--no-replay", help="Write a Meshcat replay.")
@@ -56,7 +71,7 @@ def run(
     ] = None,
 ) -> None:
     """Simulate one scenario: results, figures, a replay and a summary."""
-    chosen = load(scenario, override, method)
+    chosen = load(scenario, override, method, scenario_name)
     directory = out or Path("out") / f"{chosen.name}-{chosen.method}"
     with progress() as begin:
         (result,) = _simulate([chosen], begin, log_to)
@@ -73,13 +88,14 @@ def compare(
         typer.Option(metavar="M,M,...", help="Safety filters; by default all."),
     ] = None,
     override: OverrideOption = None,
+    scenario_name: ScenarioNameOption = None,
     out: Annotated[Path | None, out_option("out/SCENARIO")] = None,
 ) -> None:
     """Simulate one scenario under several methods: one replay, one set of figures."""
     from vcbf_drake.safety.methods import METHODS
 
     names = list(METHODS) if methods is None else method_names(methods)
-    chosen = [load(scenario, override, name) for name in names]
+    chosen = [load(scenario, override, name, scenario_name) for name in names]
     directory = out or Path("out") / chosen[0].name
     with progress() as begin:
         results = _simulate(chosen, begin)
@@ -94,6 +110,7 @@ def check(
     scenario: ScenarioArgument,
     method: MethodOption = None,
     override: OverrideOption = None,
+    scenario_name: ScenarioNameOption = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print JSON instead of a table.")
     ] = False,
@@ -102,7 +119,7 @@ def check(
     from vcbf_drake.simulation.run import check_assumptions
     from vcbf_drake.viz.terminal import print_assumptions
 
-    chosen = load(scenario, override, method)
+    chosen = load(scenario, override, method, scenario_name)
     assumptions = check_assumptions(chosen)
     if as_json:
         plain = [plain_json(dataclasses.asdict(each)) for each in assumptions]
@@ -115,6 +132,7 @@ def diagram(
     scenario: ScenarioArgument,
     method: MethodOption = None,
     override: OverrideOption = None,
+    scenario_name: ScenarioNameOption = None,
     out: Annotated[Path | None, out_option("out/SCENARIO-diagram")] = None,
 ) -> None:
     """Draw the block diagrams of the loop and of its filter, as DOT and SVG."""
@@ -122,7 +140,7 @@ def diagram(
     from vcbf_drake.viz.diagram import write_diagram
     from vcbf_drake.viz.filter_diagram import write_filter_diagram
 
-    chosen = load(scenario, override, method)
+    chosen = load(scenario, override, method, scenario_name)
     directory = out or Path("out") / f"{chosen.name}-diagram"
     with whole_directory(directory) as staging:
         loop = make_loop(chosen)

@@ -15,6 +15,7 @@ import typer
 from vcbf_drake.cli.options import (
     OverrideOption,
     ScenarioArgument,
+    ScenarioNameOption,
     load,
     method_names,
     out_option,
@@ -51,6 +52,7 @@ def monte_carlo(
         ),
     ] = "dob-cbf-qp,dob-vcbf-qp",
     override: OverrideOption = None,
+    scenario_name: ScenarioNameOption = None,
     seed: _SeedOption = 0,
     workers: _WorkersOption = None,
     scheduler: Annotated[
@@ -73,10 +75,18 @@ def monte_carlo(
     if scheduler is not None and workers is not None:
         raise typer.BadParameter("--scheduler and --workers exclude each other")
     names, variation = method_names(methods), load_variation(vary)
-    chosen = [load(scenario, override, each) for each in names]
+    chosen = [load(scenario, override, each, scenario_name) for each in names]
     directory = out or Path("out") / f"{chosen[0].name}-monte-carlo"
     plan = [
-        Trial(scenario, each, index, seed, variation, override or "")
+        Trial(
+            scenario,
+            each,
+            index,
+            seed,
+            variation,
+            override or "",
+            scenario_name or "",
+        )
         for index in range(trials)
         for each in names
     ]

@@ -50,6 +50,23 @@ def shipped_scenarios() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in _DIRECTORY.glob("*.yaml")))
 
 
+def scenario_path(name_or_path: str | Path) -> Path:
+    """Returns the file of a shipped scenario's name, or the path as it is.
+
+    Raises:
+        ScenarioError: There is neither.
+    """
+    path, shipped = Path(name_or_path), shipped_scenarios()
+    if str(name_or_path) in shipped:
+        return _DIRECTORY / f"{name_or_path}.yaml"
+    if not path.exists():
+        raise ScenarioError(
+            f"{path}: neither a file nor a shipped scenario ({', '.join(shipped)});"
+            f" {did_you_mean(str(path), shipped)}"
+        )
+    return path
+
+
 def load_scenario(
     name_or_path: str | Path,
     overrides: str | Mapping[str, Any] | None = None,
@@ -69,14 +86,7 @@ def load_scenario(
         ScenarioError: One line that says where (file, line, key), what was found and
             what is allowed.
     """
-    path, shipped = Path(name_or_path), shipped_scenarios()
-    if str(name_or_path) in shipped:
-        path = _DIRECTORY / f"{name_or_path}.yaml"
-    elif not path.exists():
-        raise ScenarioError(
-            f"{path}: neither a file nor a shipped scenario ({', '.join(shipped)});"
-            f" {did_you_mean(str(path), shipped)}"
-        )
+    path = scenario_path(name_or_path)
     if path.suffix == ".py":
         scenario = scenario_of(path)
         if overrides is None:

@@ -7,7 +7,7 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 import sys
 
-from vcbf_drake.versions import installed_version
+from vcbf_drake.environment import installed_version
 
 _PACKAGES = ("vcbf-drake", "drake", "numpy")
 _PATIENCE = 10.0  # How long a scheduler may take to answer [s].

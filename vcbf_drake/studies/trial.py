@@ -41,6 +41,7 @@ class Trial:
         seed: The study's seed.
         variation: What is drawn.
         overrides: YAML text with values that replace the scenario's; empty for none.
+        scenario_name: Which scenario of a file that holds several; else empty.
     """
 
     scenario: str
@@ -49,12 +50,13 @@ class Trial:
     seed: int = 0
     variation: Draw = field(default_factory=Variation)
     overrides: str = ""
+    scenario_name: str = ""
 
     @property
     def identity(self) -> Record:
         """What tells this trial from every other; part of its record."""
         return {
-            "scenario": self.scenario,
+            "scenario": " ".join([self.scenario, self.scenario_name]).strip(),
             "overrides": self.overrides,
             "variation": self.variation.name,
             "seed": self.seed,
@@ -69,7 +71,7 @@ class Trial:
             ScenarioError: The scenario does not load.
         """
         given = self.overrides or "{}"
-        base = load_scenario(self.scenario, given)
+        base = load_scenario(self.scenario, given, self.scenario_name or None)
         return merge_overrides(given, self.variation.draw(base, self.seed, self.index))
 
     def load(self) -> Scenario:
@@ -78,7 +80,8 @@ class Trial:
         Raises:
             ScenarioError: It does not load.
         """
-        scenario = load_scenario(self.scenario, self.all_overrides())
+        overrides, name = self.all_overrides(), self.scenario_name or None
+        scenario = load_scenario(self.scenario, overrides, name)
         scenario.method = self.method
         validate(scenario)
         return scenario
@@ -86,7 +89,10 @@ class Trial:
     def command(self) -> str:
         """Returns the command line that runs this trial again, with its pictures."""
         words = ["vcbf-drake", "run", self.scenario, "--method", self.method]
-        return shlex.join([*words, "--override", self.all_overrides()])
+        words += ["--override", self.all_overrides()]
+        if self.scenario_name:
+            words += ["--scenario-name", self.scenario_name]
+        return shlex.join(words)
 
 
 def run_trial(trial: Trial) -> Record:

@@ -10,7 +10,7 @@ import multiprocessing
 import os
 from threading import Thread
 
-from vcbf_drake.drake_log import show_warnings_only
+from vcbf_drake.environment import show_warnings_only
 from vcbf_drake.studies.trial import Record, Trial, error_record, run_trial
 
 # After so many a process makes room for a new one: pydrake does not free every diagram
