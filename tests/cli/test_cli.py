@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 import json
 import logging
 import math
@@ -23,6 +24,7 @@ from vcbf_drake.simulation.loading import load_scenario, shipped_scenarios
 from vcbf_drake.simulation.log_files import LogFiles
 import vcbf_drake.simulation.run as run_module
 from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.simulation.schema import scenario_schema
 import vcbf_drake.viz.figures as figures_module
 import vcbf_drake.viz.replay as replay_module
 
@@ -165,7 +167,7 @@ def test_help_names_every_method_and_wraps_once() -> None:
     for command in ("run", "plant", "controller", "monte-carlo"):
         told = invoke(command, "--help").output.partition("╭")[0]
         lines = [line.strip() for line in told.splitlines()]
-        broken = [a for a, b in zip(lines, lines[1:], strict=False) if b and a]
+        broken = [a for a, b in pairwise(lines) if b and a]
         assert all(len(line) > 50 for line in broken), broken
 
 
@@ -181,6 +183,10 @@ def test_show_prints_a_scenario_that_loads(tmp_path: Path) -> None:
     copy.write_text(shown.output)
     assert load_scenario(copy) == load_scenario("car-avoidance")
     assert invoke("show", "car-avoidence").exit_code == 2
+
+
+def test_schema_prints_the_format_for_editors() -> None:
+    assert json.loads(invoke("schema").stdout) == scenario_schema()
 
 
 def test_one_scenario_of_a_file_is_chosen_by_its_name(

@@ -19,6 +19,7 @@ from vcbf_drake.cli.simulations import (
     diagram,
     list_scenarios,
     run,
+    schema,
     show,
 )
 from vcbf_drake.cli.studies import faults, monte_carlo
@@ -26,6 +27,7 @@ from vcbf_drake.cli.studies import faults, monte_carlo
 _COMMANDS: dict[str, Callable[..., Any]] = {
     "list": list_scenarios,
     "show": show,
+    "schema": schema,
     "run": run,
     "compare": compare,
     "check": check,

@@ -1,4 +1,4 @@
-"""The commands about single runs: list, show, run, compare, check, diagram."""
+"""The commands about single runs: list, show, schema, run, compare, check, diagram."""
 
 from __future__ import annotations
 
@@ -46,6 +46,13 @@ def show(scenario: ScenarioArgument) -> None:
     from vcbf_drake.simulation.loading import scenario_path
 
     typer.echo(scenario_path(scenario).read_text(encoding="utf-8"), nl=False)
+
+
+def schema() -> None:
+    """Print the JSON schema of scenario files, for editors."""
+    from vcbf_drake.simulation.schema import scenario_schema
+
+    typer.echo(json.dumps(scenario_schema(), indent=2))
 
 
 def run(
