@@ -17,6 +17,7 @@ from vcbf_drake import (
     AddSafetyFilter,
     Blimp,
     BlimpController,
+    BlimpControllerParameters,
     DisturbanceSource,
     InputSet,
     SphereObstacle,
@@ -32,7 +33,10 @@ def main() -> None:
 
     builder = DiagramBuilder()
     plant = builder.AddNamedSystem("plant", Blimp())
-    controller = builder.AddNamedSystem("controller", BlimpController([4.0, 0.0, 1.0]))
+    leaning = BlimpControllerParameters(drift_gain=2.0)  # Else it circles its target.
+    controller = builder.AddNamedSystem(
+        "controller", BlimpController([4.0, 0.0, 1.0], leaning)
+    )
     wind = builder.AddNamedSystem(
         "wind", DisturbanceSource([Sinusoid([0.05, 0.05, 0.0], 0.8, 0.0)], duration)
     )

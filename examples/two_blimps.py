@@ -19,6 +19,7 @@ from vcbf_drake import (
     AddSafetyFilter,
     Blimp,
     BlimpController,
+    BlimpControllerParameters,
     DisturbanceSource,
     FilterSettings,
     InputSet,
@@ -97,7 +98,10 @@ def main() -> None:
     reference = builder.AddSystem(Multiplexer([3, 3]))
     builder.Connect(plant.get_output_port(), states.get_input_port())
     for i, target in enumerate(TARGETS):
-        controller = builder.AddNamedSystem(f"controller_{i}", BlimpController(target))
+        leaning = BlimpControllerParameters(drift_gain=2.0)
+        controller = builder.AddNamedSystem(
+            f"controller_{i}", BlimpController(target, leaning)
+        )
         builder.Connect(states.get_output_port(i), controller.GetInputPort("state"))
         builder.Connect(controller.get_output_port(), reference.get_input_port(i))
     perception = builder.AddNamedSystem("perception", Perception())

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 import math
 from typing import Any
 
@@ -19,7 +20,8 @@ from vcbf_drake.plants import (
 )
 
 TARGET = np.array([14.0, 3.0, 2.5])
-LITERAL = BlimpControllerParameters(drift_gain=0.0)
+LITERAL = BlimpControllerParameters()
+LEANING = BlimpControllerParameters(drift_gain=2.0)
 
 
 def reference(
@@ -98,7 +100,7 @@ def test_a_target_behind_turns_the_short_way_and_backs_up() -> None:
 
 
 def test_the_heading_leans_against_sideways_drift() -> None:
-    controller = BlimpController([10.0, 0.0, 0.0])
+    controller = BlimpController([10.0, 0.0, 0.0], LEANING)
     drifting_left = [0, 0, 0, 0, 0.0, 0.5, 0, 0]
     assert reference(controller, drifting_left)[2] < 0.0
     # Along the line of sight the drift gain changes nothing.
@@ -144,7 +146,7 @@ def fly(
 
 
 def test_flies_straight_to_a_far_target_and_stays() -> None:
-    caps = BlimpControllerParameters(surge_speed_cap=1.88, height_error_cap=0.79)
+    caps = replace(LEANING, surge_speed_cap=1.88, height_error_cap=0.79)
     start = [0, 0, 0, math.atan2(3.0, 14.0), 0, 0, 0, 0]
     distance = fly(TARGET, start, caps, duration=25.0)
     assert distance[-1] < 0.01
@@ -164,7 +166,7 @@ def test_flies_straight_to_a_far_target_and_stays() -> None:
 def test_turns_to_a_target_aside_and_stays_near_it(
     target: list[float], yaw: float, disturbance: list[float]
 ) -> None:
-    distance = fly(target, [0, 0, 0, yaw, 0, 0, 0, 0], None, disturbance)
+    distance = fly(target, [0, 0, 0, yaw, 0, 0, 0, 0], LEANING, disturbance)
     assert distance[-500:].max() < 0.3
 
 

@@ -160,6 +160,17 @@ def test_the_volume_at_the_start_is_compared_with_the_threshold(car):
     assert start.numbers["V_v(0)"] == pytest.approx(0.7 / 4.0 - 0.2, abs=1e-9)
 
 
+def test_the_printed_weights_are_information(car):
+    """delta1 = 0.3; phi_1(0) = -1 + 3 * 5 and V_v(0) = 1 - 0.1."""
+    found = at(car, "dob-vcbf-qp", volume=VolumeBarrier(threshold=0.1))
+    assert found["beta_1"].holds is None and found["beta_2"].holds is None
+    assert found["beta_1"].numbers == {"least beta_1": pytest.approx(0.09 / 28.0)}
+    assert found["beta_2"].numbers == {"least beta_2": pytest.approx(0.09 / 1.8)}
+    assert "beta_2" not in at(car, "dob-cbf-qp")
+    outside = at(car, "dob-cbf-qp", speed=20.0)
+    assert outside["beta_1"].numbers == {"least beta_1": np.inf}
+
+
 def test_the_printed_orders_of_rates_are_information(car):
     found = at(car, "dob-vcbf-qp", volume=VolumeBarrier(gain=2.5))
     first, second = found["lambda_V >= lambda_r"], found["lambda_V >= lambda_Vv"]

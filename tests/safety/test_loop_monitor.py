@@ -196,3 +196,23 @@ def test_a_scenario_runs_by_its_name():
     by_name = simulate("car-avoidance", progress=None, step_time=False)
     assert by_name.scenario == load_scenario("car-avoidance")
     assert overrides.duration < by_name.log["time"][-1]
+
+
+@pytest.mark.parametrize(("drag", "is_told"), [(5.0, False), (10.0, True)])
+def test_a_plant_too_fast_for_a_certified_hold_is_told(caplog, drag, is_told):
+    """Where the period times the slope of dx/dt is 1, the option has no effect."""
+    builder = DiagramBuilder()
+    matrices = [[0.0, 1.0], [0.0, -drag]], [[0.0], [1.0]]
+    plant = builder.AddSystem(LinearSystem(*matrices, np.eye(2), np.zeros((2, 1))))
+    idle = builder.AddSystem(ConstantVectorSource([0.0]))
+    AddSafetyFilter(
+        builder,
+        plant=plant,
+        reference=idle.get_output_port(),
+        barriers=StateLimit(0, upper=5.0).barriers([4.0, 3.0]),
+        input_set=InputSet.box([-1.0], [1.0]),
+        bounds=CALM,
+        settings=FilterSettings(method="cbf-qp", period=0.1, between_ticks="certified"),
+    )
+    lines, _ = warned(caplog, Simulator(builder.Build()))
+    assert any("certified does nothing" in line for line in lines) is is_told

@@ -31,8 +31,8 @@ class BlimpControllerParameters:
         height_gain: k_z, from height error to heave speed [1/s].
         yaw_gain: k_ψ, from heading error to yaw moment [N m/rad].
         yaw_rate_gain: k_r, from yaw rate to yaw moment [N m s/rad].
-        drift_gain: k_s, how far the heading leans against sideways drift; 0 for (E30)
-            to the letter.
+        drift_gain: k_s, how far the heading leans against sideways drift: ours. 0 is
+            the law as the paper prints it, which circles its target.
         surge_speed_cap: The highest surge speed asked for [m/s].
         height_error_cap: The largest height error acted on [m].
     """
@@ -43,7 +43,7 @@ class BlimpControllerParameters:
     height_gain: float = 0.5
     yaw_gain: float = 0.03
     yaw_rate_gain: float = 0.02
-    drift_gain: float = 2.0
+    drift_gain: float = 0.0
     surge_speed_cap: float = math.inf
     height_error_cap: float = math.inf
 
@@ -69,9 +69,9 @@ class BlimpController(LeafSystem):
         f_z = -k_w (dz/dt + k_z e_z)         - m_z dhat_z
         τ   = -k_ψ wrap(ψ - ψ_w)             - k_r r
 
-    With k_s = 0 and no caps this is (E30) with signed surge and yaw damping (R39 -
-    R41), which circles the target: sway has no force, and little drag. The lean of the
-    heading against the drift is ours. Within 5 cm of the target ψ_w = ψ.
+    With k_s = 0 and no caps this is the published law with signed surge and yaw damping
+    (R39 - R41), which circles the target: sway has no force, and little drag. The lean
+    of the heading against the drift is ours. Within 5 cm of the target ψ_w = ψ.
 
     Ports:
         state (8): the blimp's state.

@@ -226,7 +226,28 @@ def _information(
             {"lambda_V": decay, "lambda_r": float(min(rates, default=np.nan))},
             "nothing",
         )
+        delta1 = observer.bounds.delta1
+        chains = safety_filter.feasible_set(context).rows.chain
+        last_levels = [chain[-1] for chain in chains if len(chain)]
+        lowest = float(np.fmin.reduce(last_levels, initial=np.inf))
+        yield Assumption(
+            "beta_1",
+            "beta_1 > delta1^2 / (2 phi(0)), of the last phi: asked for by Theorem 1 as"
+            " printed; its proof does not need it (R21)",
+            None,
+            {"least beta_1": _least_weight(delta1, lowest)},
+            "nothing",
+        )
         if method.volume:
+            volume = safety_filter.GetOutputPort("volume").Eval(context)[0]
+            yield Assumption(
+                "beta_2",
+                "beta_2 > delta1^2 / (2 V_v(0)): asked for by Theorem 2 as printed; its"
+                " proof does not need it (R36)",
+                None,
+                {"least beta_2": _least_weight(delta1, volume)},
+                "nothing",
+            )
             yield Assumption(
                 "lambda_V >= lambda_Vv",
                 "asked for by Theorem 2 as printed; its proof does not need it (R36)",
@@ -235,6 +256,10 @@ def _information(
                 "nothing",
             )
     yield _sampling(safety_filter, context)
+
+
+def _least_weight(delta1: float, start: float) -> float:
+    return float(delta1**2 / (2.0 * start)) if start > 0.0 else np.inf
 
 
 def _sampling(safety_filter: SafetyFilter, context: Context) -> Assumption:

@@ -35,6 +35,7 @@ class LoopMonitor(LeafSystem):
         - levels
         - authority
         - volume
+        - row_margin
 
     All ports are the filter's. At the start it logs a line for each hypothesis about
     the start that fails, and at the first tick that is INFEASIBLE or FAILED one that
@@ -54,7 +55,10 @@ class LoopMonitor(LeafSystem):
             name: self.DeclareVectorInputPort(
                 name, safety_filter.GetOutputPort(name).size()
             )
-            for name in ("status", "feasible_set", "levels", "authority", "volume")
+            for name in (
+                *("status", "feasible_set", "levels", "authority", "volume"),
+                "row_margin",
+            )
         }
         # The first hypothesis that failed at the start; the worst status so far.
         self._failed = self.DeclareAbstractState(Value[object](("",)))
@@ -84,6 +88,11 @@ class LoopMonitor(LeafSystem):
         state.get_mutable_abstract_state(0).set_value((first,))
         for each in failed:
             self._warn(f"{each.verdict}: {each.consequence}")
+        if self._read(context, "row_margin")[0] == -np.inf:
+            self._warn(
+                "between_ticks: certified does nothing at the start: the motion over a"
+                " period cannot be enclosed there; take a shorter one"
+            )
         return EventStatus.Succeeded()
 
     def _check(self, context: Context) -> EventStatus:

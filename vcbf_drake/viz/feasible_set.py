@@ -65,6 +65,21 @@ def feasible_set_at(run: Run, time: float) -> FeasibleSet:
     return feasible_set_of_tick(run.result, tick)
 
 
+def moment(runs: Sequence[Run], time: float) -> str:
+    """A time for a title, with the run of which it is the last feasible tick."""
+    last = [run for run in runs if _is_last_feasible(run, time)]
+    words = f"$t$ = {time:.2f} s"
+    return f"{words}, the last feasible\ntick of {last[0].label}" if last else words
+
+
+def _is_last_feasible(run: Run, time: float) -> bool:
+    failed_at = run.result.summary["infeasible_at"]
+    if failed_at is None:
+        return False
+    before = run.time[run.time < failed_at - 1e-9]
+    return len(before) > 0 and abs(before[-1] - time) < 1e-9
+
+
 def feasible_set_of_tick(result: Result, tick: int) -> FeasibleSet:
     """The feasible set of a result's tick, counted from 0."""
     log, limits = result.log, result.scenario.input_set

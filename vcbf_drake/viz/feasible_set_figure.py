@@ -11,6 +11,7 @@ from vcbf_drake.checks import Array
 from vcbf_drake.viz.feasible_set import (
     FeasibleSet,
     feasible_set_at,
+    moment,
     polygon,
     polytope_vertices,
 )
@@ -43,7 +44,7 @@ def feasible_set_figure(runs: Sequence[Run], times: Sequence[float]) -> Any:
         for axes, time in zip(panels[row], times, strict=True):
             _draw_or_tell(axes, run, time)
             if row == 0:
-                axes.set_title(f"$t$ = {time:.2f} s")
+                axes.set_title(moment(runs, time))
             if row == len(runs) - 1:
                 axes.set_xlabel(names[0])
         panels[row, 0].set_ylabel(names[1])

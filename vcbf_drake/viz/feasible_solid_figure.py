@@ -11,6 +11,7 @@ from vcbf_drake.checks import Array
 from vcbf_drake.viz.feasible_set import (
     FeasibleSet,
     feasible_set_at,
+    moment,
     polytope_faces,
     polytope_vertices,
 )
@@ -42,7 +43,7 @@ def feasible_solid_figure(runs: Sequence[Run], times: Sequence[float]) -> Any:
         for axes, time in zip(panels[row], times, strict=True):
             draw_feasible_solid(axes, feasible_set_at(run, time), run.color, names)
             if row == 0:
-                axes.set_title(f"$t$ = {time:.2f} s")
+                axes.set_title(moment(runs, time))
         style = dict(rotation=90, va="center", weight="bold", color=run.color)
         panels[row, 0].text(-2.35, 0.0, run.label, ha="center", fontsize=8, **style)
     return figure
