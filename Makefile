@@ -1,46 +1,65 @@
-# Two commands do everything: `make demo` and `make test`. Both build .venv first.
+# `make demo` shows it, `make test` tests it. Both build .venv first.
 PYTHON ?= python3
 BIN := .venv/bin
+# What a demo needs, and what everything else needs too.
+DEMO := .venv/.demo
 STAMP := .venv/.installed
 
-.PHONY: demo reproduce properties test coverage mutation audit lint format bench clean help
+.PHONY: demo reproduce test coverage properties mutation bench audit lint format clean help
 
 help:
-	@echo "make demo       the paper's Test 2 with and without the volume barrier, in out/"
-	@echo "make reproduce  everything the paper shows, in out/reproduction"
-	@echo "make properties the filter's promises on a million hostile ticks"
-	@echo "make test       every test"
-	@echo "make coverage   every test, and how much of each package they reach"
-	@echo "make mutation   which small faults in vcbf_drake/safety no test notices"
-	@echo "make audit      known vulnerabilities of what is installed, from PyPI's advisories"
-	@echo "make lint       format, lint and type checks"
-	@echo "make bench      benchmarks (CPU time)"
-	@echo "make clean      removes .venv and out/"
+	@echo "make demo        the paper's Test 2 with and without the volume barrier, in out/"
+	@echo "make reproduce   everything the paper shows, in out/reproduction (half an hour)"
+	@echo "make test        every test, on all processors"
+	@echo "make coverage    every test, and how much of each package they reach"
+	@echo "make properties  the filter's promises on a million hostile ticks (an hour)"
+	@echo "make mutation    which small faults in vcbf_drake/safety no test notices (hours)"
+	@echo "make bench       CPU times, beside the peers that are installed"
+	@echo "make audit       known vulnerabilities of what is installed, from PyPI's advisories"
+	@echo "make lint        format, lint and type checks"
+	@echo "make format      what of these can be mended by itself"
+	@echo "make clean       removes .venv and out/"
 
-$(STAMP): pyproject.toml
+.venv/.made:
+	@echo "== a virtual environment in .venv"
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable '.[test,dev]'
 	@touch $@
 
-demo: $(STAMP)
+$(DEMO): pyproject.toml | .venv/.made
+	@echo "== vcbf_drake, Drake and matplotlib from PyPI (some 250 MB)"
+	$(BIN)/python -m pip install --quiet --editable .
+	@touch $@
+
+$(STAMP): pyproject.toml | .venv/.made
+	@echo "== what tests, lint and the paper's report need, from PyPI (some 400 MB)"
+	$(BIN)/python -m pip install --quiet --editable '.[test,dev]'
+	@touch $(DEMO) $@
+
+demo: $(DEMO)
+	@echo "== two flights, figures and a replay: about half a minute"
 	$(BIN)/vcbf-drake compare blimp-multiple-obstacles --methods dob-cbf-qp,dob-vcbf-qp
+	@echo "Open out/blimp-multiple-obstacles/replay.html in a browser."
 
 reproduce: $(STAMP)
 	$(BIN)/python -m examples.paper
 
+test: $(STAMP)
+	$(BIN)/python -m pytest -n auto
+
+coverage: $(STAMP)
+	$(BIN)/python -m pytest -n auto --cov --cov-report=
+	$(BIN)/python tests/coverage_table.py
+
 properties: $(STAMP)
 	$(BIN)/python -m tests.properties
 
-test: $(STAMP)
-	$(BIN)/python -m pytest
-
-coverage: $(STAMP)
-	$(BIN)/python -m pytest --cov --cov-report=
-	$(BIN)/python tests/coverage_table.py
-
 mutation: $(STAMP)
-	$(BIN)/python -m tests.mutation vcbf_drake/safety
+	$(BIN)/python -m pip install --quiet cosmic-ray
+	$(BIN)/python -m tests.mutation
+
+bench: $(STAMP)
+	$(BIN)/python -m tests.benchmarks
 
 audit: $(STAMP)
 	$(BIN)/python -m pip install --quiet pip-audit
@@ -54,9 +73,6 @@ lint: $(STAMP)
 format: $(STAMP)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
-
-bench: $(STAMP)
-	$(BIN)/python -m tests.benchmarks
 
 clean:
 	rm -rf .venv out .coverage .pytest_cache .mypy_cache .ruff_cache .hypothesis

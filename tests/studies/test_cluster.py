@@ -150,3 +150,12 @@ def test_workers_with_other_versions_are_refused(
 ) -> None:
     monkeypatch.setattr("vcbf_drake.studies.dask_cluster._PACKAGES", ("drake",))
     assert "here it is python 3." in refusal(tmp_path, "--scheduler", address)
+
+
+def test_a_worker_with_other_versions_that_comes_later_refuses_its_trials(
+    address: str, tmp_path: Path
+) -> None:
+    with dask_executor(address) as executor:
+        executor._versions = "python 2.7"  # type: ignore[attr-defined]
+        records = run_study(TRIALS[:2], tmp_path / "trials.jsonl", executor)
+    assert all("the study has python 2.7" in record["error"] for record in records)
