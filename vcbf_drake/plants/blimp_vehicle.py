@@ -10,8 +10,7 @@ from vcbf_drake.plants.blimp_controller import (
     BlimpController,
     BlimpControllerParameters,
 )
-from vcbf_drake.plants.blimp_shape import BLIMP_LENGTH, blimp_parts
-from vcbf_drake.plants.mesh import Part
+from vcbf_drake.plants.shapes import Part, painted_model
 from vcbf_drake.plants.vehicle import Vehicle
 
 
@@ -29,15 +28,15 @@ class BlimpVehicle(BlimpParameters, Vehicle):
 
     position = Blimp.position_indices
     heading = 3
-    length = BLIMP_LENGTH
+    length = 0.77  # Of its envelope, without the fins [m].
 
     def make_plant(self) -> Blimp:
         """Returns the blimp."""
         return Blimp(self)
 
     def geometry(self, color: str) -> list[Part]:
-        """Returns the blimp's meshes."""
-        return blimp_parts(color)
+        """Returns an airship with its envelope in a colour."""
+        return [Part("airship", painted_model("blimp", color))]
 
     def make_controller(self, target: Sequence[float]) -> BlimpController:
         """Returns the controller that flies the blimp to a target."""

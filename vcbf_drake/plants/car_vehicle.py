@@ -9,8 +9,7 @@ from vcbf_drake.barriers import Barrier, StateInputLimit, ackermann_limit
 from vcbf_drake.checks import check_parameter
 from vcbf_drake.plants.car import Car, CarParameters
 from vcbf_drake.plants.car_controller import CarController, CarControllerParameters
-from vcbf_drake.plants.car_shape import car_parts
-from vcbf_drake.plants.mesh import Part
+from vcbf_drake.plants.shapes import Part, painted_model
 from vcbf_drake.plants.vehicle import Vehicle
 
 
@@ -52,8 +51,8 @@ class CarVehicle(CarParameters, Vehicle):
         return Car(self)
 
     def geometry(self, color: str) -> list[Part]:
-        """Returns the car's meshes."""
-        return car_parts(color)
+        """Returns a car on its wheels with its body in a colour."""
+        return [Part("car", painted_model("car", color))]
 
     def make_controller(self, target: Sequence[float]) -> CarController:
         """Returns the controller that drives the car to a target."""

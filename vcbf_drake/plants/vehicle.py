@@ -8,13 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydrake.geometry import Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.framework import BasicVector, Context, LeafSystem, System
 
 from vcbf_drake.barriers import Barrier, StateInputLimit
 from vcbf_drake.barriers.position import Position
 from vcbf_drake.checks import Array, require
-from vcbf_drake.plants.mesh import Part, sphere
+from vcbf_drake.plants.shapes import Part, bounding_box
 
 
 class Vehicle(ABC):
@@ -77,17 +78,18 @@ class Vehicle(ABC):
     def geometry(self, color: str) -> list[Part]:
         """Returns how the vehicle looks, in its body frame: a ball by default.
 
+        A part is one of Drake's shapes, a `Mesh` of a glTF or Wavefront file say.
+
         Args:
             color: What it is told apart by, a hexadecimal colour.
         """
-        return [Part("ball", sphere(0.1), color)]
+        return [Part("ball", Sphere(0.1), color)]
 
     @property
     def length(self) -> float:
         """How long the vehicle is, seen from above [m]."""
-        parts = self.geometry("#000000")
-        seen = np.vstack([part.mesh.vertices[:, :2] for part in parts])
-        return float(np.ptp(seen, axis=0).max())
+        low, high = bounding_box(self.geometry("#000000"))
+        return float((high - low)[:2].max())
 
     def pose(self, state: Array) -> RigidTransform:
         """Returns where the body frame is, from the vehicle's state (n,)."""

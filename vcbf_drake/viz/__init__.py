@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from vcbf_drake.viz.figures import write_figures
-    from vcbf_drake.viz.obstacle_geometry import ObstacleGeometry
     from vcbf_drake.viz.replay import write_replay
-    from vcbf_drake.viz.vehicle_geometry import VehicleGeometry
+    from vcbf_drake.viz.scene_graph import ObstacleGeometry, VehicleGeometry
 
 _HOME = {
-    "VehicleGeometry": "vehicle_geometry",
-    "ObstacleGeometry": "obstacle_geometry",
+    "VehicleGeometry": "scene_graph",
+    "ObstacleGeometry": "scene_graph",
     "write_figures": "figures",
     "write_replay": "replay",
 }

@@ -9,6 +9,7 @@ import numpy as np
 
 from vcbf_drake.checks import Array
 from vcbf_drake.plants.channels import channels_of
+from vcbf_drake.plants.shapes import bounding_box
 from vcbf_drake.plants.vehicle import Vehicle, tag
 
 if TYPE_CHECKING:
@@ -79,14 +80,14 @@ def geometry_of(result: Result) -> Geometry:
     """The geometry of a result's vehicle."""
     scenario = result.scenario
     vehicle, channels = scenario.vehicle, channels_of(scenario.vehicle.make_plant())
-    shape = np.vstack([part.mesh.vertices for part in vehicle.geometry("#000000")])
+    _, high = bounding_box(vehicle.geometry("#000000"))
     return Geometry(
         vehicle=tag(type(vehicle)).removeprefix("!").lower(),
         robot=vehicle,
         dimensions=len(scenario.target),
         angles=channels.angles,
         length=vehicle.length,
-        rise=float(shape[:, 2].max()),
+        rise=float(high[2]),
         inputs=channels.input_labels,
         disturbances=channels.disturbance_labels,
     )

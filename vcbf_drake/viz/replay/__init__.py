@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 import logging
 from pathlib import Path
-import re
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vcbf_drake.checks import Array
-from vcbf_drake.plants.mesh import merge, torus, tube
 from vcbf_drake.viz.replay.page_data import overlay_html, page_title
+from vcbf_drake.viz.replay.tubes import merge, ring, tube
 from vcbf_drake.viz.stage import Stage, set_stage
 from vcbf_drake.viz.style import ALARM
 
@@ -22,7 +20,6 @@ if TYPE_CHECKING:
 
     from vcbf_drake.simulation.result import Result
 
-GHOST_OPACITY = 0.35
 MAX_TRAIL_POINTS = 1000
 MESHCAT_TITLE = "<title>Drake MeshCat</title>"
 PHONES = '<meta name="viewport" content="width=device-width, initial-scale=1">'
@@ -54,7 +51,7 @@ def write_replay(results: Sequence[Result], path: Path) -> Path:
 
 
 def _meshcat_page(stage: Stage) -> str:
-    """Meshcat's own page with the scene and its recording, the same every time."""
+    """Meshcat's own page with the scene and its recording."""
     meshcat = _private_meshcat()
     _draw(meshcat, stage)
     rate = stage.frames_per_second
@@ -62,7 +59,7 @@ def _meshcat_page(stage: Stage) -> str:
     _record(meshcat, stage)
     meshcat.StopRecording()
     meshcat.PublishRecording()
-    return _with_fixed_identifiers(meshcat.StaticHtml())
+    return str(meshcat.StaticHtml())
 
 
 def _private_meshcat() -> Meshcat:
@@ -96,22 +93,20 @@ def _draw_run(meshcat: Meshcat, stage: Stage, index: int) -> None:
     """Draws a run's vehicle, its trail, and where it failed."""
     from pydrake.geometry import Sphere
 
-    from vcbf_drake.viz.replay.scene import add_mesh, add_shape
+    from vcbf_drake.viz.replay.scene import add_mesh, add_part, add_shape
 
     run, motion = stage.runs[index], stage.motions[index]
     ghost = run is not stage.runs[-1]
-    # Where vehicles coincide, the solid one shows, in the ghost's outline (scene.js).
+    body = f"vehicle/{index}/body"
     for part in stage.geometry.robot.geometry(run.color):
-        path = f"vehicle/{index}/{part.name}"
-        mesh = part.mesh.scaled(1.0 / stage.fraction)
-        alpha = GHOST_OPACITY if ghost else 1.0
-        add_mesh(meshcat, path, mesh, part.color, alpha)
+        add_part(meshcat, f"{body}/{part.name}", part)
+    meshcat.SetTransform(body, np.diag([*[1.0 / stage.fraction] * 3, 1.0]))
     thickness = 0.0022 * stage.span
     trail = tube(_thinned(motion.position, stage), thickness * (0.7 if ghost else 1.0))
     add_mesh(meshcat, f"trail/{index}", trail, run.color)
     if run.failure:
         place, radius = motion.position_at(run.failure.time), 1.5 * stage.reach
-        rings = merge([torus(radius, 0.9 * thickness).moved(turn=t) for t in _TURNS])
+        rings = merge([ring(radius, 0.9 * thickness).moved(turn=t) for t in _TURNS])
         add_mesh(meshcat, f"failure/{index}/rings", rings.moved(place), ALARM)
         add_shape(meshcat, f"failure/{index}/halo", Sphere(radius), place, ALARM, 0.16)
 
@@ -143,23 +138,6 @@ def _record(meshcat: Meshcat, stage: Stage) -> None:
             meshcat.SetTransform(f"obstacles/{index}", pose, time)
 
 
-def _with_fixed_identifiers(page: str) -> str:
-    """The page with Meshcat's random identifiers replaced by counted ones."""
-    counted: dict[bytes, bytes] = {}
-
-    def count(match: re.Match[bytes]) -> bytes:
-        name = b"%08x-0000-4000-8000-000000000000" % len(counted)
-        return counted.setdefault(match[0], name)
-
-    def rewrite(match: re.Match[str]) -> str:
-        commands = _IDENTIFIER.sub(count, base64.b64decode(match[2]))
-        return match[1] + base64.b64encode(commands).decode()
-
-    return _COMMANDS.sub(rewrite, page)
-
-
-_IDENTIFIER = re.compile(rb"[0-9a-f]{8}(?:-[0-9a-f]{4}){3}-[0-9a-f]{12}")
-_COMMANDS = re.compile(r'(fetch\("data:application/octet-binary;base64,)([^"]+)')
 _TURNS = (
     np.eye(3),
     np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),

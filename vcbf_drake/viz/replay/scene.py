@@ -5,23 +5,19 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from pydrake.geometry import Cylinder, Meshcat, Rgba, Shape, Sphere
+from pydrake.geometry import Cylinder, Meshcat, Shape, Sphere
 from pydrake.math import RigidTransform
 
 from vcbf_drake.checks import Array
-from vcbf_drake.plants.mesh import Mesh, merge, torus, tube
+from vcbf_drake.plants.shapes import Part
+from vcbf_drake.viz.replay.tubes import Mesh, merge, ring, tube
+from vcbf_drake.viz.scene_graph import rgba
 from vcbf_drake.viz.stage import Stage, multiples
 from vcbf_drake.viz.style import OBSTACLE, START, TARGET
 
 GROUND, GROUND_LINES, SKY, HORIZON = "#eceff3", "#c3ccd7", "#dfe8f2", "#f8fafc"
-SHELL, PLAN = "#5f7fa8", "#8894a3"
+SHELL, PLAN, DEFAULT = "#5f7fa8", "#8894a3", "#e6e6e6"
 UPRIGHT = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
-
-
-def rgba(color: str, alpha: float = 1.0) -> Rgba:
-    """Drake's colour of a hexadecimal one."""
-    red, green, blue = (int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
-    return Rgba(red, green, blue, alpha)
 
 
 def add_mesh(
@@ -42,6 +38,12 @@ def add_shape(
     """Puts one of Drake's shapes into the scene, upright, its middle at a place."""
     meshcat.SetObject(path, shape, rgba(color, alpha))
     meshcat.SetTransform(path, RigidTransform(place))
+
+
+def add_part(meshcat: Meshcat, path: str, part: Part) -> None:
+    """Puts a part of a vehicle into the scene."""
+    meshcat.SetObject(path, part.shape, rgba(part.color or DEFAULT))
+    meshcat.SetTransform(path, part.pose)
 
 
 def add_light(meshcat: Meshcat, stage: Stage) -> None:
@@ -94,8 +96,8 @@ def add_obstacles(meshcat: Meshcat, stage: Stage) -> None:
             shell = f"{path}/keep_out"
             _add_solid(meshcat, shell, stage, obstacle.reach, low, SHELL, 0.2)
             if stage.geometry.dimensions == 2:
-                ring = torus(obstacle.reach, 0.0015 * stage.span).moved(turn=UPRIGHT)
-                add_mesh(meshcat, f"{path}/edge", ring, SHELL)
+                edge = ring(obstacle.reach, 0.0015 * stage.span).moved(turn=UPRIGHT)
+                add_mesh(meshcat, f"{path}/edge", edge, SHELL)
 
 
 def add_markers(meshcat: Meshcat, stage: Stage) -> None:
@@ -107,10 +109,10 @@ def add_markers(meshcat: Meshcat, stage: Stage) -> None:
         ("start", stage.start, START, 2.0 * size),
         ("target", stage.target, TARGET, radius),
     ):
-        ring = torus(reach, 0.25 * size).moved(turn=UPRIGHT)
+        circle = ring(reach, 0.25 * size).moved(turn=UPRIGHT)
         foot = np.array([place[0], place[1], ground])
         add_shape(meshcat, f"{name}/centre", Sphere(size), place, color)
-        add_mesh(meshcat, f"{name}/ring", ring.moved(foot), color)
+        add_mesh(meshcat, f"{name}/ring", circle.moved(foot), color)
         if (height := place[2] - ground) > size:
             pole = Cylinder(0.2 * size, height)
             add_shape(meshcat, f"{name}/pole", pole, 0.5 * (foot + place), color)

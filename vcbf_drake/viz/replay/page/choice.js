@@ -54,7 +54,7 @@ class Choice {
       element("text", place, this.svg).textContent = short(value);
     }
     writeName(element("text", {
-      transform: `translate(${left - 8} ${(top + bottom) / 2}) rotate(-90)`,
+      transform: `translate(${left - 32} ${(top + bottom) / 2}) rotate(-90)`,
       "text-anchor": "middle",
     }, this.svg), names[1]);
     this.pane = element("g", { "clip-path": "url(#choice-pane)" }, this.svg);

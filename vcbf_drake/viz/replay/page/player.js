@@ -119,23 +119,25 @@ function onFrame(now) {
   if (playing) {
     time = Math.min(time + Number(byId("speed").value) * elapsed, data.duration);
     if (time >= data.duration) setPlaying(false);
-    stale = true;
+    viewer.set_dirty();
   }
   scene.keepFitted();
-  if (stale) {
-    show();
-    stale = false;
-  }
   scene.placeLabels(time);
 }
 
 // Meshcat's objects, recording and camera arrive after this script has run, in any order
-// and as late as they like: whatever changes the picture has the page show its time again.
+// and as late as they like. Whenever something has changed the picture, it is drawn with
+// what belongs to the present time, never before.
 let stale = true;
-const setDirty = viewer.set_dirty.bind(viewer);
+const [setDirty, render] = [viewer.set_dirty.bind(viewer), viewer.render.bind(viewer)];
 viewer.set_dirty = () => {
   stale = true;
   setDirty();
+};
+viewer.render = () => {
+  if (stale) show();
+  stale = false;
+  render();
 };
 
 const KEYS = {

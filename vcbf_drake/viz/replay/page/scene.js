@@ -3,6 +3,7 @@
 
 const THREE = MeshCat.THREE;
 const FILLED = 0.94; // How much of the pane the scene fills.
+const GHOST = 0.35; // The opacity of the vehicles that are not the last run's.
 const OUTLINE = 2.5; // How thick the outlines of ghosts are [pixels].
 
 /** A point of Drake's world, z up, as Three.js has it, y up. */
@@ -57,8 +58,12 @@ class ReplayScene {
   /** Objects arrive one by one after the page has loaded; each is finished once. */
   finishMaterials() {
     viewer.scene.traverse((mesh) => {
+      if (!mesh.isMesh || mesh.material.userData.finished) return;
+      if (mesh.material.isMeshStandardMaterial && !mesh.material.map) {
+        // Of a glTF model: shaded as everything else is.
+        mesh.material = new THREE.MeshPhongMaterial({ color: mesh.material.color });
+      }
       const material = mesh.material;
-      if (!mesh.isMesh || material.userData.finished) return;
       if (mesh.geometry.type === "SphereGeometry" && this.data.round) {
         mesh.geometry = new THREE.SphereGeometry(mesh.geometry.parameters.radius, 48, 32);
       }
@@ -89,6 +94,9 @@ class ReplayScene {
       for (const mesh of meshes) {
         const hull = new THREE.Mesh(mesh.geometry, this.hullMaterial(run.color));
         for (const each of [mesh, hull]) each.userData.outlined = true;
+        mesh.material.transparent = true;
+        mesh.material.opacity = GHOST;
+        mesh.material.depthWrite = mesh.castShadow = false;
         mesh.material.polygonOffset = true; // Where both touch, the solid one is in front.
         mesh.material.polygonOffsetFactor = mesh.material.polygonOffsetUnits = 4;
         mesh.add(hull);
@@ -104,7 +112,8 @@ class ReplayScene {
       shader.vertexShader = "uniform float pixel;\n" + shader.vertexShader.replace(
         "#include <begin_vertex>",
         `float depth = -(modelViewMatrix * vec4(position, 1.0)).z;
-         vec3 transformed = position + normalize(normal) * ${OUTLINE.toFixed(1)} * pixel * depth;`,
+         vec3 transformed = position + normalize(normal)
+           * ${OUTLINE.toFixed(1)} * pixel * depth / length(modelMatrix[0].xyz);`,
       );
     };
     return material;

@@ -75,7 +75,7 @@ def test_every_piece_is_there_for_visualisers_and_cameras(scene):
     frames = inspector.GetAllFrameIds()
     for role in (Role.kIllustration, Role.kPerception):
         pieces = [inspector.NumGeometriesForFrameWithRole(f, role) for f in frames]
-        assert sorted(pieces) == [0, 1, 1, 6, 7]  # World, stones, car, blimp.
+        assert sorted(pieces) == [0, 1, 1, 1, 1]  # World, stones, car, blimp.
 
 
 def test_shapes_are_of_true_size(scene):
@@ -87,8 +87,8 @@ def test_shapes_are_of_true_size(scene):
     }
     assert size["stone_0/body"] == pytest.approx([1.0] * 3, rel=0.02)
     assert sorted(size["stone_1/body"])[1:] == pytest.approx([0.8] * 2, rel=0.02)
-    assert max(size["airship/belt"]) == pytest.approx(0.51, rel=0.05)
-    assert max(size["buggy/body"]) == pytest.approx(0.42, rel=0.02)
+    assert max(size["airship/airship"]) == pytest.approx(0.81, rel=0.1)
+    assert max(size["buggy/car"]) == pytest.approx(0.42, rel=0.02)
 
 
 def test_meshcat_shows_them(scene):

@@ -1,0 +1,242 @@
+"""Vehicles and obstacles in Drake's SceneGraph, for any visualiser and camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.geometry import (
+    Cylinder,
+    FramePoseVector,
+    GeometryFrame,
+    GeometryInstance,
+    IllustrationProperties,
+    PerceptionProperties,
+    RenderLabel,
+    Rgba,
+    SceneGraph,
+    Sphere,
+)
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, OutputPort
+
+from vcbf_drake.barriers import SphereObstacle
+from vcbf_drake.plants.shapes import Part
+from vcbf_drake.plants.vehicle import Vehicle
+from vcbf_drake.viz.style import OBSTACLE
+
+BLUE = "#0072b2"
+PILLAR_HEIGHT = 0.3  # Of an obstacle in the plane [m].
+
+
+def rgba(color: str, alpha: float = 1.0) -> Rgba:
+    """Drake's colour of a hexadecimal one."""
+    red, green, blue = (int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
+    return Rgba(red, green, blue, alpha)
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body to show.
+
+    Attributes:
+        name: Its frame's name; one of its kind in the scene.
+        parts: Its pieces, in the body frame.
+    """
+
+    name: str
+    parts: Sequence[Part]
+
+
+class PosedGeometry(LeafSystem):
+    """Registers bodies with a SceneGraph and poses them.
+
+    .. pydrake_system::
+
+        name: PosedGeometry
+        output_ports:
+        - geometry_pose
+
+    Every piece has the illustration and the perception role. A subclass implements
+    `poses`; its input ports, if any, are its own.
+    """
+
+    def __init__(self, scene_graph: SceneGraph, bodies: Sequence[Body]) -> None:
+        """Registers the bodies.
+
+        Raises:
+            RuntimeError: The SceneGraph refuses one.
+        """
+        super().__init__()
+        self.source_id = scene_graph.RegisterSource()
+        self.frame_ids = [
+            _register(scene_graph, self.source_id, body) for body in bodies
+        ]
+        self.DeclareAbstractOutputPort(
+            "geometry_pose",
+            lambda: AbstractValue.Make(FramePoseVector()),
+            self._calc_poses,
+        )
+
+    def poses(self, context: Context) -> Sequence[RigidTransform]:
+        """Returns the pose of every body in the world."""
+        raise NotImplementedError
+
+    def ConnectTo(self, builder: DiagramBuilder, scene_graph: SceneGraph) -> None:
+        """Connects the poses to the SceneGraph that the bodies are registered with."""
+        poses = scene_graph.get_source_pose_port(self.source_id)
+        builder.Connect(self.GetOutputPort("geometry_pose"), poses)
+
+    def _calc_poses(self, context: Context, output: AbstractValue) -> None:
+        poses = FramePoseVector()
+        for frame, pose in zip(self.frame_ids, self.poses(context), strict=True):
+            poses.set_value(frame, pose)
+        output.set_value(poses)
+
+
+class VehicleGeometry(PosedGeometry):
+    """Shows a vehicle where its state says that it is.
+
+    .. pydrake_system::
+
+        name: VehicleGeometry
+        input_ports:
+        - state
+        output_ports:
+        - geometry_pose
+    """
+
+    def __init__(
+        self, scene_graph: SceneGraph, vehicle: Vehicle, name: str, color: str = BLUE
+    ) -> None:
+        """Registers the vehicle.
+
+        Args:
+            scene_graph: Where to.
+            vehicle: Whose geometry and pose it has.
+            name: The frame's name; give each vehicle its own.
+            color: A hexadecimal colour.
+        """
+        super().__init__(scene_graph, [Body(name, vehicle.geometry(color))])
+        size = vehicle.make_plant().GetOutputPort("state").size()
+        self._vehicle = vehicle
+        self._state = self.DeclareVectorInputPort("state", size)
+
+    def poses(self, context: Context) -> Sequence[RigidTransform]:
+        """Returns the vehicle's pose."""
+        return [self._vehicle.pose(self._state.Eval(context))]
+
+    @staticmethod
+    def AddToBuilder(
+        builder: DiagramBuilder,
+        vehicle: Vehicle,
+        state_port: OutputPort,
+        scene_graph: SceneGraph,
+        name: str,
+        color: str = BLUE,
+    ) -> VehicleGeometry:
+        """Adds a vehicle's geometry and connects it to its state and the SceneGraph.
+
+        Args:
+            builder: Holds the plant and the SceneGraph.
+            vehicle: Whose geometry and pose it has.
+            state_port: The vehicle's state.
+            scene_graph: What to register with.
+            name: The frame's name; give each vehicle its own.
+            color: A hexadecimal colour.
+        """
+        geometry = VehicleGeometry(scene_graph, vehicle, name, color)
+        builder.AddNamedSystem(f"{name}_geometry", geometry)
+        builder.Connect(state_port, geometry.get_input_port())
+        geometry.ConnectTo(builder, scene_graph)
+        return geometry
+
+
+class ObstacleGeometry(PosedGeometry):
+    """Shows spheres, in the plane pillars, where they are at the context's time.
+
+    .. pydrake_system::
+
+        name: ObstacleGeometry
+        output_ports:
+        - geometry_pose
+    """
+
+    def __init__(
+        self,
+        scene_graph: SceneGraph,
+        obstacles: Sequence[SphereObstacle],
+        name: str = "obstacle",
+        color: str = OBSTACLE,
+    ) -> None:
+        """Registers the obstacles, margins left out.
+
+        Args:
+            scene_graph: Where to.
+            obstacles: What to show.
+            name: What the frames are called; a number is added.
+            color: A hexadecimal colour.
+        """
+        bodies = [
+            Body(f"{name}_{i}", [_obstacle_part(obstacle, color)])
+            for i, obstacle in enumerate(obstacles)
+        ]
+        super().__init__(scene_graph, bodies)
+        self._obstacles = tuple(obstacles)
+
+    def poses(self, context: Context) -> Sequence[RigidTransform]:
+        """Returns every obstacle's pose."""
+        time = context.get_time()
+        places = np.zeros((len(self._obstacles), 3))
+        for place, obstacle in zip(places, self._obstacles, strict=True):
+            center = obstacle.center_at(time)
+            place[: len(center)] = center
+        return [RigidTransform(place) for place in places]
+
+    @staticmethod
+    def AddToBuilder(
+        builder: DiagramBuilder,
+        obstacles: Sequence[SphereObstacle],
+        scene_graph: SceneGraph,
+        name: str = "obstacle",
+        color: str = OBSTACLE,
+    ) -> ObstacleGeometry:
+        """Adds the obstacles' geometry and connects it to the SceneGraph.
+
+        Args:
+            builder: Holds the SceneGraph.
+            obstacles: What to show.
+            scene_graph: What to register with.
+            name: What the frames are called; a number is added.
+            color: A hexadecimal colour.
+        """
+        geometry = ObstacleGeometry(scene_graph, obstacles, name, color)
+        builder.AddNamedSystem(f"{name}_geometry", geometry)
+        geometry.ConnectTo(builder, scene_graph)
+        return geometry
+
+
+def _obstacle_part(obstacle: SphereObstacle, color: str) -> Part:
+    """A ball, or in the plane a pillar that stands on the ground."""
+    if len(obstacle.center) == 2:
+        pillar = Cylinder(obstacle.radius, PILLAR_HEIGHT)
+        return Part("body", pillar, color, RigidTransform([0, 0, 0.5 * PILLAR_HEIGHT]))
+    return Part("body", Sphere(obstacle.radius), color)
+
+
+def _register(scene_graph: SceneGraph, source: object, body: Body) -> object:
+    frame = scene_graph.RegisterFrame(source, GeometryFrame(body.name))
+    for part in body.parts:
+        name = f"{body.name}/{part.name}"
+        instance = GeometryInstance(part.pose, part.shape, name)
+        illustration, perception = IllustrationProperties(), PerceptionProperties()
+        if part.color is not None:
+            for properties in (illustration, perception):
+                properties.AddProperty("phong", "diffuse", rgba(part.color))
+        perception.AddProperty("label", "id", RenderLabel.kDontCare)
+        instance.set_illustration_properties(illustration)
+        instance.set_perception_properties(perception)
+        scene_graph.RegisterGeometry(source, frame, instance)
+    return frame
