@@ -144,7 +144,7 @@ def test_nothing_in_sight_leaves_the_reference_alone(model):
 
 def test_the_volume_moves_with_the_obstacles(model):
     """dV_v/dt against differences of obstacles carried on at their velocities."""
-    spheres, safety_filter = perceiving(model)
+    spheres, safety_filter = perceiving(model, volume=VolumeBarrier(threshold=0.02))
     c, v, r = map(np.array, SEEN.values())
 
     def volume_at(ahead):

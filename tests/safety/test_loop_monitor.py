@@ -99,6 +99,29 @@ def test_a_threshold_that_the_start_does_not_have_is_said_with_one_to_take(caplo
     assert "take a threshold below 0.4" in line
 
 
+@pytest.mark.parametrize(
+    ("speed", "determinant", "threshold"),
+    [(0.2, 0.4, 0.02), (0.01, 0.02, 0.002), (1e-4, 2e-4, 1e-4)],
+)
+def test_a_threshold_left_out_is_a_tenth_of_the_start(
+    caplog, speed, determinant, threshold
+):
+    """abs(u_0) <= 2 kg * speed of 1 N, and it stays when the set changes later."""
+    slow = StateLimit(2, -speed, speed).barriers([1.0], "speed")
+    loop = car_loop(slow, [0.0] * 4, method="vcbf-qp")
+    lines, _ = warned(caplog, loop, 0.05)
+    assert lines == []
+    safety_filter = loop.get_system().GetSubsystemByName("filter")
+    context = safety_filter.GetMyContextFromRoot(loop.get_context())
+    assert safety_filter.thresholds(context)[0] == pytest.approx(threshold)
+    volume = safety_filter.GetOutputPort("volume").Eval(context)[0]
+    assert volume == pytest.approx(determinant - threshold)
+    root = loop.get_mutable_context()
+    root.SetContinuousState([0.0, 0.0, 0.9 * speed, 0.0])
+    found = safety_filter.thresholds(safety_filter.GetMyContextFromRoot(root))
+    assert found[0] == pytest.approx(threshold)
+
+
 @pytest.mark.parametrize("policy", ["stop", "least_violation"])
 def test_an_infeasible_tick_names_its_rows_and_what_failed_at_the_start(caplog, policy):
     fast = [2.0, 0.0, 7.0, 0.0]

@@ -14,6 +14,7 @@ from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceObserver, RiseObserver
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.polytope import recession_direction
+from vcbf_drake.safety.volume import LEAST_THRESHOLD
 
 if TYPE_CHECKING:
     from vcbf_drake.safety.safety_filter import SafetyFilter
@@ -70,13 +71,23 @@ def assumptions(
     )
     found = [
         *_standing(safety_filter, observer, noise),
-        *start_assumptions(safety_filter, levels, authority, float(volume[0])),
+        *start_assumptions(
+            safety_filter,
+            levels,
+            authority,
+            float(volume[0]),
+            safety_filter.thresholds(filter_context)[0],
+        ),
     ]
     return (*found, *_information(safety_filter, filter_context, observer))
 
 
 def start_assumptions(
-    safety_filter: SafetyFilter, levels: Array, authority: Array, volume: float
+    safety_filter: SafetyFilter,
+    levels: Array,
+    authority: Array,
+    volume: float,
+    threshold: float,
 ) -> Iterator[Assumption]:
     """Yields the hypotheses about the state in which a loop starts.
 
@@ -85,6 +96,7 @@ def start_assumptions(
         levels: The value of its port of that name.
         authority: Likewise.
         volume: Likewise.
+        threshold: xi, which is in it.
     """
     names = safety_filter.barrier_set.names
     phi = safety_filter.levels_of_barriers(levels)
@@ -95,7 +107,7 @@ def start_assumptions(
         if len(chain) > 0 and not is_empty:
             yield _start_inside(name, chain)
     yield _input_authority(names, np.where(empty, np.inf, authority))
-    yield _volume_at_start(safety_filter, volume)
+    yield _volume_at_start(safety_filter, volume, threshold)
 
 
 def _start_inside(name: str, chain: Array) -> Assumption:
@@ -126,15 +138,20 @@ def _input_authority(names: tuple[str, ...], authority: Array) -> Assumption:
     )
 
 
-def _volume_at_start(safety_filter: SafetyFilter, volume: float) -> Assumption:
-    threshold = safety_filter.settings.volume.threshold
+def _volume_at_start(
+    safety_filter: SafetyFilter, volume: float, threshold: float
+) -> Assumption:
+    determinant = volume + threshold
+    remedy = f"take a threshold below {determinant:.2g}"
+    if not determinant > LEAST_THRESHOLD:
+        remedy = "start where the rows leave the inputs some room"
     return Assumption(
         "volume at the start",
         "V_v(0) > 0 (Theorem 2)",
         bool(volume > 0.0) if safety_filter.method.volume else None,
         {"V_v(0)": volume, "threshold": threshold},
         "the volume row gives way from the first tick on, for the feasible set starts"
-        f" smaller than it wants it; take a threshold below {volume + threshold:.2g}",
+        f" smaller than it wants it; {remedy}",
     )
 
 

@@ -19,6 +19,7 @@ from vcbf_drake.safety.assumptions import start_assumptions
 from vcbf_drake.safety.packed_feasible_set import unpack_feasible_set
 from vcbf_drake.safety.qp import FilterStatus
 from vcbf_drake.safety.safety_filter import SafetyFilter
+from vcbf_drake.safety.volume import LEAST_THRESHOLD
 
 _LOG = logging.getLogger("vcbf_drake")
 
@@ -79,11 +80,10 @@ class LoopMonitor(LeafSystem):
         )
         has_volume = self._filter.method.volume
         volume = self._read(context, "volume")[0] if has_volume else np.nan
-        failed = [
-            each
-            for each in start_assumptions(self._filter, levels, authority, volume)
-            if each.holds is False
-        ]
+        # Without a threshold of its own V_v starts above 0, or at the least one.
+        threshold = self._settings.volume.threshold or LEAST_THRESHOLD
+        found = start_assumptions(self._filter, levels, authority, volume, threshold)
+        failed = [each for each in found if each.holds is False]
         first = failed[0].verdict if failed else ""
         state.get_mutable_abstract_state(0).set_value((first,))
         for each in failed:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from pydrake.common.value import Value
@@ -13,6 +13,7 @@ from pydrake.systems.framework import (
     CacheEntry,
     Context,
     DependencyTicket,
+    DiscreteValues,
     InputPort,
     LeafSystem,
     OutputPort,
@@ -23,9 +24,8 @@ from vcbf_drake.barriers import Barrier, BarrierSet, StateInputLimit
 from vcbf_drake.between_ticks.held_rows import HeldRows, Tick
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
-from vcbf_drake.errors import EmptySetError, SolverError, VcbfError
+from vcbf_drake.errors import EmptySetError, SolverError
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety.ellipsoid import Ellipsoid, InscribedEllipsoidSolver
 from vcbf_drake.safety.feasible_set import (
     DisturbanceKnowledge,
     FeasibleSet,
@@ -44,7 +44,11 @@ from vcbf_drake.safety.qp import (
 )
 from vcbf_drake.safety.settings import FilterSettings
 from vcbf_drake.safety.tick_programs import TickPrograms, state_programs
-from vcbf_drake.safety.volume import Volume, VolumeMeasure, volume, volume_row
+from vcbf_drake.safety.volume import Volume, threshold_of
+from vcbf_drake.safety.volume_rows import VolumeRows, above
+
+# V_v of the volume row, and of its guard.
+_Volumes: TypeAlias = tuple[Volume | None, Volume | None]
 
 
 class SafetyFilter(LeafSystem):
@@ -165,14 +169,7 @@ class SafetyFilter(LeafSystem):
         self._weights = _checked_weights(
             self.settings.violation_weights, len(self.barriers)
         )
-        solver = self.settings.solver
-        self._measure = self.settings.volume.measure(input_set, solver)
-        self._guard = self.settings.volume.guard_measure(input_set, solver)
-        self._ellipsoid_solver = InscribedEllipsoidSolver(input_set, solver)
-        self._plateau = {
-            measure: self._volume_of_input_set(measure)
-            for measure in (self._measure, self._guard)
-        }
+        self._volume_rows = VolumeRows(model, input_set, self.settings)
         self._declare_inputs()
         self._declare_cache_entries()
         self._declare_outputs()
@@ -200,18 +197,22 @@ class SafetyFilter(LeafSystem):
             self._calc_feasible_set,
             {self.time_ticket(), *(p.ticket() for p in (self._state, *optional))},
         )
-        self._volume_entry = self._entry(
-            "volume", self._calc_volume, {self._feasible_entry.ticket()}
+        self._determinants_entry = self._entry(
+            "determinants", self._calc_determinants, {self._feasible_entry.ticket()}
         )
-        self._guard_entry = self._volume_entry
-        if self._guard is not None:
-            self._guard_entry = self._entry(
-                "guard", self._calc_guard, {self._feasible_entry.ticket()}
+        needs = {self._determinants_entry.ticket()}
+        if self.settings.volume.threshold is None:
+            # xi of volume and guard, from the first tick on.
+            self.DeclareDiscreteState([np.nan, np.nan])
+            self.DeclarePeriodicDiscreteUpdateEvent(
+                self.settings.period, 0.0, self._keep_thresholds
             )
+            needs.add(self.xd_ticket())
+        self._volumes_entry = self._entry("volumes", self._calc_volumes, needs)
         self._asked = {self._reference.ticket(), self._held_input.ticket()}
         needs = {self._feasible_entry.ticket(), *self._asked}
         if self.method.volume:
-            needs |= {self._volume_entry.ticket(), self._guard_entry.ticket()}
+            needs.add(self._volumes_entry.ticket())
         self._decision_entry = self._entry("decision", self._calc_decision, needs)
 
     def _entry(
@@ -241,7 +242,7 @@ class SafetyFilter(LeafSystem):
         self._output("slack", 1, decision, lambda decided: [decided.slack])
         self._output("status", 1, decision, lambda decided: [decided.status])
         self._output("row_margin", 1, decision, lambda decided: [decided.row_margin])
-        self._output("volume", 1, self._volume_entry, _volume_value)
+        self._output("volume", 1, self._volumes_entry, _volume_value)
         self._output("barriers", N, feasible, lambda found: found.rows.value)
         self._output(
             "levels",
@@ -256,7 +257,7 @@ class SafetyFilter(LeafSystem):
             "feasible_set",
             n_rows * (m + 1) + m * (m + 1),
             self._calc_packed_feasible_set,
-            {self._volume_entry.ticket(), self._guard_entry.ticket()},
+            {self._volumes_entry.ticket()},
         )
 
     def _output(
@@ -302,8 +303,8 @@ class SafetyFilter(LeafSystem):
 
     def volume(self, context: Context) -> Volume | None:
         """Returns V_v with its derivatives; None when it could not be computed."""
-        value: Volume | None = _found(self._volume_entry, context)
-        return value
+        volume, _ = self._volumes(context)
+        return volume
 
     def decision(self, context: Context) -> FilterDecision:
         """Returns the chosen input and how it was found."""
@@ -359,53 +360,51 @@ class SafetyFilter(LeafSystem):
             self.input_set, rows, self.knowledge(context), self._weights
         )
 
-    def _calc_volume(self, context: Context) -> Volume | None:
-        return self._measured(self._measure, context)
+    def thresholds(self, context: Context) -> tuple[float, float]:
+        """Returns xi of the volume row and of its guard.
 
-    def _calc_guard(self, context: Context) -> Volume | None:
-        return self._measured(self._guard, context)
+        Where the settings have none, a share of what the set had at the first tick
+        that had one; before it, of what it has.
+        """
+        given = self.settings.volume.threshold
+        if given is not None:
+            return given, given
+        kept = context.get_discrete_state_vector().CopyToVector()
+        if np.isnan(kept).any():
+            found = _found(self._determinants_entry, context)
+            kept = [threshold_of(v.value if v else 0.0) for v in found]
+        return float(kept[0]), float(kept[1])
 
-    def _measured(
-        self, measure: VolumeMeasure | None, context: Context
-    ) -> Volume | None:
-        feasible = self.feasible_set(context)
-        if measure is None or not feasible.is_finite:
-            return None
-        if feasible.is_uncut and self._plateau[measure] is not None:
-            return self._plateau[measure]
-        k = feasible.num_input_rows
-        try:
-            measured = measure(feasible.A_v[k:], feasible.b_v[k:])
-        except (SolverError, np.linalg.LinAlgError):
-            return None
-        return volume(measured, feasible, self.input_set)
+    def _keep_thresholds(self, context: Context, discrete: DiscreteValues) -> None:
+        is_measured = _found(self._determinants_entry, context)[0] is not None
+        if is_measured:
+            discrete.set_value(self.thresholds(context))
 
-    def _volume_of_input_set(self, measure: VolumeMeasure | None) -> Volume | None:
-        measured = None if measure is None else measure.of_input_set
-        if measured is None:
-            return None
-        n, q = self.model.num_states, self.model.num_disturbances
-        return Volume.unmoved(measured, n, q)
+    def _calc_determinants(self, context: Context) -> _Volumes:
+        feasible, rows = self.feasible_set(context), self._volume_rows
+        guard = rows.determinant(feasible, guard=True) if rows.has_guard else None
+        return rows.determinant(feasible), guard
 
-    def _ellipsoid(self, context: Context) -> Ellipsoid | None:
-        """Of the set as it is, whatever is measured; found for whoever looks."""
-        for entry in (self._volume_entry, self._guard_entry):
-            v: Volume | None = _found(entry, context)
-            if v is not None and v.ellipsoid is not None:
-                return v.ellipsoid
-        feasible = self.feasible_set(context)
-        k = feasible.num_input_rows
-        try:
-            return self._ellipsoid_solver.solve(feasible.A_v[k:], feasible.b_v[k:])
-        except (VcbfError, ValueError, np.linalg.LinAlgError):
-            return None  # Empty, or not finite.
+    def _calc_volumes(self, context: Context) -> _Volumes:
+        volume, guard = _found(self._determinants_entry, context)
+        thresholds = self.thresholds(context)
+        return above(thresholds[0], volume), above(thresholds[1], guard)
+
+    def _volumes(self, context: Context) -> _Volumes:
+        """V_v, and the guard's where there is one."""
+        found: _Volumes = _found(self._volumes_entry, context)
+        return found
 
     def _calc_decision(self, context: Context) -> FilterDecision:
         reference, held = self._reference.Eval(context), self._held(context)
         if not np.isfinite(self._state.Eval(context)).all():
             return FilterDecision(self.input_set.project(held), FilterStatus.FAILED)
-        rows, failed = self._volume_rows(context)
-        feasible = self.feasible_set(context)
+        feasible, state = self.feasible_set(context), self._state.Eval(context)
+        rows: list[VolumeRow] = []
+        failed = False
+        if self.method.volume:
+            volumes = self._volumes(context)
+            rows, failed = self._volume_rows.rows(state, feasible, *volumes)
 
         def choose(margin: Array | None = None) -> FilterDecision:
             return choose_input(
@@ -443,45 +442,11 @@ class SafetyFilter(LeafSystem):
         normalised = (reference - inputs.center) / inputs.scale
         return failed_decision(feasible, normalised, held, inputs).input
 
-    def _volume_rows(self, context: Context) -> tuple[list[VolumeRow], bool]:
-        """The rows that act, the guard's first, and whether one could not be found."""
-        barrier, measured = self.settings.volume, []
-        if self.method.volume and self._guard is not None:
-            guard = _found(self._guard_entry, context)
-            measured.append(("guard", guard, barrier.guard_gain))
-        if self.method.volume:
-            measured.append(("volume", self.volume(context), barrier.gain))
-        rows = [
-            self._volume_row(context, name, v, gain)
-            for name, v, gain in measured
-            if v is not None and not v.is_on_plateau  # Else 0 <= lambda_Vv V_v.
-        ]
-        finite = [row for row in rows if row.is_finite]
-        is_whole = len(finite) == len(rows) and all(
-            v is not None for _, v, _ in measured
-        )
-        return finite, not is_whole
-
-    def _volume_row(
-        self, context: Context, name: str, v: Volume, gain: float
-    ) -> VolumeRow:
-        drift, input_matrix = self.model.drift_and_input_matrix(
-            self._state.Eval(context)
-        )
-        a, c = volume_row(
-            v,
-            drift,
-            input_matrix,
-            self.model.disturbance_matrix,
-            self.feasible_set(context).known,
-            gain,
-            self.settings.corrections.total_derivative,
-        )
-        return VolumeRow(a, c, self.settings.volume.slack_penalty, name)
-
     def _calc_packed_feasible_set(self, context: Context, output: BasicVector) -> None:
         feasible = self.feasible_set(context)
-        ellipsoid, m = self._ellipsoid(context), self.model.num_inputs
+        m, volumes = self.model.num_inputs, self._volumes(context)
+        ellipsoid = next((v.ellipsoid for v in volumes if v and v.ellipsoid), None)
+        ellipsoid = ellipsoid or self._volume_rows.ellipsoid(feasible)
         if ellipsoid is None:
             frame, center = np.full((m, m), np.nan), np.full(m, np.nan)
         else:
@@ -497,8 +462,8 @@ def _found(entry: CacheEntry, context: Context) -> Any:
     return found
 
 
-def _volume_value(v: Volume | None) -> list[float]:
-    return [np.nan if v is None else v.value]
+def _volume_value(volumes: _Volumes) -> list[float]:
+    return [np.nan if volumes[0] is None else volumes[0].value]
 
 
 def _check_effort_limits(model: ControlAffineModel, input_set: InputSet) -> None:

@@ -20,6 +20,8 @@ from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.programs import DEFAULT_SOLVER
 
 GUARDS = ("none", "volume")
+# The thresholds that a start can lead to.
+LEAST_THRESHOLD, MOST_THRESHOLD = 1e-4, 0.02
 
 
 @dataclass
@@ -30,7 +32,8 @@ class VolumeBarrier:
     det B = 1 for a box that no barrier cuts, whatever the units of the inputs.
 
     Attributes:
-        threshold: xi, the part of the free volume that must remain.
+        threshold: xi, the part of the free volume that must remain; null for a tenth
+            of what the set has at the first tick, at most 0.02 and at least 1e-4.
         gain: lambda_Vv, how fast V_v may decrease towards zero [1/s].
         slack_penalty: M, the weight of the squared slack; unused with the exact slack.
         widening: kappa >= 1: the input set is taken this many times as wide, so that
@@ -40,7 +43,7 @@ class VolumeBarrier:
         guard_gain: How fast the guard may decrease towards zero [1/s].
     """
 
-    threshold: float = 0.02
+    threshold: float | None = None
     gain: float = 3.0
     slack_penalty: float = 1000.0
     widening: float = 1.0
@@ -48,10 +51,12 @@ class VolumeBarrier:
     guard_gain: float = 3.0
 
     def __post_init__(self) -> None:
-        for name in ("threshold", "gain", "slack_penalty", "guard_gain"):
+        for name in ("gain", "slack_penalty", "guard_gain"):
             check_parameter(name, getattr(self, name))
-        rule = "below 1, det B of the free box"
-        require(self.threshold < 1.0, "threshold", self.threshold, rule)
+        if self.threshold is not None:
+            check_parameter("threshold", self.threshold)
+            rule = "below 1, det B of the free box"
+            require(self.threshold < 1.0, "threshold", self.threshold, rule)
         is_wide = math.isfinite(self.widening) and self.widening >= 1.0
         require(is_wide, "widening", self.widening, "finite and at least 1")
         require_choice("guard", self.guard, GUARDS)
@@ -63,19 +68,10 @@ class VolumeBarrier:
             return "volume"
         return f"volume, inputs x {self.widening:g}"
 
-    def measure(
-        self, input_set: InputSet, solver: str = DEFAULT_SOLVER
-    ) -> VolumeMeasure:
-        """Returns the measure that the volume row keeps positive."""
-        return VolumeMeasure(input_set, self.threshold, self.widening, solver)
 
-    def guard_measure(
-        self, input_set: InputSet, solver: str = DEFAULT_SOLVER
-    ) -> VolumeMeasure | None:
-        """Returns the measure that the guard's row keeps positive, if there is one."""
-        if self.guard == "none":
-            return None
-        return VolumeMeasure(input_set, self.threshold, solver=solver)
+def threshold_of(determinant: float) -> float:
+    """Returns the threshold of a barrier that has none, from det B at its start."""
+    return float(np.clip(determinant / 10.0, LEAST_THRESHOLD, MOST_THRESHOLD))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,124 @@
+"""VolumeRows: V_v of a filter's feasible sets, and its rows in the QP."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import SolverError, VcbfError
+from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.safety.ellipsoid import Ellipsoid, InscribedEllipsoidSolver
+from vcbf_drake.safety.feasible_set import FeasibleSet
+from vcbf_drake.safety.input_set import InputSet
+from vcbf_drake.safety.qp import VolumeRow
+from vcbf_drake.safety.settings import FilterSettings
+from vcbf_drake.safety.volume import Volume, VolumeMeasure, volume, volume_row
+
+
+class VolumeRows:
+    """The volume barrier of one filter, and its guard where there is one.
+
+    Args:
+        model: The plant's f, g, E.
+        input_set: What the actuators can do.
+        settings: The filter's.
+
+    Attributes:
+        has_guard: Whether a second row, of the set as it is, gives way last.
+    """
+
+    def __init__(
+        self, model: ControlAffineModel, input_set: InputSet, settings: FilterSettings
+    ) -> None:
+        self._model, self._input_set, self._settings = model, input_set, settings
+        self.has_guard = settings.volume.guard != "none"
+        solver = settings.solver
+        self._measure = VolumeMeasure(input_set, 0.0, settings.volume.widening, solver)
+        self._guard_measure = VolumeMeasure(input_set, 0.0, 1.0, solver)
+        self._ellipsoids = InscribedEllipsoidSolver(input_set, solver)
+
+    def determinant(
+        self, feasible: FeasibleSet, *, guard: bool = False
+    ) -> Volume | None:
+        """Returns V_v + xi with its derivatives; None where it cannot be verified.
+
+        Args:
+            feasible: The feasible set.
+            guard: Of the set as it is, whatever the widening.
+        """
+        if not feasible.is_finite:
+            return None
+        measure = self._guard_measure if guard else self._measure
+        if feasible.is_uncut and measure.of_input_set is not None:
+            n, q = self._model.num_states, self._model.num_disturbances
+            return Volume.unmoved(measure.of_input_set, n, q)
+        k = feasible.num_input_rows
+        try:
+            measured = measure(feasible.A_v[k:], feasible.b_v[k:])
+        except (SolverError, np.linalg.LinAlgError):
+            return None
+        return volume(measured, feasible, self._input_set)
+
+    def ellipsoid(self, feasible: FeasibleSet) -> Ellipsoid | None:
+        """Returns the largest ellipsoid of the set as it is; None where there is none.
+
+        Args:
+            feasible: The feasible set.
+        """
+        k = feasible.num_input_rows
+        try:
+            return self._ellipsoids.solve(feasible.A_v[k:], feasible.b_v[k:])
+        except (VcbfError, ValueError, np.linalg.LinAlgError):
+            return None  # Empty, or not finite.
+
+    def rows(
+        self,
+        state: Array,
+        feasible: FeasibleSet,
+        v: Volume | None,
+        guard: Volume | None,
+    ) -> tuple[list[VolumeRow], bool]:
+        """Returns the rows that act, the guard's first, and whether one is missing.
+
+        Args:
+            state: Shape (n,).
+            feasible: The feasible set.
+            v: V_v of it.
+            guard: The guard's, where there is one.
+        """
+        barrier = self._settings.volume
+        measured = [("volume", v, barrier.gain)]
+        if self.has_guard:
+            measured.insert(0, ("guard", guard, barrier.guard_gain))
+        rows = [
+            self._row(state, feasible, name, each, gain)
+            for name, each, gain in measured
+            if each is not None and not each.is_on_plateau  # Else 0 <= lambda_Vv V_v.
+        ]
+        finite = [row for row in rows if row.is_finite]
+        is_whole = len(finite) == len(rows) and all(each for _, each, _ in measured)
+        return finite, not is_whole
+
+    def _row(
+        self, state: Array, feasible: FeasibleSet, name: str, v: Volume, gain: float
+    ) -> VolumeRow:
+        drift, input_matrix = self._model.drift_and_input_matrix(state)
+        a, c = volume_row(
+            v,
+            drift,
+            input_matrix,
+            self._model.disturbance_matrix,
+            feasible.known,
+            gain,
+            self._settings.corrections.total_derivative,
+        )
+        return VolumeRow(a, c, self._settings.volume.slack_penalty, name)
+
+
+def above(threshold: float, determinant: Volume | None) -> Volume | None:
+    """Returns V_v, the determinant less its threshold xi."""
+    if determinant is None:
+        return None
+    return replace(determinant, value=determinant.value - threshold)
