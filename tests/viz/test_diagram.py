@@ -91,7 +91,8 @@ def drawn_connections(dot: str) -> Counter[Connection]:
     """Every arrow with the output that its line comes from."""
     graph = parsed(dot)
     names = port_names(graph)
-    edges = [e for e in graph.get_edges() if e.get("style") != "invis"]
+    parts = (graph, *graph.get_subgraphs())
+    edges = [edge for part in parts for edge in part.get_edges()]
     lines = [(e.get_source(), e.get_destination()) for e in edges if e.get("dir")]
 
     def source_of(place: str, passed: frozenset[str] = frozenset()) -> str | None:

@@ -117,18 +117,14 @@ def graph_dot(
         graph.add_subgraph(inside)
     backward = _backward(blocks, wires)
     below = _below(blocks, wires, backward)
-    wired = {pin for wire in wires for pin in wire[:2]}
     for block in blocks:
-        inside.add_node(_node(block, block.name in below, wired))
+        inside.add_node(_node(block, block.name in below, wires))
     nets: dict[Pin, list[Wire]] = {}
     for wire in wires:
         nets.setdefault(wire.source, []).append(wire)
     for number, net in enumerate(nets.values()):
         for part in _net(number, net, backward, below):
-            if isinstance(part, Node):
-                inside.add_node(part)
-            else:
-                graph.add_edge(part)
+            (inside.add_node if isinstance(part, Node) else inside.add_edge)(part)
     return str(graph.to_string())
 
 
@@ -233,19 +229,27 @@ def _size(wire: Wire) -> dict[str, Any]:
     return {"label": _quoted(f" {wire.size} ")} if wire.size else {}
 
 
-def _node(block: Block, mirrored: bool, wired: Collection[Pin]) -> Any:
+def _node(block: Block, mirrored: bool, wires: Sequence[Wire]) -> Any:
     from pydot import Node
 
-    return Node(_quoted(block.name), label=_table(block, mirrored, wired))
+    return Node(_quoted(block.name), label=_table(block, mirrored, wires))
 
 
-def _table(block: Block, mirrored: bool, wired: Collection[Pin]) -> str:
-    """The HTML-like label: head, notes, and a row for every pair of ports."""
+def _table(block: Block, mirrored: bool, wires: Sequence[Wire]) -> str:
+    """The HTML-like label: head, notes, and a row for every pair of ports.
+
+    Inputs that all come from one block are in the order of its outputs, so that no
+    wires cross; others are in their own.
+    """
+    wired = {pin for wire in wires for pin in wire[:2]}
+    sources = {w.sink: w.source for w in wires if w.sink.block == block.name}
     rows = [f"<TR>{cell}</TR>" for cell in _head(block)]
     pins = [
         [Pin(block.name, False, k) for k in range(len(block.inputs))],
         [Pin(block.name, True, k) for k in range(len(block.outputs))],
     ]
+    if len({source.block for source in sources.values()}) == 1:
+        pins[0].sort(key=lambda pin: (pin not in sources, sources.get(pin, pin)))
     left, right = pins[::-1] if mirrored else pins
     for k in range(max(len(left), len(right))):
         cells = _cell(block, left[k : k + 1], "LEFT", wired)
