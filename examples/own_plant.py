@@ -42,6 +42,8 @@ def Boat_(T):
     class Impl(LeafSystem_[T]):
         """A boat that two pairs of thrusters push along x and y."""
 
+        state_names = ("x", "y", "vx", "vy")
+
         def _construct(self, converter=None):
             LeafSystem_[T].__init__(self, converter=converter)
             self._thrust = self.DeclareVectorInputPort("thrust", 2)  # [N]

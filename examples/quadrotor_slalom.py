@@ -174,7 +174,10 @@ def main() -> None:
         plant=plant,
         reference=controller.get_output_port(),
         barriers=[
-            *(s.barrier(FOUR_RATES).robust_to(wind.bounds.delta1) for s in SPHERES),
+            *(
+                s.barrier(FOUR_RATES, [0, 1, 2]).robust_to(wind.bounds.delta1)
+                for s in SPHERES
+            ),
             *thrust.barriers([40.0, 400.0]),
         ],
         input_set=InputSet.box(-LIMITS, LIMITS),

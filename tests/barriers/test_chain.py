@@ -76,7 +76,7 @@ def car_case():
 
 def quadrotor_case():
     """Drake's own plant, as any user's would be."""
-    barriers = [SphereObstacle([1.0, 0.5, 0.2], 0.3).barrier((3.0, 2.0))]
+    barriers = [SphereObstacle([1.0, 0.5, 0.2], 0.3).barrier((3.0, 2.0), [0, 1, 2])]
     x = [0.0, 0.1, -0.1, 0.2, -0.1, 0.3, 0.5, 0.2, -0.3, 0.1, 0.2, -0.1]
     return QuadrotorPlant(), x, [1.0, 1.2, 1.1, 1.3], [], barriers
 

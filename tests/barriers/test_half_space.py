@@ -58,7 +58,9 @@ def test_rows_are_derivatives(system, start, u, d) -> None:
     def h(x, t):
         return normal @ x[:3] + 1.0 - 0.1
 
-    barrier = HalfSpace([1.0, -2.0, 2.0], -3.0, margin=0.1).barrier(K)
+    barrier = HalfSpace([1.0, -2.0, 2.0], -3.0, margin=0.1).barrier(
+        K, position=(0, 1, 2)
+    )
     assert_rows_are_derivatives(system, barrier, h, start, u, d)
 
 

@@ -50,7 +50,7 @@ def expected_row(x, center, velocity, distance):
 
 def test_rows_are_those_of_spheres_that_keep_their_velocity(model):
     spheres = PerceivedSpheres(capacity=3, dimensions=2, margin=0.1)
-    barriers = BarrierSet(model, spheres.barriers(GAINS))
+    barriers = BarrierSet(model, spheres.barriers(GAINS, [0, 1]))
     rng, t = np.random.default_rng(0), 7.3
     for _ in range(10):
         c, v = rng.normal(0.0, 2.0, (2, 3, 2))
@@ -77,7 +77,7 @@ def test_rows_are_those_of_spheres_that_keep_their_velocity(model):
 
 def test_squared_form_and_trajectories(model):
     spheres = PerceivedSpheres(capacity=2, dimensions=2, form="squared")
-    barriers = BarrierSet(model, spheres.barriers(GAINS))
+    barriers = BarrierSet(model, spheres.barriers(GAINS, [0, 1]))
     seen = np.array([spheres.pack([[s, 0.0]], [[1.0, 0.0]], [0.5]) for s in (3.0, 4.0)])
     h = barriers.values_along(np.zeros((2, 4)), np.array([3.0, 4.0]), seen)
     assert h[:, 0] == pytest.approx([9.0 - 0.25, 16.0 - 0.25])
@@ -102,7 +102,7 @@ def outputs(safety_filter, context, *names):
 def perceiving(model, **options):
     settings = FilterSettings(method="vcbf-qp", **options)
     spheres = PerceivedSpheres(capacity=4, dimensions=2)
-    barriers = spheres.barriers(GAINS)
+    barriers = spheres.barriers(GAINS, [0, 1])
     return spheres, SafetyFilter(model, barriers, LIMITS, settings)
 
 
@@ -112,7 +112,7 @@ def test_empty_slots_drop_out_exactly(model, widening):
     barrier = VolumeBarrier(widening=widening, guard="volume")
     spheres, safety_filter = perceiving(model, volume=barrier)
     standing = [
-        SphereObstacle(c, r, v).barrier(GAINS)
+        SphereObstacle(c, r, v).barrier(GAINS, [0, 1])
         for c, v, r in zip(*SEEN.values(), strict=True)
     ]
     built = SafetyFilter(model, standing, LIMITS, safety_filter.settings)
@@ -196,7 +196,7 @@ def test_sizes_are_checked(model):
         PerceivedSpheres(capacity=0)
     with pytest.raises(ValueError, match="2 or 3"):
         PerceivedSpheres(capacity=1, dimensions=4)
-    two = [PerceivedSpheres(n, dimensions=2).barriers(GAINS) for n in (1, 2)]
+    two = [PerceivedSpheres(n, dimensions=2).barriers(GAINS, [0, 1]) for n in (1, 2)]
     with pytest.raises(ValueError, match="capacity"):
         BarrierSet(model, [*two[0], *two[1]])
     with pytest.raises(ValueError, match=r"obstacles: expected shape \(6,\), got None"):
@@ -223,8 +223,8 @@ def loop(barriers, port=True):
 
 def test_the_port_is_connected_and_the_obstacle_avoided():
     one = PerceivedSpheres(1, dimensions=2)
-    wall = HalfSpace([0.0, -1.0], -3.0).barrier(GAINS)
-    simulator, _, plant = loop([wall, *one.barriers(GAINS)])
+    wall = HalfSpace([0.0, -1.0], -3.0).barrier(GAINS, [0, 1])
+    simulator, _, plant = loop([wall, *one.barriers(GAINS, [0, 1])])
     simulator.AdvanceTo(5.0)
     x = plant.GetMyContextFromRoot(
         simulator.get_context()
@@ -235,8 +235,8 @@ def test_the_port_is_connected_and_the_obstacle_avoided():
 
 def test_a_port_that_is_missing_or_not_wanted_is_named():
     one = PerceivedSpheres(1, dimensions=2)
-    simulator, _, _ = loop(one.barriers(GAINS), port=False)
+    simulator, _, _ = loop(one.barriers(GAINS, [0, 1]), port=False)
     with pytest.raises(RuntimeError, match="obstacles"):
         simulator.AdvanceTo(0.1)
     with pytest.raises(ValueError, match="none of the barriers is of PerceivedSpheres"):
-        loop([HalfSpace([0.0, -1.0], -3.0).barrier(GAINS)])
+        loop([HalfSpace([0.0, -1.0], -3.0).barrier(GAINS, [0, 1])])

@@ -89,6 +89,7 @@ def test_without_a_bound_the_row_is_the_plain_one(model):
         np.array(model.dynamics.f),
         np.array(model.dynamics.g),
         np.zeros((6, 0)),
+        position=(0, 1),
     )
     state = np.array([0.1, 0.2, 0.3, -0.4, 0.5, 0.6])
     robust = BarrierSet(model, [ball.robust_to(0.0)]).rows(state, 1.3)

@@ -108,7 +108,7 @@ def safety_filter(method: str) -> SafetyFilter:
     return SafetyFilter(
         ControlAffineModel.from_system(plant),
         [
-            SphereObstacle(center, radius, form="squared").barrier(GAINS)
+            SphereObstacle(center, radius, form="squared").barrier(GAINS, [0, 1, 2])
             for center, radius in zip(CENTERS, RADII, strict=True)
         ],
         InputSet.box(-LIMIT * np.ones(NUM_INPUTS), LIMIT * np.ones(NUM_INPUTS)),

@@ -2,16 +2,16 @@
 
 from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.barrier_set import BarrierSet
-from vcbf_drake.barriers.box_obstacle import BoxObstacle
-from vcbf_drake.barriers.capsule_obstacle import CapsuleObstacle
-from vcbf_drake.barriers.ellipsoid_obstacle import EllipsoidObstacle
-from vcbf_drake.barriers.geofence import Geofence
-from vcbf_drake.barriers.half_space import HalfSpace
 from vcbf_drake.barriers.limits import StateInputLimit, StateLimit, ackermann_limit
-from vcbf_drake.barriers.obstacles import SphereObstacle
-from vcbf_drake.barriers.pair_distance import PairDistance
-from vcbf_drake.barriers.perceived_spheres import PerceivedSpheres
+from vcbf_drake.barriers.obstacles import (
+    BoxObstacle,
+    CapsuleObstacle,
+    EllipsoidObstacle,
+    SphereObstacle,
+)
+from vcbf_drake.barriers.perceived import PerceivedSpheres
 from vcbf_drake.barriers.rows import BarrierRows
+from vcbf_drake.barriers.shapes import Geofence, HalfSpace, PairDistance
 
 __all__ = [
     "Barrier",

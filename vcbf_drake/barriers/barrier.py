@@ -47,6 +47,8 @@ class Barrier:
             which makes the sets S^k of (E3) as large as they can be (R21).
         parameters: The values of p, shape (k,).
         name: What error messages and logs call it.
+        of_position: None if `function` takes the state x; k if it takes, in its place,
+            the first k coordinates of the position that the plant names.
         early_disturbance: What `robust_to` was given; None without it.
     """
 
@@ -56,6 +58,8 @@ class Barrier:
         gains: Sequence[float] | Array,
         parameters: Sequence[float] | Array = (),
         name: str = "barrier",
+        *,
+        of_position: int | None = None,
     ) -> None:
         """Checks the gains and the parameters.
 
@@ -68,6 +72,7 @@ class Barrier:
         self.decay_rates = decay_rates(self.gains, name)
         self.parameters = finite_vector(parameters, f"parameters of barrier '{name}'")
         self.name = name
+        self.of_position = of_position
         self.early_disturbance: EarlyDisturbance | None = None
 
     def robust_to(self, bound: float, smoothing: float = 0.01) -> Barrier:

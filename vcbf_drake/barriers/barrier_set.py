@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from functools import cached_property
 import math
@@ -11,7 +12,7 @@ import numpy as np
 from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.compared import require_same_numbers
 from vcbf_drake.barriers.limits import StateInputLimit
-from vcbf_drake.barriers.perceived_spheres import PerceivedBarrier
+from vcbf_drake.barriers.perceived import PerceivedBarrier
 from vcbf_drake.barriers.rows import (
     BarrierRows,
     RowFunctions,
@@ -30,7 +31,7 @@ class BarrierSet:
     """The rows of N barriers and limits, in the order given.
 
     Attributes:
-        names: Their names, N of them.
+        names: Their names, N of them; those of one name have a number behind it.
         obstacles_size: How many numbers describe the perceived obstacles.
         num_entries: How many entries [A, b, w] a row has, m + 1 + q.
     """
@@ -58,7 +59,7 @@ class BarrierSet:
                     "expected a Barrier or a StateInputLimit, got"
                     f" {type(barrier).__name__}"
                 )
-        self.names = tuple(barrier.name for barrier in barriers)
+        self.names = _numbered([barrier.name for barrier in barriers])
         self._model = model
         self._num_states = model.num_states
         self._num_inputs = model.num_inputs
@@ -266,7 +267,17 @@ def _functions(
         return limit_functions(model, barrier)
     except ModelError as error:
         kind = "barrier" if isinstance(barrier, Barrier) else "limit"
-        raise ModelError(f"{kind} '{barrier.name}': {error}") from error
+        raise ModelError(f"{kind} '{barrier.name}': {error}") from None
+
+
+def _numbered(names: Sequence[str]) -> tuple[str, ...]:
+    """The names, with numbers behind those that come more than once."""
+    many, seen = Counter(names), Counter[str]()
+    numbered = []
+    for name in names:
+        seen[name] += 1
+        numbered.append(f"{name} {seen[name]}" if many[name] > 1 else name)
+    return tuple(numbered)
 
 
 def _obstacles_size(perceived: Sequence[PerceivedBarrier]) -> int:

@@ -19,6 +19,7 @@ from vcbf_drake.model.compiled import (
     compile_nodes,
 )
 from vcbf_drake.model.control_affine import ControlAffineModel, Dynamics
+from vcbf_drake.model.explained import explained
 from vcbf_drake.model.graph import ZERO, Node, Nodes, Reader, gradients, variable
 
 TIME = variable("t")
@@ -42,13 +43,20 @@ class Symbols:
         nodes = [*model.dynamics.x, TIME, *self.parameters]
         self._reader = Reader(dict(zip(variables, nodes, strict=True)))
 
-    def call(self, function: Callable[..., Any]) -> Any:
+    def call(self, function: Callable[..., Any], of_position: int | None = None) -> Any:
         """Returns function(x, t, p), in pydrake's expressions.
+
+        Args:
+            function: A barrier's or limit's.
+            of_position: How many coordinates of the position it takes in place of x;
+                None for x.
 
         Raises:
             ModelError: It raises.
         """
         x, p = as_expressions(self.model.state), as_expressions(self._parameters)
+        if of_position is not None:
+            x = self.model.position_of(x, of_position)
         try:
             return function(x, Expression(self._time), p)
         except (
@@ -58,7 +66,9 @@ class Symbols:
             TypeError,
             ValueError,
         ) as error:
-            raise ModelError(f"function(x, t, p) fails on symbols: {error}") from error
+            raise ModelError(
+                f"function(x, t, p) fails on symbols: {explained(error)}"
+            ) from None
 
     def read(self, values: Any) -> Nodes:
         """Returns the formulas of what a function returned, of the same shape.
@@ -69,19 +79,17 @@ class Symbols:
         """
         try:
             return self._reader.read(values)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError):
             raise ModelError(
                 "function(x, t, p) must return symbolic expressions or numbers"
-            ) from error
+            ) from None
         except KeyError as error:
             raise ModelError(
                 "function(x, t, p) cannot be compiled: not among its arguments:"
                 f" {error.args[0]}"
             ) from None
         except NotImplementedError as error:
-            raise ModelError(
-                f"function(x, t, p) cannot be compiled: {error}"
-            ) from error
+            raise ModelError(f"function(x, t, p) cannot be compiled: {error}") from None
 
 
 def as_expressions(values: Any) -> Expressions:

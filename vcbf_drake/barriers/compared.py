@@ -62,7 +62,10 @@ def _compare(
         return compiled(*x, abs(t), *parameters)[:size]
 
     def written(point: Array) -> list[Any]:
-        return _written(barrier, point[:-1], abs(point[-1]))
+        x: Any = point[:-1]
+        if isinstance(barrier, Barrier) and barrier.of_position is not None:
+            x = model.position_of(x, barrier.of_position)
+        return _written(barrier, x, abs(point[-1]))
 
     def describe(point: Array) -> str:
         x = ", ".join(f"{value:.6g}" for value in point[:-1])

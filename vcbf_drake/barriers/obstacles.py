@@ -2,29 +2,60 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 from pydrake.symbolic import Expression
 
-from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
-from vcbf_drake.barriers.local_frame import LocalFrame
-from vcbf_drake.barriers.moving_point import MovingPoint
-from vcbf_drake.barriers.position import (
-    Position,
-    PositionFunction,
-    position_function,
+from vcbf_drake.barriers.shapes import (
+    LocalFrame,
+    MovingPoint,
+    Shape,
+    ShapeFunction,
+    rotation_matrix,
+    smooth_excess,
 )
-from vcbf_drake.checks import Array, require_choice
+from vcbf_drake.checks import Array, check_parameter, finite_vector, require_choice
 from vcbf_drake.model.compiled import Expressions
 
 SphereForm = Literal["distance", "squared"]
 
 
+class Obstacle(Shape):
+    """A shape to stay clear of, which moves at a constant velocity."""
+
+    @property
+    @abstractmethod
+    def moving_center(self) -> MovingPoint:
+        """The centre c(t), checked."""
+
+    def center_at(self, t: float | Array) -> Array:
+        """Returns the centre at time t [s], shape (k,); for times (T,), (T, k) [m]."""
+        return self.moving_center.at(t)
+
+
+class CentredObstacle(Obstacle):
+    """An obstacle that is given by its centre at t = 0.
+
+    Attributes:
+        center: Shape (k,) with k = 2 or 3 [m].
+        velocity: Shape (k,) [m/s]; None or empty: it stands.
+    """
+
+    center: Sequence[float] | Array
+    velocity: Sequence[float] | Array | None
+
+    @property
+    def moving_center(self) -> MovingPoint:
+        """The centre c(t), checked."""
+        return MovingPoint.of(self.center, self.velocity, self.kind)
+
+
 @dataclass
-class SphereObstacle:
+class SphereObstacle(CentredObstacle):
     """A sphere, or in the plane a disc, that moves at a constant velocity.
 
     With the position p, the centre c(t) and the safety distance R = radius + margin,
@@ -41,6 +72,7 @@ class SphereObstacle:
         margin: The distance to keep from the obstacle's surface [m].
     """
 
+    kind: ClassVar[str] = "obstacle"
     center: Sequence[float] | Array
     radius: float
     velocity: Sequence[float] | Array | None = None
@@ -69,10 +101,6 @@ class SphereObstacle:
         """The distance R = radius + margin to keep from the centre [m]."""
         return self.radius + self.margin
 
-    def center_at(self, t: float | Array) -> Array:
-        """Returns the centre at time t [s], shape (k,); for times (T,), (T, k) [m]."""
-        return self._center.at(t)
-
     def clearance(self, position: Array, t: float | Array) -> float | Array:
         """Returns the signed distance from the obstacle's own surface [m].
 
@@ -84,43 +112,245 @@ class SphereObstacle:
         distance: float | Array = np.linalg.norm(offset, axis=-1) - self.radius
         return distance
 
-    def barrier(
-        self,
-        gains: Sequence[float] | Array,
-        position: Position | None = None,
-        name: str = "obstacle",
-    ) -> Barrier:
-        """Returns the barrier that keeps R clear of the centre.
+    def formula(self) -> tuple[int, ShapeFunction, list[float]]:
+        """Returns k, h(position, t, p) with p = (frame, R), and p."""
+        frame, squared = LocalFrame(self.moving_center), self.form == "squared"
 
-        Args:
-            gains: K of (E4); their number is the relative degree.
-            position: Which states are the position, or a function from the symbolic
-                state x to it; by default the first k states.
-            name: What error messages and logs call it.
+        def h(position: Expressions, t: Expression, p: Expressions) -> Expression:
+            offset, (clear,) = frame.coordinates(position, t, p)
+            if squared:
+                return offset @ offset - clear**2
+            return (offset @ offset) ** 0.5 - clear
+
+        return frame.center.size, h, [*frame.parameters, self.safety_distance]
+
+
+@dataclass(frozen=True)
+class EllipsoidObstacle(CentredObstacle):
+    """An ellipsoid, or in the plane an ellipse, that moves at a constant velocity.
+
+    With the semi-axes a_i along the columns of R, Q = R diag(1 / a_i^2) R' and the
+    centre c(t), its barrier is::
+
+        h = min(a) (sqrt((p - c(t))' Q (p - c(t))) - 1) - margin    [m]
+
+    The factor min(a) makes h a length: outside it never exceeds the distance to the
+    surface less the margin, and equals it along the shortest axis. The set h = 0 is the
+    ellipsoid scaled by 1 + margin / min(a). Smooth except at the centre. Relative
+    degree 2 for a position that forces accelerate (`Blimp`, `Car`). Source: ours.
+
+    Attributes:
+        center: The centre at t = 0, shape (k,) with k = 2 or 3 [m].
+        semi_axes: a, shape (k,) [m].
+        rotation: R, whose columns are the axes' directions, shape (k, k); None: they
+            are the coordinate axes.
+        velocity: The centre's velocity, shape (k,) [m/s]; None or empty: it stands.
+        margin: The distance to keep from the surface, at least [m].
+    """
+
+    kind: ClassVar[str] = "ellipsoid"
+    center: Sequence[float] | Array
+    semi_axes: Sequence[float] | Array
+    rotation: Sequence[Sequence[float]] | Array | None = None
+    velocity: Sequence[float] | Array | None = None
+    margin: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Checks the numbers.
 
         Raises:
-            ValueError: `position` has not one index a dimension, or bad gains.
+            ValueError: Shapes that do not fit, a semi-axis that is not positive, axes
+                that are not orthonormal, a negative margin, or a number that is not
+                finite.
         """
-        frame = LocalFrame(self._center)
-        at = position_function(position, frame.center.size, name)
-        parameters = [*frame.parameters, self.safety_distance]
-        return Barrier(_sphere(self.form, at, frame), gains, parameters, name)
+        size = self.moving_center.size
+        check_parameter("ellipsoid: semi_axes", self.semi_axes, size=size)
+        rotation_matrix(self.rotation, size, "ellipsoid")
+        check_parameter("ellipsoid: margin", self.margin, zero_allowed=True)
 
     @property
-    def _center(self) -> MovingPoint:
-        return MovingPoint.of(self.center, self.velocity, "obstacle")
+    def shape(self) -> Array:
+        """The matrix Q, shape (k, k) [1/m^2]."""
+        return (self._axes / np.square(self.semi_axes)) @ self._axes.T
+
+    def formula(self) -> tuple[int, ShapeFunction, list[float]]:
+        """Returns k, h(position, t, p) with p = (frame, min(a), margin), and p."""
+        frame = LocalFrame(self.moving_center, (self._axes / self.semi_axes).T)
+
+        def h(position: Expressions, t: Expression, p: Expressions) -> Expression:
+            # The frame is scaled by the semi-axes, so |z|^2 = (p - c)' Q (p - c).
+            z, (shortest, margin) = frame.coordinates(position, t, p)
+            return shortest * ((z @ z) ** 0.5 - 1.0) - margin
+
+        parameters = [*frame.parameters, min(self.semi_axes), self.margin]
+        return frame.center.size, h, parameters
+
+    @property
+    def _axes(self) -> Array:
+        return rotation_matrix(self.rotation, self.moving_center.size, "ellipsoid")
 
 
-def _sphere(
-    form: str, position: PositionFunction, frame: LocalFrame
-) -> BarrierFunction:
-    """Returns h(x, t, p) with p = (frame, R)."""
+@dataclass(frozen=True)
+class BoxObstacle(CentredObstacle):
+    """A box, or in the plane a rectangle, that moves at a constant velocity.
 
-    def h(x: Expressions, t: Expression, p: Expressions) -> Expression:
-        offset, (clear,) = frame.coordinates(position(x), t, p)
-        if form == "squared":
-            return offset @ offset - clear**2
-        # A power differentiates to much shorter expressions than sqrt() does.
-        return (offset @ offset) ** 0.5 - clear
+    With z = R' (p - c(t)), the position along the box's own axes, the half-widths a
+    and how far s(z_i) the position is beyond each of them, rounded over the length e::
 
-    return h
+        h = |s| - gap - margin                                            [m]
+        s(z_i) = (sqrt((z_i - a_i)^2 + e^2) + sqrt((z_i + a_i)^2 + e^2)) / 2 - a_i
+
+    h is smooth everywhere and conservative: it never exceeds the exact distance to the
+    box less the margin, and is less by at most the gap, sqrt(k) e / 2 for a box much
+    wider than e. Inside the box h is negative but flat, so a position deep inside is
+    hardly pushed out. Relative degree 2 for a position that forces accelerate (`Blimp`,
+    `Car`). Source: ours.
+
+    Attributes:
+        center: The centre at t = 0, shape (k,) with k = 2 or 3 [m].
+        half_widths: a, shape (k,); 0 for a plate [m].
+        rotation: R, whose columns are the box's own axes, shape (k, k); None: they are
+            the coordinate axes.
+        velocity: The centre's velocity, shape (k,) [m/s]; None or empty: it stands.
+        margin: The distance to keep from the surface [m].
+        smoothing: The length e [m].
+    """
+
+    kind: ClassVar[str] = "box"
+    center: Sequence[float] | Array
+    half_widths: Sequence[float] | Array
+    rotation: Sequence[Sequence[float]] | Array | None = None
+    velocity: Sequence[float] | Array | None = None
+    margin: float = 0.0
+    smoothing: float = 0.05
+
+    def __post_init__(self) -> None:
+        """Checks the numbers.
+
+        Raises:
+            ValueError: Shapes that do not fit, a negative half-width or margin, axes
+                that are not orthonormal, a smoothing that is not positive, or a number
+                that is not finite.
+        """
+        size = self.moving_center.size
+        check_parameter(
+            "box: half_widths", self.half_widths, size=size, zero_allowed=True
+        )
+        rotation_matrix(self.rotation, size, "box")
+        check_parameter("box: margin", self.margin, zero_allowed=True)
+        check_parameter("box: smoothing", self.smoothing)
+
+    @property
+    def gap(self) -> float:
+        """How much less than the exact distance h is, at most [m]."""
+        a = np.asarray(self.half_widths, dtype=float)
+        return float(np.linalg.norm(smooth_excess(a, a, self.smoothing)))
+
+    def formula(self) -> tuple[int, ShapeFunction, list[float]]:
+        """Returns k, h(position, t, p) with p = (frame, a, e, gap + margin), and p."""
+        center, R = self.moving_center, self.rotation
+        k = center.size
+        axes = None if R is None else rotation_matrix(R, k, "box").T
+        frame = LocalFrame(center, axes)
+
+        def h(position: Expressions, t: Expression, p: Expressions) -> Expression:
+            z, p = frame.coordinates(position, t, p)
+            half_widths, (smoothing, clear) = p[:k], p[k:]
+            s = smooth_excess(z, half_widths, smoothing)
+            return (s @ s) ** 0.5 - clear
+
+        clear = self.gap + self.margin
+        parameters = [*frame.parameters, *self.half_widths, self.smoothing, clear]
+        return k, h, parameters
+
+
+@dataclass(frozen=True)
+class CapsuleObstacle(Obstacle):
+    """All points within a radius of a segment that moves at a constant velocity.
+
+    With the segment's middle c(t) and half-length a, the position z along the segment
+    and y across it, both from c(t), and how far s(z) the position is beyond the ends,
+    rounded over the length e::
+
+        h = sqrt(|y|^2 + s(z)^2) - gap - radius - margin                  [m]
+        s(z) = (sqrt((z - a)^2 + e^2) + sqrt((z + a)^2 + e^2)) / 2 - a
+
+    h is smooth everywhere and conservative: it never exceeds the exact signed distance
+    to the capsule less the margin, and is less by at most the gap, e / 2 for a capsule
+    much longer than e. Relative degree 2 for a position that forces accelerate
+    (`Blimp`, `Car`). Source: ours.
+
+    Attributes:
+        start: One end of the segment at t = 0, shape (k,) with k = 2 or 3 [m].
+        end: The other end at t = 0, shape (k,) [m].
+        radius: [m].
+        velocity: The segment's velocity, shape (k,) [m/s]; None or empty: it stands.
+        margin: The distance to keep from the surface [m].
+        smoothing: The length e [m].
+    """
+
+    kind: ClassVar[str] = "capsule"
+    start: Sequence[float] | Array
+    end: Sequence[float] | Array
+    radius: float
+    velocity: Sequence[float] | Array | None = None
+    margin: float = 0.0
+    smoothing: float = 0.05
+
+    def __post_init__(self) -> None:
+        """Checks the numbers.
+
+        Raises:
+            ValueError: Shapes that do not fit, a segment of no length, a negative
+                radius or margin, a smoothing that is not positive, or a number that is
+                not finite.
+        """
+        start = finite_vector(self.start, "capsule: start")
+        end = finite_vector(self.end, "capsule: end")
+        if start.shape != end.shape or (start == end).all():
+            raise ValueError(
+                "capsule: start and end must be two different points of one size,"
+                f" got {start.tolist()} and {end.tolist()}"
+            )
+        MovingPoint.of(start, self.velocity, "capsule")
+        check_parameter("capsule: radius", self.radius, zero_allowed=True)
+        check_parameter("capsule: margin", self.margin, zero_allowed=True)
+        check_parameter("capsule: smoothing", self.smoothing)
+
+    @property
+    def half_length(self) -> float:
+        """Half the length of the segment [m]."""
+        return float(np.linalg.norm(np.subtract(self.end, self.start))) / 2.0
+
+    @property
+    def gap(self) -> float:
+        """How much less than the exact distance h is, at most [m]."""
+        a = self.half_length
+        return float(smooth_excess(a, a, self.smoothing))
+
+    def formula(self) -> tuple[int, ShapeFunction, list[float]]:
+        """Returns k, h(position, t, p) with p = (frame, a, e, clearance), and p."""
+        axes = _axes_along(np.subtract(self.end, self.start))
+        frame = LocalFrame(self.moving_center, axes)
+
+        def h(position: Expressions, t: Expression, p: Expressions) -> Expression:
+            (z, *y), constants = frame.coordinates(position, t, p)
+            half_length, smoothing, clear = constants
+            s = smooth_excess(z, half_length, smoothing)
+            return (np.dot(y, y) + s**2) ** 0.5 - clear
+
+        clear = self.gap + self.radius + self.margin
+        parameters = [*frame.parameters, self.half_length, self.smoothing, clear]
+        return frame.center.size, h, parameters
+
+    @property
+    def moving_center(self) -> MovingPoint:
+        """The segment's middle c(t)."""
+        middle = np.add(self.start, self.end) / 2.0
+        return MovingPoint.of(middle, self.velocity, self.kind)
+
+
+def _axes_along(direction: Array) -> Array:
+    """Returns orthonormal rows, shape (k, k), the first along the direction."""
+    _, _, rows = np.linalg.svd(direction[np.newaxis])
+    return rows

@@ -155,7 +155,8 @@ def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctio
     """
     parameters = tuple(barrier.parameters.tolist())
     symbols = Symbols(model, len(parameters))
-    h = np.asarray(symbols.call(barrier.function), dtype=object)
+    h = symbols.call(barrier.function, barrier.of_position)
+    h = np.asarray(h, dtype=object)
     if h.shape != ():
         raise ModelError(
             f"function(x, t, p) must return one scalar expression, got shape {h.shape}"
@@ -177,7 +178,7 @@ def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctio
         raise ModelError(
             "function(x, t, p) cannot be differentiated as often as needed: write it"
             f" without abs and without the root of a square ({error})"
-        ) from error
+        ) from None
     return RowFunctions(
         row, gradient, constants, value, parameters, barrier.relative_degree
     )
@@ -205,7 +206,7 @@ def limit_functions(model: ControlAffineModel, limit: StateInputLimit) -> RowFun
     except ValueError as error:
         raise ModelError(
             f"function(x, t, p) cannot be differentiated: {error}"
-        ) from error
+        ) from None
     return RowFunctions(compiled, gradient, parameters, _no_value, parameters, 0)
 
 

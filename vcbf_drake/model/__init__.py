@@ -2,6 +2,6 @@
 
 from vcbf_drake.model.compiled import compile_expressions
 from vcbf_drake.model.control_affine import ControlAffineModel
-from vcbf_drake.model.point_position import point_position
+from vcbf_drake.model.position import point_position
 
 __all__ = ["ControlAffineModel", "compile_expressions", "point_position"]

@@ -24,6 +24,7 @@ from vcbf_drake.model.graph import (
     variable,
     variables_of,
 )
+from vcbf_drake.model.position import Position, named_position
 from vcbf_drake.model.symbolic_dynamics import (
     Context,
     PortChoice,
@@ -75,6 +76,8 @@ class ControlAffineModel:
         effort_limits: Where the plant itself clamps its inputs; None for nowhere.
         wrapped_states: The names of angles that may jump by 2 pi; or of states that
             jump by other periods, with these.
+        position: Which states are the position, or a function from x to it; None for
+            those called x, y and z, if there are.
 
     Attributes:
         num_states: n.
@@ -89,6 +92,8 @@ class ControlAffineModel:
             its input (a MultibodyPlant does) and is not this model. Infinite for most.
         wrapping_periods: After how much a state is the same again, shape (n,); infinite
             for most.
+        position: Which states are the position, or a function from x to it; None where
+            the plant does not say.
 
     Raises:
         ModelError: E does not have full column rank.
@@ -105,6 +110,7 @@ class ControlAffineModel:
         name: str = "model",
         effort_limits: Array | None = None,
         wrapped_states: Sequence[str] | Mapping[str, float] = (),
+        position: Position | None = None,
     ) -> None:
         n, m, q = len(state), input_matrix.shape[-1], disturbance_matrix.shape[-1]
         shapes = drift.shape, input_matrix.shape, disturbance_matrix.shape
@@ -127,6 +133,9 @@ class ControlAffineModel:
             np.full(m, np.inf) if effort_limits is None else effort_limits
         )
         self.wrapping_periods = self._periods(wrapped_states)
+        self.position = (
+            named_position(self.state_names) if position is None else position
+        )
         x = tuple(variable(f"x{i}") for i in range(n))
         reader = Reader(dict(zip(state, x, strict=True)))
         f, g = reader.read(drift), reader.read(input_matrix)
@@ -174,6 +183,7 @@ class ControlAffineModel:
             name=dynamics.name,
             effort_limits=dynamics.effort_limits,
             wrapped_states=getattr(system, "wrapped_states", ()),
+            position=getattr(system, "position_indices", None),
         )
         _require_same_rates(model, dynamics)
         return model
@@ -200,6 +210,36 @@ class ControlAffineModel:
                 )
             periods[self.state_names.index(state)] = period
         return periods
+
+    def position_of(self, x: Expressions, size: int) -> Expressions:
+        """Returns the position in a state, symbolic or not: its first coordinates.
+
+        Args:
+            x: The state, shape (n,).
+            size: How many coordinates.
+
+        Raises:
+            ModelError: The plant does not say where it is, or in fewer dimensions.
+        """
+        way_out = (
+            f"say where it is: position=[{', '.join('ijk'[:size])}], the {size} states,"
+            " or a function of x (point_position, for a point of a MultibodyPlant)"
+        )
+        if self.position is None:
+            raise ModelError(
+                f"{self.name} does not say which of its states"
+                f" ({', '.join(self.state_names)}) are its position; {way_out}"
+            )
+        if callable(self.position):
+            found = self.position(x)
+        else:
+            found = x[list(self.position)]
+        if len(found) < size:
+            raise ModelError(
+                f"it is in {size} dimensions, the position of {self.name} in"
+                f" {len(found)}: leave a coordinate out, or {way_out}"
+            )
+        return found[:size]
 
     def drift(self, x: Array) -> Array:
         """Evaluates f(x), shape (n,), in state units per second."""

@@ -13,6 +13,7 @@ from pydrake.systems.framework import InputPort, PortDataType
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.model.explained import explained, first_line
 from vcbf_drake.model.graph import (
     ZERO,
     Nodes,
@@ -213,8 +214,8 @@ def _to_symbolic(system: System, name: str) -> System:
     except RuntimeError as error:
         raise ModelError(
             f"{name}: it does not convert to symbolic; write it as a template of its"
-            f" scalar type (pydrake's TemplateSystem): {error}"
-        ) from error
+            f" scalar type (pydrake's TemplateSystem): {first_line(error)}"
+        ) from None
     for actuator in _actuators(symbolic):
         actuator.set_effort_limit(np.inf)  # A clamped input is not affine.
     return symbolic
@@ -325,8 +326,8 @@ def _residual(
         unset = [p for p in _vector_ports(system) if not p.HasValue(context)]
         if not unset:
             raise ModelError(
-                f"{name}: its dynamics do not evaluate with symbolic numbers: {error}"
-            ) from error
+                f"{name}: its dynamics do not evaluate on symbols: {explained(error)}"
+            ) from None
     else:
         return np.asarray(residual, dtype=object)
     for port in unset:

@@ -13,8 +13,8 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.framework import BasicVector, Context, LeafSystem, System
 
 from vcbf_drake.barriers import Barrier, StateInputLimit
-from vcbf_drake.barriers.position import Position
 from vcbf_drake.checks import Array, require
+from vcbf_drake.model.position import Position
 from vcbf_drake.plants.shapes import Part, bounding_box
 
 

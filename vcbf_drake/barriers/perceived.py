@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.obstacles import SphereForm, SphereObstacle
-from vcbf_drake.barriers.position import Position
 from vcbf_drake.checks import Array, check_parameter
+from vcbf_drake.model.position import Position
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class PerceivedSpheres:
         Args:
             gains: K of (E4); their number is the relative degree.
             position: Which states are the position, or a function from the symbolic
-                state x to it; by default the first k states.
+                state x to it; None where the plant says it.
             name: What error messages and logs call it; the slot's number is added.
 
         Raises:
@@ -129,7 +129,13 @@ class PerceivedBarrier(Barrier):
     def __init__(self, example: Barrier, spheres: PerceivedSpheres, slot: int) -> None:
         """Gives the example's function to a slot."""
         name = f"{example.name} {slot}"
-        super().__init__(example.function, example.gains, example.parameters, name)
+        super().__init__(
+            example.function,
+            example.gains,
+            example.parameters,
+            name,
+            of_position=example.of_position,
+        )
         self.spheres = spheres
         self.slot = slot
 

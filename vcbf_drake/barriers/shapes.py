@@ -1,0 +1,449 @@
+"""Shapes in space, of which each makes barriers for a position."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, TypeAlias
+
+import numpy as np
+from pydrake.symbolic import Expression
+
+from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
+from vcbf_drake.checks import Array, check_parameter, finite_vector
+from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.model.position import Position, PositionFunction
+
+ShapeFunction: TypeAlias = BarrierFunction
+"""``h(position, t, p)``: like a barrier's function, of the position (k,)."""
+
+_AXES = "xyz"
+_TOLERANCE = 1e-9
+
+
+class Shape(ABC):
+    """A shape that a position keeps clear of, or inside: one barrier.
+
+    Attributes:
+        kind: What its barriers are called.
+    """
+
+    kind: ClassVar[str]
+
+    @abstractmethod
+    def formula(self) -> tuple[int, ShapeFunction, list[float]]:
+        """Returns the number k of dimensions, h(position, t, p), and p's values."""
+
+    def barrier(
+        self,
+        gains: Sequence[float] | Array,
+        position: Position | None = None,
+        name: str | None = None,
+    ) -> Barrier:
+        """Returns the barrier h >= 0 of the shape.
+
+        Args:
+            gains: K of (E4); their number is the relative degree.
+            position: Which states are the position, or a function from the symbolic
+                state x to it; None where the plant says it (`Blimp`, `Car`, plants
+                whose states are called x, y and z).
+            name: What error messages and logs call it; None for the kind of shape.
+
+        Raises:
+            ValueError: `position` has not one index a dimension, or bad gains.
+        """
+        size, formula, parameters = self.formula()
+        return _of_position(
+            formula, size, gains, parameters, position, name or self.kind
+        )
+
+
+def _of_position(
+    formula: ShapeFunction,
+    size: int,
+    gains: Sequence[float] | Array,
+    parameters: Sequence[float],
+    position: Position | None,
+    name: str,
+) -> Barrier:
+    if position is None:
+        return Barrier(formula, gains, parameters, name, of_position=size)
+    at = position_function(position, size, name)
+    return Barrier(lambda x, t, p: formula(at(x), t, p), gains, parameters, name)
+
+
+def position_function(position: Position, size: int, name: str) -> PositionFunction:
+    """Returns the position as a function of the symbolic state.
+
+    Args:
+        position: Indices or a function.
+        size: How many dimensions k the position has.
+        name: The barrier's name, for the error message.
+
+    Raises:
+        ValueError: Not one index per dimension, or one of them twice.
+    """
+    if callable(position):
+        return _checked(position, size)
+    indices = list(position)
+    if len(indices) != size or len(set(indices)) != size:
+        raise ValueError(
+            f"barrier '{name}': position must name {size} states, got {indices}"
+        )
+    return lambda x: x[indices]
+
+
+def _checked(position: PositionFunction, size: int) -> PositionFunction:
+    def checked(x: Expressions) -> Expressions:
+        point = position(x)
+        if len(point) != size:
+            raise ValueError(
+                f"position(x) must return {size} numbers, not {len(point)}"
+            )
+        return point
+
+    return checked
+
+
+@dataclass(frozen=True)
+class MovingPoint:
+    """The point start + velocity t, in the plane or in space.
+
+    Attributes:
+        start: Where it is at t = 0, shape (k,) with k = 2 or 3 [m].
+        velocity: Shape (k,) [m/s].
+    """
+
+    start: Array
+    velocity: Array
+
+    @staticmethod
+    def of(
+        start: Sequence[float] | Array,
+        velocity: Sequence[float] | Array | None,
+        name: str,
+    ) -> MovingPoint:
+        """Returns the point, checked.
+
+        Args:
+            start: Shape (k,) with k = 2 or 3 [m].
+            velocity: Shape (k,) [m/s]; None or empty: it stands.
+            name: What it is the centre of, for the error message.
+
+        Raises:
+            ValueError: Not 2 or 3 dimensions, a velocity of another size, or a number
+                that is not finite.
+        """
+        point = finite_vector(start, f"{name}: center")
+        if len(point) not in (2, 3):
+            raise ValueError(
+                f"{name}: center must have 2 or 3 numbers, got {len(point)}"
+            )
+        given = () if velocity is None else velocity
+        speed = finite_vector(
+            given if len(given) else np.zeros(len(point)), f"{name}: velocity"
+        )
+        if len(speed) != len(point):
+            raise ValueError(
+                f"{name}: velocity must have {len(point)} numbers like center,"
+                f" got {len(speed)}"
+            )
+        return MovingPoint(point, speed)
+
+    @property
+    def size(self) -> int:
+        """The number k of dimensions."""
+        return len(self.start)
+
+    @property
+    def moves(self) -> bool:
+        """Whether its velocity is not zero."""
+        return bool(self.velocity.any())
+
+    def at(self, t: float | Array) -> Array:
+        """Returns the point at time t [s], shape (k,); for times (T,), (T, k) [m]."""
+        return self.start + np.multiply.outer(t, self.velocity)
+
+
+@dataclass(frozen=True)
+class LocalFrame:
+    """The coordinates z = M (p - c(t)) of a position p, as parameters of a barrier.
+
+    They are linear in p and t, z = M p - M c - M v t, with M c and M v computed
+    beforehand: that keeps the rows' expressions short.
+
+    Attributes:
+        center: c(t) = c + v t, in k dimensions.
+        matrix: M, shape (k, k); None for the identity.
+    """
+
+    center: MovingPoint
+    matrix: Array | None = None
+
+    @property
+    def parameters(self) -> list[float]:
+        """The numbers of M c, of M v if it moves, and of M if there is one."""
+        c, v, M = self.center.start, self.center.velocity, self.matrix
+        return [
+            *(c if M is None else M @ c),
+            *((v if M is None else M @ v) if self.center.moves else ()),
+            *(() if M is None else M.flat),
+        ]
+
+    def coordinates(
+        self, position: Expressions, t: Expression, p: Expressions
+    ) -> tuple[Expressions, Expressions]:
+        """Returns the symbolic z, and what follows `parameters` in p.
+
+        Args:
+            position: The symbolic position, shape (k,).
+            t: The symbolic time.
+            p: A barrier's symbolic parameters, which begin with `parameters`.
+        """
+        k = self.center.size
+        origin, p = p[:k], p[k:]
+        if self.center.moves:
+            origin, p = origin + p[:k] * t, p[k:]
+        if self.matrix is None:
+            return position - origin, p
+        return p[: k * k].reshape(k, k) @ position - origin, p[k * k :]
+
+
+def rotation_matrix(
+    rotation: Sequence[Sequence[float]] | Array | None, size: int, name: str
+) -> Array:
+    """Returns R, whose columns are a shape's own axes, shape (k, k).
+
+    Args:
+        rotation: R, or None for the identity.
+        size: The number k of dimensions.
+        name: What it turns, for the error message.
+
+    Raises:
+        ValueError: It has another shape, or its columns are not orthonormal.
+    """
+    if rotation is None:
+        return np.eye(size)
+    matrix = np.array(rotation, dtype=float)
+    if matrix.shape != (size, size):
+        raise ValueError(
+            f"{name}: rotation must have shape ({size}, {size}), got {matrix.shape}"
+        )
+    if not np.abs(matrix.T @ matrix - np.eye(size)).max() <= _TOLERANCE:
+        raise ValueError(
+            f"{name}: rotation must have orthonormal columns, got {matrix.tolist()}"
+        )
+    return matrix
+
+
+def smooth_excess(z: Any, half: Any, smoothing: Any) -> Any:
+    """Returns a smooth bound from above on how far z is beyond [-half, half].
+
+    The sum of a smooth positive part at either end, with the smoothing length e::
+
+        s(z) = (sqrt((z - a)^2 + e^2) + sqrt((z + a)^2 + e^2)) / 2 - a
+
+    It is positive and has all derivatives. It exceeds max(|z| - a, 0) everywhere, most
+    at the ends, by s(a), which is between e/2 and e. Source: ours.
+
+    Args:
+        z: The coordinate, a number, an expression or an array of either [m].
+        half: The half-width a [m].
+        smoothing: The length e over which an end is rounded [m].
+    """
+    below = ((z + half) ** 2 + smoothing**2) ** 0.5
+    above = ((z - half) ** 2 + smoothing**2) ** 0.5
+    return (below + above) / 2 - half
+
+
+@dataclass(frozen=True)
+class HalfSpace(Shape):
+    """The half-space ``normal . p >= offset`` that the position p must stay in.
+
+    With the unit normal n = normal / |normal| its barrier is the distance::
+
+        h = n . p - offset / |normal| - margin    [m]
+
+    Smooth everywhere. Relative degree 2 for a position that forces accelerate (`Blimp`,
+    `Car`), 1 for one whose velocity is an input. Source: ours.
+
+    Attributes:
+        normal: Points to the safe side; of any length, shape (k,) with k = 2 or 3.
+        offset: ``normal . p`` on the plane [m, if the normal is a unit vector].
+        margin: The distance to keep from the plane [m].
+    """
+
+    kind: ClassVar[str] = "half-space"
+    normal: Sequence[float] | Array
+    offset: float = 0.0
+    margin: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Checks the numbers.
+
+        Raises:
+            ValueError: Not 2 or 3 dimensions, a normal of no length, a negative margin,
+                or a number that is not finite.
+        """
+        normal = finite_vector(self.normal, "half-space: normal")
+        if len(normal) not in (2, 3) or not normal.any():
+            raise ValueError(
+                "half-space: normal must have 2 or 3 numbers, not all 0,"
+                f" got {normal.tolist()}"
+            )
+        finite_vector([self.offset], "half-space: offset")
+        check_parameter("half-space: margin", self.margin, zero_allowed=True)
+
+    def formula(self) -> tuple[int, ShapeFunction, list[float]]:
+        """Returns k, h(position, t, p) with p = (n, offset + margin), and p."""
+        normal = np.asarray(self.normal, dtype=float)
+        length = np.linalg.norm(normal)
+        parameters = [*(normal / length), self.offset / length + self.margin]
+        return len(normal), _half_space, parameters
+
+
+def _half_space(position: Expressions, t: Expression, p: Expressions) -> Expression:
+    return p[:-1] @ position - p[-1]
+
+
+@dataclass(frozen=True)
+class Geofence:
+    """The box ``lower <= p <= upper`` that the position p must stay in.
+
+    One `HalfSpace` a side, so one smooth barrier a side::
+
+        h = p_i - lower_i - margin,    h = upper_i - p_i - margin    [m]
+
+    Relative degree as for `HalfSpace`. Source: ours.
+
+    Attributes:
+        lower: Shape (k,) with k = 2 or 3; -inf where a side is open [m].
+        upper: Shape (k,); inf where a side is open [m].
+        margin: The distance to keep from every side [m].
+    """
+
+    lower: Sequence[float] | Array
+    upper: Sequence[float] | Array
+    margin: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Checks the numbers.
+
+        Raises:
+            ValueError: Not 2 or 3 dimensions, no room inside, every side open, a
+                negative margin, or a number that is nan.
+        """
+        check_parameter("geofence: margin", self.margin, zero_allowed=True)
+        lower, upper = (np.asarray(v, dtype=float) for v in (self.lower, self.upper))
+        if lower.shape not in ((2,), (3,)) or upper.shape != lower.shape:
+            raise ValueError(
+                "geofence: lower and upper must have 2 or 3 numbers each, got shapes"
+                f" {lower.shape} and {upper.shape}"
+            )
+        if not (upper - lower > 2.0 * self.margin).all():
+            raise ValueError(
+                "geofence: upper must be above lower by more than twice the margin,"
+                f" got {lower.tolist()} and {upper.tolist()}"
+            )
+        if not np.isfinite([lower, upper]).any():
+            raise ValueError("geofence: at least one side must be finite")
+
+    @property
+    def half_spaces(self) -> dict[str, HalfSpace]:
+        """Its sides: "x low", "x high", "y low" and so on; open ones are left out."""
+        axes = np.eye(len(self.lower))
+        sides = {}
+        for letter, axis, low, high in zip(
+            _AXES[: len(axes)], axes, self.lower, self.upper, strict=True
+        ):
+            if np.isfinite(low):
+                sides[f"{letter} low"] = HalfSpace(axis, low, self.margin)
+            if np.isfinite(high):
+                sides[f"{letter} high"] = HalfSpace(-axis, -high, self.margin)
+        return sides
+
+    def barriers(
+        self,
+        gains: Sequence[float] | Array,
+        position: Position | None = None,
+        name: str = "geofence",
+    ) -> list[Barrier]:
+        """Returns one barrier a side.
+
+        Args:
+            gains: K of (E4); their number is the relative degree.
+            position: Which states are the position, or a function from the symbolic
+                state x to it; None where the plant says it.
+            name: What error messages and logs call it; the side is added.
+
+        Raises:
+            ValueError: `position` has not one index a dimension, or bad gains.
+        """
+        return [
+            half_space.barrier(gains, position, f"{name} ({side})")
+            for side, half_space in self.half_spaces.items()
+        ]
+
+
+@dataclass(frozen=True)
+class PairDistance:
+    """Two positions p and q of one stacked state that keep a distance D.
+
+    Its barrier is::
+
+        h = |p - q| - D    [m]
+
+    Smooth where p and q differ. Relative degree 2 where forces accelerate both robots
+    (`Blimp`, `Car`); one filter then moves both of them. Source: ours.
+
+    Attributes:
+        distance: The least distance D between the two positions [m].
+    """
+
+    distance: float
+
+    def __post_init__(self) -> None:
+        """Checks the distance.
+
+        Raises:
+            ValueError: It is not positive and finite.
+        """
+        check_parameter("pair: distance", self.distance)
+
+    def barrier(
+        self,
+        gains: Sequence[float] | Array,
+        first: Sequence[int],
+        second: Sequence[int],
+        name: str = "pair",
+    ) -> Barrier:
+        """Returns the barrier that keeps the two apart.
+
+        Args:
+            gains: K of (E4); their number is the relative degree.
+            first: Which states are the position p.
+            second: Which states are the position q, as many.
+            name: What error messages and logs call it.
+
+        Raises:
+            ValueError: The two positions are not of one size, or the same, or bad
+                gains.
+        """
+        p = position_function(first, len(first), name)
+        q = position_function(second, len(first), name)
+        if list(first) == list(second):
+            raise ValueError(
+                f"barrier '{name}': first and second are both {list(first)}"
+            )
+        return Barrier(_pair(p, q), gains, [self.distance], name)
+
+
+def _pair(first: PositionFunction, second: PositionFunction) -> BarrierFunction:
+    """Returns h(x, t, p) with p = (D,)."""
+
+    def h(x: Expressions, t: Expression, p: Expressions) -> Expression:
+        offset = first(x) - second(x)
+        return (offset @ offset) ** 0.5 - p[0]
+
+    return h

@@ -1,0 +1,92 @@
+"""Where a robot is: some of its states, or a function of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+from pydrake.multibody.tree import ModelInstanceIndex
+
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import ModelError
+from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.model.explained import first_line
+from vcbf_drake.model.massless_bodies import give_mass
+
+PositionFunction: TypeAlias = Callable[[Expressions], Expressions]
+Position: TypeAlias = Sequence[int] | PositionFunction
+"""Indices of k states, or a function from the symbolic x (n,) to the position (k,)."""
+
+
+def named_position(state_names: Sequence[str]) -> tuple[int, ...] | None:
+    """Returns which states are called x and y, or x, y and z; None where none are.
+
+    A MultibodyPlant names those of a planar or free body "body_x", "body_y", "body_z".
+    """
+    found = []
+    for axis in "xyz":
+        named = [
+            i
+            for i, name in enumerate(state_names)
+            if name == axis or name.endswith(f"_{axis}")
+        ]
+        if len(named) > 1:
+            return None
+        found += named
+    return tuple(found) if len(found) >= 2 else None
+
+
+def point_position(
+    plant: Any,
+    frame: str,
+    point: Sequence[float] | Array = (0.0, 0.0, 0.0),
+    axes: Sequence[int] = (0, 1, 2),
+) -> PositionFunction:
+    """Returns the world position of a body's point as a function of the state.
+
+    It is what barriers take as ``position``: a half-space, a sphere or a box then holds
+    for that point of a robot arm. The state begins with the plant's positions q.
+
+    Args:
+        plant: A finalised MultibodyPlant.
+        frame: The name of the frame, or body, that the point moves with.
+        point: The point's coordinates in that frame, shape (3,) [m].
+        axes: Which world coordinates to return.
+
+    Raises:
+        ModelError: The plant does not convert to symbolic, or has no such frame.
+    """
+    name = plant.get_name() or "plant"
+    if not plant.is_finalized():
+        raise ModelError(f"{name}: point_position needs a plant that is finalised")
+    if not plant.HasFrameNamed(frame):
+        frames = [
+            plant.get_frame(index).name()
+            for instance in range(plant.num_model_instances())
+            for index in plant.GetFrameIndices(ModelInstanceIndex(instance))
+        ]
+        there = ", ".join(filter(None, frames))
+        raise ModelError(f"{name}: there is no frame {frame!r}; its frames are {there}")
+    try:
+        symbolic = plant.ToSymbolic()
+    except RuntimeError as error:
+        raise ModelError(
+            f"{name}: it does not convert to symbolic: {first_line(error)}"
+        ) from None
+    context = symbolic.CreateDefaultContext()
+    give_mass(symbolic, context)  # Positions do not depend on it.
+    in_numbers = plant, plant.GetFrameByName(frame), plant.CreateDefaultContext()
+    in_symbols = symbolic, symbolic.GetFrameByName(frame), context
+    chosen, offset = list(axes), np.array(point, dtype=float)
+
+    def position(x: Expressions) -> Expressions:
+        numbers = x.dtype == float
+        tree, moving, context = in_numbers if numbers else in_symbols
+        tree.SetPositions(context, x[: tree.num_positions()])
+        world = tree.world_frame()
+        points = tree.CalcPointsPositions(context, moving, offset, world)
+        coordinates: Expressions = points[chosen, 0]
+        return coordinates
+
+    return position
