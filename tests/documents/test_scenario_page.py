@@ -1,4 +1,7 @@
-"""The page of the scenario format, and its JSON schema, say what the program does."""
+"""The page of the scenario format, and its JSON schema, say what the program does.
+
+Run as a program, it writes the page anew.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +21,13 @@ ROOT = Path(__file__).parents[2]
 SCENARIOS = Path(load_scenario.__code__.co_filename).parent / "scenarios"
 
 
+PAGE = ROOT / "docs" / "guide" / "scenarios.md"
+MARK = "<!-- generated -->\n"
+
+
 def test_page_is_what_the_program_makes() -> None:
-    page = (ROOT / "docs" / "guide" / "scenarios.md").read_text()
-    _, generated = page.split("<!-- generated -->\n")
-    assert generated == scenario_page()
+    _, generated = PAGE.read_text().split(MARK)
+    assert generated == scenario_page(), f"python {__file__} writes it anew"
 
 
 def test_page_explains_every_key() -> None:
@@ -37,7 +43,7 @@ def test_page_gives_state_orders() -> None:
 
 
 def test_example_on_the_page_loads(tmp_path: Path) -> None:
-    text = (ROOT / "docs" / "guide" / "scenarios.md").read_text()
+    text = PAGE.read_text()
     path = tmp_path / "page.yaml"
     path.write_text(text.split("```yaml\n")[1].split("```")[0])
     assert load_scenario(path).name == "my-scenario"
@@ -93,3 +99,7 @@ def check(value: Any, schema: dict[str, Any], definitions: dict[str, Any]) -> No
         for key, each in given.items():
             check(each, schema["properties"][key], definitions)
     return None
+
+
+if __name__ == "__main__":
+    PAGE.write_text(PAGE.read_text().split(MARK)[0] + MARK + scenario_page())
