@@ -13,7 +13,7 @@ import pytest
 
 from vcbf_drake import load_scenario, simulate
 from vcbf_drake.simulation import load_result, read_log_files
-from vcbf_drake.simulation.log_files import LogFiles
+from vcbf_drake.simulation.log import LogFiles
 
 CAR = load_scenario("car-avoidance", overrides="{duration: 1.5}")
 LONG = load_scenario("car-avoidance", overrides="{duration: 30.0}")
@@ -110,7 +110,7 @@ def test_a_killed_run_leaves_its_log(tmp_path):
     assert ticks > 50  # Half a second and more.
     for name, array in simulate(LONG, step_time=False).log.items():
         assert_array_equal(found[name], array[:ticks])
-    assert len(read_log_files(tmp_path / "path")["heights"])
+    assert len(read_log_files(tmp_path / "path")["least_height"])
 
 
 def wait_for(path: Path, process: subprocess.Popen[bytes]) -> None:

@@ -34,10 +34,10 @@ from vcbf_drake.hil.messages import vcbf_command, vcbf_state, vcbf_status
 from vcbf_drake.hil.processes import ControllerProcess, controller_of
 from vcbf_drake.safety import Assumption, SafetyFilter
 from vcbf_drake.simulation.loading import dump_scenario, parse_scenario
+from vcbf_drake.simulation.log import finish_log
 from vcbf_drake.simulation.loop import COLLISION_MONITOR, logged_ports
 from vcbf_drake.simulation.result import Result
 from vcbf_drake.simulation.run import loop_assumptions
-from vcbf_drake.simulation.run_log import finish_log
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.step_time import step_cpu_time
 from vcbf_drake.simulation.summary import Ending, summarise

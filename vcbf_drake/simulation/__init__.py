@@ -5,7 +5,7 @@ from vcbf_drake.simulation.loading import (
     load_scenario,
     shipped_scenarios,
 )
-from vcbf_drake.simulation.log_files import read_log_files
+from vcbf_drake.simulation.log import read_log_files
 from vcbf_drake.simulation.loop import make_loop
 from vcbf_drake.simulation.parts import barriers
 from vcbf_drake.simulation.result import Result, load_result

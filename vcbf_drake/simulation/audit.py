@@ -105,7 +105,7 @@ def audit_findings(
     Args:
         log: The arrays of the log, one row a control tick.
         path_time: Times of the integrator's steps, shape (S,) [s].
-        heights: Every h there, shape (S, N).
+        heights: The least h there, shape (S,), or every one, (S, N).
         volume_gain: lambda_Vv [1/s].
         observer: What the method's estimates come from; None where it has none.
     """

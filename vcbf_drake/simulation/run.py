@@ -36,10 +36,10 @@ from vcbf_drake.simulation.audit import (
 )
 from vcbf_drake.simulation.faults import fault_assumptions
 from vcbf_drake.simulation.loading import load_scenario
+from vcbf_drake.simulation.log import RunLog
 from vcbf_drake.simulation.loop import make_loop
 from vcbf_drake.simulation.parts import measurement_noise
 from vcbf_drake.simulation.result import Result
-from vcbf_drake.simulation.run_log import RunLog
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.step_time import step_cpu_time
 from vcbf_drake.simulation.summary import Ending, summarise
@@ -48,8 +48,9 @@ Progress = Callable[[float], None]
 
 # Isolates the instant of a collision to a microsecond; integration has fixed steps.
 _WITNESS_ACCURACY = 1e-4
-# How often the log goes to disk: after this time at the latest [s].
-_LONGEST_PIECE = 10.0
+# How often what was logged is finished, audited and put away: after this time [s], and
+# this many ticks, at the latest. Memory does not grow with a run but for its log.
+_LONGEST_PIECE, _MOST_TICKS = 10.0, 250
 
 
 def simulate(
@@ -79,7 +80,7 @@ def simulate(
     log, path = record.ticks.arrays(), record.path.arrays()
     cpu_time = time.process_time() - started
     safety_filter: SafetyFilter = diagram.GetSubsystemByName("filter")
-    times, heights = path["time"], path["heights"]
+    times, heights = path["time"], path["least_height"]
     summary = summarise(
         scenario, safety_filter, log, times, path["state"], heights, ending
     )
@@ -184,23 +185,22 @@ def _advance(
     simulator: Simulator, scenario: Scenario, record: RunLog, progress: Progress | None
 ) -> Ending:
     status = simulator.Initialize()
-    for stop in _stops(scenario, record.is_on_disk, progress is not None):
+    for stop in _stops(scenario, progress is not None):
         if _ending(status).monitor:
             break
         status = simulator.AdvanceTo(stop)
-        if record.is_on_disk:
-            record.take(simulator.get_mutable_context())
+        record.take(simulator.get_mutable_context())
         if progress is not None:
             progress(stop / scenario.duration)
-    record.take(simulator.get_mutable_context())
+    record.take(simulator.get_mutable_context())  # Where it ended before it began.
     return _ending(status)
 
 
-def _stops(scenario: Scenario, is_on_disk: bool, reports: bool) -> list[float]:
+def _stops(scenario: Scenario, reports: bool) -> list[float]:
     """Where to stop on the way, at control ticks so that no step is cut; the end."""
     duration, period = scenario.duration, scenario.period
-    pieces = math.ceil(duration / _LONGEST_PIECE) if is_on_disk else 1
-    pieces = max(pieces, 100 if reports else 1)
+    longest = min(_LONGEST_PIECE, _MOST_TICKS * period)
+    pieces = max(math.ceil(duration / longest), 100 if reports else 1)
     ticks = {int(k * duration / (pieces * period)) for k in range(1, pieces)}
     return [*(tick * period for tick in sorted(ticks - {0})), duration]
 

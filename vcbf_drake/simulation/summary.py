@@ -46,7 +46,7 @@ def summarise(
         log: The arrays of the log, one row a control tick.
         path_time: Times of the integrator's steps, (S,) [s].
         path: The true state there, (S, n).
-        heights: Every h there, (S, N).
+        heights: The least h there, (S,), or every one, (S, N).
         ending: How it ended.
     """
     infeasible = log["status"] == FilterStatus.INFEASIBLE

@@ -1,9 +1,10 @@
-"""RunLog: what a loop's log sinks record, finished and audited piece by piece."""
+"""The log of a run: what its sinks record, finished, audited and kept by pieces."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping
+import os
 from pathlib import Path
 from typing import Protocol
 
@@ -14,7 +15,6 @@ from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceEstimate
 from vcbf_drake.safety import SafetyFilter, unpack_feasible_set
 from vcbf_drake.simulation.audit import audit_margins
-from vcbf_drake.simulation.log_files import LogFiles
 from vcbf_drake.simulation.loop import COLLISION_MONITOR, LOG_PREFIX
 
 _PATH = "path"
@@ -34,9 +34,8 @@ class RunLog:
 
     Attributes:
         ticks: The arrays of a `Result`'s log, one row a control tick.
-        path: ``time`` (S,), ``state`` (S, n) and every h, ``heights`` (S, N), at the
-            integrator's steps.
-        is_on_disk: Whether they are files, which grow whenever `take` is called.
+        path: ``time`` (S,), ``state`` (S, n) and the least h, ``least_height`` (S,), at
+            the integrator's steps.
     """
 
     def __init__(self, diagram: Diagram, directory: str | Path | None = None) -> None:
@@ -55,7 +54,6 @@ class RunLog:
         self._filter: SafetyFilter = diagram.GetSubsystemByName("filter")
         self._bounds = diagram.GetSubsystemByName("disturbance").bounds
         self._truth = diagram.GetSubsystemByName(COLLISION_MONITOR).barrier_set
-        self.is_on_disk = directory is not None
         self.ticks: _Store = _Lists()
         self.path: _Store = _Lists()
         if directory is not None:
@@ -72,7 +70,8 @@ class RunLog:
         times, states = found.pop(_PATH)
         if len(times):
             heights = self._truth.values_along(states, times)
-            self.path.append({"time": times, "state": states, "heights": heights})
+            least = np.fmin.reduce(heights, axis=1, initial=np.inf)
+            self.path.append({"time": times, "state": states, "least_height": least})
         ticks = {name: values for name, (_, values) in found.items()}
         ticks["time"], _ = found["state"]
         if len(ticks["time"]):
@@ -123,3 +122,70 @@ def finish_log(
     log["ellipsoid_shape"], log["ellipsoid_center"] = packed.shape, packed.center
     log["status"] = log["status"].astype(int)
     return log
+
+
+class LogFiles:
+    """Named arrays in a directory, one .npy file each, that grow by whole pieces.
+
+    A piece's numbers are written before the header that counts them, so each file is a
+    readable array whenever the writing stops.
+    """
+
+    def __init__(self, directory: str | Path) -> None:
+        """Makes the directory and empties it of arrays.
+
+        Args:
+            directory: Where the files go.
+        """
+        self._directory = Path(directory)
+        self._directory.mkdir(parents=True, exist_ok=True)
+        for path in self._directory.glob("*.npy"):
+            path.unlink()
+        self._lengths: dict[str, int] = {}
+
+    def append(self, arrays: Mapping[str, Array]) -> None:
+        """Adds a piece to each array's end; the pieces differ in their first axis only.
+
+        Args:
+            arrays: Of the same names every time.
+        """
+        for name, values in arrays.items():
+            piece, path = np.ascontiguousarray(values), self._path(name)
+            before = self._lengths.get(name, 0)
+            self._lengths[name] = before + len(piece)
+            if not before:
+                np.save(path, piece)
+                continue
+            # Of fixed length: NumPy leaves room for the count to grow.
+            header = np.lib.format.header_data_from_array_1_0(piece)
+            header["shape"] = (before + len(piece), *piece.shape[1:])
+            with path.open("r+b") as file:
+                file.seek(0, os.SEEK_END)
+                file.write(piece.tobytes())
+                file.flush()
+                file.seek(0)
+                np.lib.format.write_array_header_1_0(file, header)
+
+    def _path(self, name: str) -> Path:
+        return self._directory / f"{name}.npy"
+
+    def arrays(self) -> dict[str, Array]:
+        """Returns the arrays, mapped from the files rather than read."""
+        return read_log_files(self._directory)
+
+
+def read_log_files(directory: str | Path) -> dict[str, Array]:
+    """Returns the arrays that `LogFiles` has written so far, equally long each.
+
+    Args:
+        directory: Where the files are.
+
+    Raises:
+        FileNotFoundError: There are none.
+    """
+    paths = sorted(Path(directory).glob("*.npy"))
+    if not paths:
+        raise FileNotFoundError(f"{directory}: no arrays of a log there")
+    arrays = {path.stem: np.load(path, mmap_mode="r") for path in paths}
+    whole = min(map(len, arrays.values()))  # The last piece may be in some files only.
+    return {name: array[:whole] for name, array in arrays.items()}
