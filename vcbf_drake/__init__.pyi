@@ -61,10 +61,10 @@ from .disturbances import (
     LinearDisturbanceObserver as LinearDisturbanceObserver,
 )
 from .disturbances import (
-    Recorded as Recorded,
+    ObserverSettings as ObserverSettings,
 )
 from .disturbances import (
-    RiseGains as RiseGains,
+    Recorded as Recorded,
 )
 from .disturbances import (
     RiseObserver as RiseObserver,
@@ -143,9 +143,6 @@ from .safety import (
 )
 from .safety import (
     InputSet as InputSet,
-)
-from .safety import (
-    ObserverSettings as ObserverSettings,
 )
 from .safety import (
     SafetyFilter as SafetyFilter,

@@ -106,7 +106,7 @@ def test_bound_rate_is_the_derivative_of_the_bound():
 @pytest.mark.parametrize("name", ["rate", "period"])
 def test_bad_arguments_are_refused(name):
     arguments = {"period": 0.01, "rate": 4.0, name: 0.0}
-    with pytest.raises(ValueError, match=f"{name} is 0.0; it must be finite and above"):
+    with pytest.raises(ValueError, match=f"{name}: 0; it must be finite and above"):
         LinearDisturbanceObserver(
             MODEL, bounds=DisturbanceBounds(1.0, 1.0, 1.0), **arguments
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.helpers.observer_runs import Bench, DragModel, run
+from tests.helpers.observer_runs import Bench, DragModel, rise, run
 from vcbf_drake.disturbances import (
     Constant,
     DisturbanceSource,
@@ -76,7 +76,7 @@ def test_a_quadrature_error_is_a_disturbance_with_larger_bounds() -> None:
     """(E97): delta2 + 2 Q / T and delta3 + 4 Q / T^2 are what the gains must suit."""
     d = DisturbanceSource([Sinusoid([0.4], frequency=1.5)], 20.0)
     gains, period, Q = RiseGains(5.0, 6.0, 4.0), 0.1, 0.02
-    observer = RiseObserver(DragModel(1), period, d.bounds, gains)
+    observer = rise(DragModel(1), period, d.bounds, gains)
     beta = observer.gain_conditions(Q)[-1]
     delta2 = d.bounds.delta2 + 2.0 * Q / period
     delta3 = d.bounds.delta3 + 4.0 * Q / period**2

@@ -13,7 +13,7 @@ from pydrake.systems.primitives import (
 )
 import pytest
 
-from tests.helpers.observer_runs import Bench, DragModel, run
+from tests.helpers.observer_runs import Bench, DragModel, rise, run
 from vcbf_drake.disturbances import (
     BandLimitedNoise,
     Constant,
@@ -22,7 +22,6 @@ from vcbf_drake.disturbances import (
     DisturbanceSource,
     Recorded,
     RiseGains,
-    RiseObserver,
     Sinusoid,
     SmoothStep,
 )
@@ -65,7 +64,7 @@ def source(name: str) -> DisturbanceSource:
 @pytest.mark.parametrize("name", SIGNALS)
 def test_error_is_under_its_bound_at_every_tick(name, step, period):
     d = source(name)
-    observer = RiseObserver(MODEL, period, d.bounds, step=step)
+    observer = rise(MODEL, period, d.bounds, step=step)
     assert all(condition.holds for condition in observer.gain_conditions())
     result = run(observer, MODEL, d.value, 0.8 if period < 5e-3 else 3.0)
     assert np.all(result.error <= result.bound + ROUNDING)
@@ -82,9 +81,7 @@ def worst_error(step, gains, bounds, period, layer, direction):
     model = DragModel(q, linear=0.0, cubic=0.0)
     growth = 120 * period * bounds.delta2
     delta1, bounds = bounds.delta1, replace(bounds, delta1=bounds.delta1 + growth)
-    observer = RiseObserver(
-        model, period, bounds, gains=gains, step=step, boundary_layer=layer
-    )
+    observer = rise(model, period, bounds, gains=gains, step=step, boundary_layer=layer)
     bench, unit = Bench(observer), np.array([0.6, 0.8])
     d, rate, v = delta1 * unit, bounds.delta2 * unit, np.zeros(q)
     if direction == "back":
@@ -130,7 +127,7 @@ def test_bound_holds_against_the_worst_disturbances_found():
 
 def test_sliding_estimate_is_the_mean_of_the_last_interval():
     d, period = source("sinusoids"), 0.01
-    result = run(RiseObserver(MODEL, period, d.bounds), MODEL, d.value, 4.0)
+    result = run(rise(MODEL, period, d.bounds), MODEL, d.value, 4.0)
     nodes, weights = np.polynomial.legendre.leggauss(5)
     t = result.time[250:]
     middles = t[:, None] - period / 2 + nodes * period / 2
@@ -142,7 +139,7 @@ def test_sliding_estimate_is_the_mean_of_the_last_interval():
 def test_floor_at_1_khz():
     d = source("sinusoids")
     assert 0.55 < d.bounds.delta2 < 0.65
-    observer = RiseObserver(MODEL, 1e-3, d.bounds)
+    observer = rise(MODEL, 1e-3, d.bounds)
     result = run(observer, MODEL, d.value, 4.0)
     late = result.time > 3.2
     assert result.error[late].max() < 1e-3
@@ -151,14 +148,14 @@ def test_floor_at_1_khz():
 
 def test_quadrature_is_far_below_the_floor():
     d, period = source("constant"), 0.01
-    result = run(RiseObserver(MODEL, period, d.bounds), MODEL, d.value, 4.0)
+    result = run(rise(MODEL, period, d.bounds), MODEL, d.value, 4.0)
     assert result.error[-50:].max() < 1e-8
 
 
 @pytest.mark.parametrize("period", [1e-3, 1e-2])
 def test_explicit_step_chatters_by_its_law(period):
     d = source("constant")
-    observer = RiseObserver(MODEL, period, d.bounds, step="explicit")
+    observer = rise(MODEL, period, d.bounds, step="explicit")
     result = run(observer, MODEL, d.value, 3.0)
     law = math.sqrt(2) * 6.0 * math.sqrt(3 * period / 9.0)  # (E36)
     peak = result.error[result.time > 1.5].max()
@@ -168,9 +165,7 @@ def test_explicit_step_chatters_by_its_law(period):
 
 def test_saturated_step_does_not_chatter_and_follows_by_its_law():
     d = DisturbanceSource([Sinusoid([0.3, 0.4], frequency=0.5)], 20.0)
-    observer = RiseObserver(
-        MODEL, 0.01, d.bounds, step="saturated", boundary_layer=0.05
-    )
+    observer = rise(MODEL, 0.01, d.bounds, step="saturated", boundary_layer=0.05)
     result = run(observer, MODEL, d.value, 16.0)
     law = 5.0 * d.bounds.delta2 / (5.0 * 4.0 + 1.0 + 6.0 / 0.05)  # (E38)
     floor = law + d.bounds.delta2 * 0.01 / 2
@@ -181,7 +176,7 @@ def test_saturated_step_does_not_chatter_and_follows_by_its_law():
 @pytest.mark.parametrize("step", STEPS)
 def test_estimate_rate_and_gain_explain_how_the_estimate_moves(step):
     d, period = source("sinusoids"), 1e-3
-    observer = RiseObserver(MODEL, period, d.bounds, step=step)
+    observer = rise(MODEL, period, d.bounds, step=step)
     result = run(observer, MODEL, d.value, 0.5)
     mean = (d.value(result.time[1:]) + d.value(result.time[:-1])) / 2
     move = np.diff(result.estimate, axis=0) / period
@@ -195,7 +190,7 @@ def test_estimate_rate_and_gain_explain_how_the_estimate_moves(step):
 @pytest.mark.parametrize("step", STEPS)
 @pytest.mark.parametrize("floor", [True, False])
 def test_bound_rate_is_the_derivative_of_the_bound(step, floor):
-    observer = RiseObserver(FREE, 0.01, BOUNDS, step=step, floor=floor)
+    observer = rise(FREE, 0.01, BOUNDS, step=step, floor=floor)
     bench, h = Bench(observer), 1e-5
     bench.update()
     for t in (0.1, 0.7, 2.0):
@@ -206,8 +201,8 @@ def test_bound_rate_is_the_derivative_of_the_bound(step, floor):
 
 
 def test_certified_bound_in_numbers():
-    implicit = RiseObserver(MODEL, 0.01, BOUNDS)
-    saturated = RiseObserver(MODEL, 0.01, BOUNDS, step="saturated", boundary_layer=0.05)
+    implicit = rise(MODEL, 0.01, BOUNDS)
+    saturated = rise(MODEL, 0.01, BOUNDS, step="saturated", boundary_layer=0.05)
     # alpha, beta, gamma = 5, 6, 4: kappa = 4, alpha - kappa = 1, 2 alpha - kappa = 6.
     c = 0.6 + 1.04 * 0.9
     layer = math.sqrt(0.05 / 6.0 * (0.6**2 + c**2 / (4.0 * 6.0)))
@@ -219,14 +214,14 @@ def test_certified_bound_in_numbers():
 
 @pytest.mark.parametrize("step", STEPS)
 def test_without_floor_the_bound_is_the_published_one(step):
-    observer = RiseObserver(MODEL, 0.01, BOUNDS, step=step, noise=0.01, floor=False)
+    observer = rise(MODEL, 0.01, BOUNDS, step=step, noise=0.01, floor=False)
     for t in (0.0, 1.0, 3.0):
         assert observer.error_bound(t) == pytest.approx(0.5 * math.exp(-4.0 * t / 2))
 
 
 def test_published_bound_is_broken_in_sampled_time():
     d = source("sinusoids")
-    observer = RiseObserver(MODEL, 0.01, d.bounds, floor=False)
+    observer = rise(MODEL, 0.01, d.bounds, floor=False)
     result = run(observer, MODEL, d.value, 4.5)
     assert np.any(result.error > result.bound)
 
@@ -237,10 +232,10 @@ def test_published_bound_is_broken_in_sampled_time():
 )
 def test_bound_with_noise_is_rarely_exceeded(step, period, noise):
     d = source("sinusoids")
-    observer = RiseObserver(MODEL, period, d.bounds, step=step, noise=noise)
+    observer = rise(MODEL, period, d.bounds, step=step, noise=noise)
     result = run(observer, MODEL, d.value, 1000 * period, noise=noise)
     assert np.mean(result.error > result.bound) < 1e-3
-    without = RiseObserver(MODEL, period, d.bounds, step=step)
+    without = rise(MODEL, period, d.bounds, step=step)
     assert observer.error_bound(2.0) > without.error_bound(2.0)
 
 
@@ -251,9 +246,7 @@ def test_noise_term_is_the_deviation_of_the_estimate(step, layer):
     model = DragModel(1, linear=0.0, cubic=0.0)
     still = DisturbanceBounds(0.0, 0.0, 0.0)
     period, noise = 0.01, 1e-3
-    observer = RiseObserver(
-        model, period, still, step=step, boundary_layer=layer, noise=noise
-    )
+    observer = rise(model, period, still, step=step, boundary_layer=layer, noise=noise)
     bench, generator = Bench(observer), np.random.default_rng(2)
     estimates = []
     for k in range(4000):
@@ -265,7 +258,7 @@ def test_noise_term_is_the_deviation_of_the_estimate(step, layer):
 
 
 def test_gain_conditions():
-    observer = RiseObserver(MODEL, 0.01, BOUNDS, RiseGains(4.6, 5.0, 4.4))
+    observer = rise(MODEL, 0.01, BOUNDS, RiseGains(4.6, 5.0, 4.4))
     alpha, gamma, beta = observer.gain_conditions()
     assert (alpha.left, alpha.right, alpha.holds) == (4.6, 1.0, True)
     assert (gamma.left, gamma.right, gamma.holds) == (4.4, 0.0, True)
@@ -276,7 +269,7 @@ def test_gain_conditions():
 
 
 def test_first_tick_takes_the_state_and_starts_the_clock():
-    observer = RiseObserver(FREE, 0.01, BOUNDS)
+    observer = rise(FREE, 0.01, BOUNDS)
     bench = Bench(observer)
     bench.measure(7.0, np.array([5.0, -3.0, 2.0, 1.0]))
     bench.update()
@@ -289,9 +282,9 @@ def test_first_tick_takes_the_state_and_starts_the_clock():
 
 def test_wrong_start_time_does_not_matter():
     d = source("sinusoids")
-    early = run(RiseObserver(MODEL, 0.01, d.bounds), MODEL, d.value, 1.0)
+    early = run(rise(MODEL, 0.01, d.bounds), MODEL, d.value, 1.0)
     late = run(
-        RiseObserver(MODEL, 0.01, d.bounds),
+        rise(MODEL, 0.01, d.bounds),
         MODEL,
         lambda t: d.value(t - 40.0),
         1.0,
@@ -308,7 +301,7 @@ def outputs(bench):
 
 @pytest.mark.parametrize("step", STEPS)
 def test_update_does_not_change_the_outputs(step):
-    bench = Bench(RiseObserver(MODEL, 0.01, BOUNDS, step=step))
+    bench = Bench(rise(MODEL, 0.01, BOUNDS, step=step))
     generator = np.random.default_rng(1)
     for k in range(5):
         bench.measure(0.01 * k, 0.01 * generator.normal(size=4))
@@ -318,7 +311,7 @@ def test_update_does_not_change_the_outputs(step):
 
 
 def test_clone_gives_the_same_outputs_in_any_order():
-    bench = Bench(RiseObserver(MODEL, 0.01, BOUNDS))
+    bench = Bench(rise(MODEL, 0.01, BOUNDS))
     for k in range(3):
         bench.measure(0.01 * k, np.full(4, 0.01 * k))
         bench.update()
@@ -333,7 +326,7 @@ def test_clone_gives_the_same_outputs_in_any_order():
 def test_outputs_between_ticks_are_continuous():
     d = source("sinusoids")
     model = DragModel(2, linear=0.0, cubic=0.0)
-    bench, velocity = Bench(RiseObserver(model, 0.1, d.bounds)), np.zeros(2)
+    bench, velocity = Bench(rise(model, 0.1, d.bounds)), np.zeros(2)
     estimates, t = [], 0.0
     for k in range(301):
         t = k * 0.01
@@ -350,7 +343,7 @@ def test_outputs_between_ticks_are_continuous():
 def test_outputs_stay_finite_and_recover_when_measurements_fail(bad):
     d = source("constant")
     model = DragModel(2, linear=0.0, cubic=0.0)
-    bench = Bench(RiseObserver(model, 0.01, d.bounds))
+    bench = Bench(rise(model, 0.01, d.bounds))
     errors = []
     for k in range(200):
         t = 0.01 * k
@@ -377,7 +370,7 @@ def test_outputs_stay_finite_and_recover_when_measurements_fail(bad):
 
 
 def test_input_that_is_not_finite_is_left_out():
-    bench = Bench(RiseObserver(MODEL, 0.01, BOUNDS))
+    bench = Bench(rise(MODEL, 0.01, BOUNDS))
     bench.update()
     bench.measure(0.01, np.zeros(4))
     bench.hold(np.array([np.nan, 0.0]))
@@ -387,21 +380,21 @@ def test_input_that_is_not_finite_is_left_out():
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        ({"period": 0.0}, "period is 0.0; it must be finite and above 0"),
-        ({"step": "euler"}, "step is 'euler'; it must be one of .*implicit"),
-        ({"boundary_layer": 0.0}, "boundary_layer is 0.0"),
-        ({"noise": -1.0}, "noise is -1.0"),
+        ({"period": 0.0}, "period: 0; it must be finite and above 0"),
+        ({"step": "euler"}, "step: .euler.; it must be one of implicit"),
+        ({"boundary_layer": 0.0}, "boundary_layer: 0;"),
+        ({"noise": -1.0}, "noise: -1;"),
     ],
 )
 def test_bad_arguments_are_refused(arguments, problem):
     with pytest.raises(ValueError, match=problem):
-        RiseObserver(MODEL, **{"period": 0.01, "bounds": BOUNDS, **arguments})
+        rise(MODEL, **{"period": 0.01, "bounds": BOUNDS, **arguments})
 
 
 def test_bad_numbers_are_refused():
-    with pytest.raises(ValueError, match="beta is -1"):
+    with pytest.raises(ValueError, match="beta: -1"):
         RiseGains(beta=-1.0)
-    with pytest.raises(ValueError, match="delta2 is nan"):
+    with pytest.raises(ValueError, match="delta2: nan"):
         DisturbanceBounds(1.0, float("nan"), 1.0)
 
 
@@ -411,7 +404,7 @@ def test_disturbances_that_cannot_be_told_apart_are_refused():
         [[0.0, 0.0], [0.0, 0.0], [1.0, 2.0], [0.5, 1.0]]
     )
     with pytest.raises(ModelError, match="drag: the disturbance matrix has rank 1"):
-        RiseObserver(model, 0.01, BOUNDS)
+        rise(model, 0.01, BOUNDS)
 
 
 def test_blimp_in_a_drake_simulation():
@@ -426,7 +419,7 @@ def test_blimp_in_a_drake_simulation():
     period, builder = 0.01, DiagramBuilder()
     plant = builder.AddSystem(Blimp())
     model = ControlAffineModel.from_system(plant)
-    observer = builder.AddSystem(RiseObserver(model, period, d.bounds))
+    observer = builder.AddSystem(rise(model, period, d.bounds))
     builder.AddSystem(d)
     command = builder.AddSystem(ConstantVectorSource([0.05, 0.02, 0.002]))
     hold = builder.AddSystem(ZeroOrderHold(period, 3))

@@ -8,7 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from vcbf_drake.checks import Array
-from vcbf_drake.disturbances import DisturbanceEstimate, DisturbanceObserver
+from vcbf_drake.disturbances import (
+    DisturbanceBounds,
+    DisturbanceEstimate,
+    DisturbanceObserver,
+    ObserverSettings,
+    RiseGains,
+    RiseObserver,
+)
 
 
 class DragModel:
@@ -32,6 +39,29 @@ class DragModel:
     def nominal_rate(self, x: Array, u: Array) -> Array:
         f, g = self.drift_and_input_matrix(x)
         return f + g @ u
+
+
+def rise(
+    model: DragModel,
+    period: float,
+    bounds: DisturbanceBounds,
+    gains: RiseGains | None = None,
+    *,
+    noise: float = 0.0,
+    floor: bool = True,
+    longest_interval: float | None = None,
+    **chosen: object,
+) -> RiseObserver:
+    """A RISE observer whose settings are keywords."""
+    return RiseObserver(
+        model,
+        period,
+        bounds,
+        ObserverSettings(**(vars(gains) if gains else {}), **chosen),
+        noise=noise,
+        floor=floor,
+        longest_interval=longest_interval,
+    )
 
 
 @dataclass

@@ -13,7 +13,7 @@ from vcbf_drake import (
     SafetyFilter,
 )
 from vcbf_drake.barriers import HalfSpace, StateInputLimit, StateLimit
-from vcbf_drake.disturbances import DisturbanceBounds, RiseGains
+from vcbf_drake.disturbances import DisturbanceBounds, ObserverSettings
 from vcbf_drake.safety import (
     METHODS,
     Corrections,
@@ -189,8 +189,8 @@ def test_the_printed_orders_of_rates_are_information(car):
 
 def test_gains_that_are_too_small_are_named_with_both_sides(car):
     def weak(model, period, bounds):
-        gains = RiseGains(5.0, 0.1, 4.0)
-        return RiseObserver(model, period, bounds, gains, uncertified=True)
+        settings = ObserverSettings(beta=0.1, uncertified=True)
+        return RiseObserver(model, period, bounds, settings)
 
     found = at(car, "dob-cbf-qp", observer=weak)
     conditions = [a for n, a in found.items() if n.startswith("observer gain: ")]

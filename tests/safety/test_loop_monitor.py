@@ -16,7 +16,7 @@ from vcbf_drake import (
     FilterSettings,
     HalfSpace,
     InputSet,
-    RiseGains,
+    ObserverSettings,
     RiseObserver,
     SphereObstacle,
     StateLimit,
@@ -156,7 +156,7 @@ def test_uncertified_gains_are_nothing_new_at_the_start(caplog):
     """They have to be asked for by name, and then cost the bound alone."""
     model = ControlAffineModel.from_system(Car())
     bounds = DisturbanceBounds(1.0, 9.0, 9.0)
-    gains = RiseGains(5.0, 1.0, 4.0)
+    gains = ObserverSettings(beta=1.0)
     with pytest.raises(ValueError, match="uncertified"):
         RiseObserver(model, 0.02, bounds, gains)
 

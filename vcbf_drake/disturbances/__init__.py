@@ -1,11 +1,15 @@
 """What pushes the plant, and what estimates the push."""
 
-from vcbf_drake.disturbances.bounds import Condition, DisturbanceBounds, ErrorBound
-from vcbf_drake.disturbances.estimate import DisturbanceEstimate
-from vcbf_drake.disturbances.linear_observer import LinearDisturbanceObserver
+from vcbf_drake.disturbances.bounds import (
+    Condition,
+    DisturbanceBounds,
+    DisturbanceEstimate,
+    ErrorBound,
+)
+from vcbf_drake.disturbances.linear import LinearDisturbanceObserver
 from vcbf_drake.disturbances.observer import DisturbanceObserver
-from vcbf_drake.disturbances.rise_certificate import RiseGains
-from vcbf_drake.disturbances.rise_observer import RiseObserver
+from vcbf_drake.disturbances.rise import ObserverSettings, RiseObserver
+from vcbf_drake.disturbances.rise_bound import RiseGains
 from vcbf_drake.disturbances.source import (
     BandLimitedNoise,
     Constant,
@@ -25,6 +29,7 @@ __all__ = [
     "DisturbanceSource",
     "ErrorBound",
     "LinearDisturbanceObserver",
+    "ObserverSettings",
     "Recorded",
     "RiseGains",
     "RiseObserver",

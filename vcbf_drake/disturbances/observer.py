@@ -22,9 +22,9 @@ from vcbf_drake.disturbances.bounds import (
     Basis,
     Condition,
     DisturbanceBounds,
+    DisturbanceEstimate,
     ErrorBound,
 )
-from vcbf_drake.disturbances.estimate import DisturbanceEstimate
 from vcbf_drake.errors import ModelError
 
 if TYPE_CHECKING:

@@ -28,7 +28,7 @@ from vcbf_drake.safety.qp import (
     InfeasiblePolicy,
 )
 from vcbf_drake.safety.safety_filter import SafetyFilter
-from vcbf_drake.safety.settings import BETWEEN_TICKS, FilterSettings, ObserverSettings
+from vcbf_drake.safety.settings import BETWEEN_TICKS, FilterSettings
 from vcbf_drake.safety.volume import Volume, VolumeBarrier
 
 __all__ = [
@@ -51,7 +51,6 @@ __all__ = [
     "InfeasiblePolicy",
     "InputSet",
     "Method",
-    "ObserverSettings",
     "PackedFeasibleSet",
     "SafetyFilter",
     "Tick",

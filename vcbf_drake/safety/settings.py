@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 from vcbf_drake.checks import check_parameter, require, require_choice
@@ -10,10 +10,9 @@ from vcbf_drake.disturbances import (
     DisturbanceBounds,
     DisturbanceObserver,
     LinearDisturbanceObserver,
-    RiseGains,
+    ObserverSettings,
     RiseObserver,
 )
-from vcbf_drake.disturbances.rise_certificate import STEPS, ObserverStep
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
 from vcbf_drake.safety.methods import METHODS
@@ -23,47 +22,6 @@ from vcbf_drake.safety.volume import VolumeBarrier
 
 BetweenTicks = Literal["none", "certified"]
 BETWEEN_TICKS: tuple[BetweenTicks, ...] = get_args(BetweenTicks)
-
-
-@dataclass
-class ObserverSettings:
-    """The disturbance observers: the RISE observer (E9), and the linear one (B4).
-
-    Attributes:
-        alpha: Gain of the RISE observer (E9), (E13) [1/s].
-        beta: Gain of its sign term [m/s^3]; null for one that the disturbance's bounds
-            need (E49): 6, or more.
-        gamma: Gain of its filtered error [1/s].
-        uncertified: Whether gains that fail (E49) are allowed: with the error bound
-            2 delta1 (E94).
-        step: How one sampled step is taken: implicit (E40), saturated (E38), explicit
-            (E36).
-        period: Time between its steps, at most the control period [s]; 0 means that
-            one.
-        boundary_layer: Where the saturated step's sign function becomes linear [m/s].
-        linear_rate: Rate of the first-order observer of method wang-xu-dob-cbf-qp
-            [1/s].
-
-    Raises:
-        InvalidValueError: A field is outside what is allowed.
-    """
-
-    alpha: float = 5.0
-    beta: float | None = None
-    gamma: float = 4.0
-    uncertified: bool = False
-    step: ObserverStep = "implicit"
-    period: float = 0.0
-    boundary_layer: float = 0.05
-    linear_rate: float = 4.0
-
-    def __post_init__(self) -> None:
-        for name in ("alpha", "gamma", "boundary_layer", "linear_rate"):
-            check_parameter(name, getattr(self, name))
-        if self.beta is not None:
-            check_parameter("beta", self.beta)
-        check_parameter("period", self.period, zero_allowed=True)
-        require_choice("step", self.step, STEPS)
 
 
 @dataclass
@@ -168,26 +126,21 @@ class FilterSettings:
         """
         chosen = self.observer
         period = period or chosen.period or self.period
-        interval = max(period, longest_interval or 0.0)
         if METHODS[self.method].observer == "linear":
             return LinearDisturbanceObserver(
                 model,
                 period,
                 bounds,
-                rate=chosen.linear_rate,
+                chosen.linear_rate,
                 noise=noise,
                 longest_interval=longest_interval,
             )
-        gains = RiseGains.for_bounds(bounds, interval, chosen.alpha, chosen.gamma)
         return RiseObserver(
             model,
             period,
             bounds,
-            gains=replace(gains, beta=chosen.beta or gains.beta),
-            step=chosen.step,
-            boundary_layer=chosen.boundary_layer,
+            chosen,
             noise=noise,
             floor=self.corrections.error_floor,
             longest_interval=longest_interval,
-            uncertified=chosen.uncertified,
         )

@@ -33,11 +33,11 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from vcbf_drake.checks import check_parameter
 from vcbf_drake.disturbances.bounds import (
     Condition,
     DisturbanceBounds,
     ErrorBound,
-    check_positive,
     noise_peak,
 )
 
@@ -68,8 +68,8 @@ class RiseGains:
     gamma: float = 4.0
 
     def __post_init__(self) -> None:
-        for name in ("alpha", "beta", "gamma"):
-            check_positive(name, getattr(self, name))
+        for name, value in vars(self).items():
+            check_parameter(name, value)
 
     @classmethod
     def for_bounds(

@@ -11,7 +11,6 @@ from vcbf_drake.checks import Array, check_parameter
 from vcbf_drake.disturbances.bounds import (
     DisturbanceBounds,
     ErrorBound,
-    check_positive,
     noise_peak,
 )
 from vcbf_drake.disturbances.observer import DisturbanceObserver
@@ -76,8 +75,8 @@ class LinearDisturbanceObserver(DisturbanceObserver):
             ModelError: Two disturbances act on the state in the same way.
             ValueError: Period or rate are not positive, or the noise is below 0.
         """
-        check_positive("period", period)
-        check_positive("rate", rate)
+        check_parameter("period", period)
+        check_parameter("rate", rate)
         check_parameter("noise", noise, zero_allowed=True)
         interval = max(period, longest_interval or 0.0)
         floor = bounds.delta2 * interval / (2.0 * math.tanh(rate * interval / 2.0))

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import math
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vcbf_drake.checks import Array
+from vcbf_drake.checks import Array, check_parameter, require_choice
 from vcbf_drake.disturbances.bounds import (
     Basis,
     Condition,
     DisturbanceBounds,
     ErrorBound,
-    check_positive,
 )
 from vcbf_drake.disturbances.observer import DisturbanceObserver, nearest_in_ball
-from vcbf_drake.disturbances.rise_certificate import (
+from vcbf_drake.disturbances.rise_bound import (
     STEPS,
+    ObserverStep,
     RiseGains,
     error_bound,
     gain_conditions,
@@ -26,6 +26,47 @@ from vcbf_drake.disturbances.rise_certificate import (
 
 if TYPE_CHECKING:
     from vcbf_drake.model import ControlAffineModel
+
+
+@dataclass
+class ObserverSettings:
+    """The disturbance observers: the RISE observer (E9), and the linear one (B4).
+
+    Attributes:
+        alpha: Gain of the RISE observer (E9), (E13) [1/s].
+        beta: Gain of its sign term [m/s^3]; null for one that the disturbance's bounds
+            need (E49): 6, or more.
+        gamma: Gain of its filtered error [1/s].
+        uncertified: Whether gains that fail (E49) are allowed: with the error bound
+            2 delta1 (E94).
+        step: How one sampled step is taken: implicit (E40), saturated (E38), explicit
+            (E36).
+        period: Time between its steps, at most the control period [s]; 0 means that
+            one.
+        boundary_layer: Where the saturated step's sign function becomes linear [m/s].
+        linear_rate: Rate of the first-order observer of method wang-xu-dob-cbf-qp
+            [1/s].
+
+    Raises:
+        InvalidValueError: A field is outside what is allowed.
+    """
+
+    alpha: float = 5.0
+    beta: float | None = None
+    gamma: float = 4.0
+    uncertified: bool = False
+    step: ObserverStep = "implicit"
+    period: float = 0.0
+    boundary_layer: float = 0.05
+    linear_rate: float = 4.0
+
+    def __post_init__(self) -> None:
+        for name in ("alpha", "gamma", "boundary_layer", "linear_rate"):
+            check_parameter(name, getattr(self, name))
+        if self.beta is not None:
+            check_parameter("beta", self.beta)
+        check_parameter("period", self.period, zero_allowed=True)
+        require_choice("step", self.step, STEPS)
 
 
 class RiseObserver(DisturbanceObserver):
@@ -61,8 +102,7 @@ class RiseObserver(DisturbanceObserver):
         κ = min(α - 1, γ),  λ = log(1 + κ dt) / dt,  c = (α - κ) δ2 + (1 + κ dt) δ3.
 
     What noise adds to that, and the explicit step's bound, are calibrated (E52), (E36).
-    The proof needs the mean of f + g u exactly; Simpson's rule leaves an error of about
-    dt² δ2 / 12 times the slope of f, negligible against δ2 dt / 2.
+    The means' quadrature error counts as a disturbance with larger bounds (E97).
 
     For ports see `DisturbanceObserver`.
 
@@ -74,13 +114,11 @@ class RiseObserver(DisturbanceObserver):
         model: ControlAffineModel,
         period: float,
         bounds: DisturbanceBounds,
-        gains: RiseGains | None = None,
-        step: str = "implicit",
-        boundary_layer: float = 0.05,
+        settings: ObserverSettings | None = None,
+        *,
         noise: float = 0.0,
         floor: bool = True,
         longest_interval: float | None = None,
-        uncertified: bool = False,
     ) -> None:
         """Initialises the observer.
 
@@ -88,9 +126,7 @@ class RiseObserver(DisturbanceObserver):
             model: Gives f, g and E.
             period: Time between measurements [s].
             bounds: delta1, delta2 and delta3 of the disturbance (E8).
-            gains: alpha, beta, gamma; those of `RiseGains.for_bounds` by default.
-            step: ``implicit``, ``saturated`` or ``explicit``.
-            boundary_layer: φ of the saturated step [m/s].
+            settings: Its gains and its step; `ObserverSettings()` by default.
             noise: Standard deviation of the measured disturbed channels [m/s].
             floor: Whether the error bound has its floor. Without, it is (E13) as
                 published, which no sampled observer meets.
@@ -98,33 +134,32 @@ class RiseObserver(DisturbanceObserver):
                 and that the bound is for [s]; proven for equal intervals, measured for
                 others. By default every time is bridged, and the bound is for the
                 period.
-            uncertified: Whether gains that fail `gain_conditions` are allowed. Their
-                error bound is what needs no condition, 2 delta1 (E94).
 
         Raises:
             ModelError: Two disturbances act on the state in the same way.
             ValueError: An argument is outside what is allowed, or the gains fail a
                 condition.
         """
-        check_positive("period", period)
-        check_positive("boundary_layer", boundary_layer)
-        if step not in STEPS:
-            raise ValueError(f"step is {step!r}; it must be one of {STEPS}")
-        if not (math.isfinite(noise) and noise >= 0.0):
-            raise ValueError(f"noise is {noise!r}; it must be finite and not below 0")
-        q = model.num_disturbances
+        check_parameter("period", period)
+        check_parameter("noise", noise, zero_allowed=True)
+        self.settings = settings = settings or ObserverSettings()
         interval = max(period, longest_interval or 0.0)
-        gains = gains or RiseGains.for_bounds(bounds, interval)
-        conditions = gain_conditions(gains, bounds, interval, step)
-        failed = [each for each in conditions if not each.holds]
+        gains = RiseGains.for_bounds(bounds, interval, settings.alpha, settings.gamma)
+        self.gains = gains = replace(gains, beta=settings.beta or gains.beta)
+        self._steadiness = noise, model.num_disturbances
+        failed = [
+            each
+            for each in gain_conditions(gains, bounds, interval, settings.step)
+            if not each.holds
+        ]
         basis: Basis
-        if failed and not uncertified:
+        if failed and not settings.uncertified:
             raise ValueError(_refusal(gains, failed))
         if failed:
             basis, bound = "worst case", ErrorBound(0.0, 0.0, 2.0 * bounds.delta1)
         elif floor:
-            basis = "calibrated" if noise or step == "explicit" else "proven"
-            bound = error_bound(gains, bounds, interval, step, boundary_layer, noise, q)
+            basis = "calibrated" if noise or settings.step == "explicit" else "proven"
+            bound = self._bound(bounds, interval)
         else:
             rate = gains.decay_rate / 2.0
             basis, bound = "published", ErrorBound(bounds.delta1, rate, 0.0)
@@ -132,17 +167,13 @@ class RiseObserver(DisturbanceObserver):
             model,
             period,
             bounds,
-            memory_size=3 * q,
+            memory_size=3 * model.num_disturbances,
             error_bound=bound,
             basis=basis,
             estimate_gain=gains.gamma,
             noise=noise,
             longest_interval=longest_interval,
         )
-        self.gains = gains
-        self._step = step
-        self._boundary_layer = boundary_layer
-        self._layer = boundary_layer if step == "saturated" else 0.0
 
     @property
     def decay_rate(self) -> float:
@@ -157,17 +188,19 @@ class RiseObserver(DisturbanceObserver):
         """
         period = self.certified_interval
         bounds = with_quadrature(self.bounds, quadrature, period)
-        return gain_conditions(self.gains, bounds, period, self._step)
+        return gain_conditions(self.gains, bounds, period, self.settings.step)
 
     def _advance(self, memory: Array, mean: Array, elapsed: float) -> Array:
-        step = self._forward if self._step == "explicit" else self._backward
+        step = self._forward if self.settings.step == "explicit" else self._backward
         return step(memory, mean, elapsed)
 
     def _backward(self, memory: Array, mean: Array, dt: float) -> Array:
         """Takes the implicit or saturated step (E40), (E51), channel by channel."""
         gains, C = self.gains, self.gains.denominator(dt)
         jump = dt**2 * gains.beta
-        reach = C * self._layer + jump
+        settings = self.settings
+        layer = settings.boundary_layer if settings.step == "saturated" else 0.0
+        reach = C * layer + jump
         channels = []
         for xtil, integral, _, d in zip(
             *memory.reshape(3, -1).tolist(), mean.tolist(), strict=True
@@ -187,6 +220,10 @@ class RiseObserver(DisturbanceObserver):
         xtil = xtil + dt * (mean - integral - (gains.alpha + gains.gamma) * xtil)
         return np.concatenate((xtil, integral + dt * slope, np.sign(xtil)))
 
+    def _bound(self, bounds: DisturbanceBounds, period: float) -> ErrorBound:
+        step, layer = self.settings.step, self.settings.boundary_layer
+        return error_bound(self.gains, bounds, period, step, layer, *self._steadiness)
+
     def _started_at(self, estimate: Array) -> Array:
         zero = np.zeros_like(estimate)
         return np.concatenate((zero, estimate, zero))
@@ -197,15 +234,8 @@ class RiseObserver(DisturbanceObserver):
             return bound
         if quadrature and self.basis != "published":
             period = self.certified_interval
-            bounds = with_quadrature(self.bounds, quadrature, period)
-            bound = error_bound(
-                self.gains,
-                bounds,
-                period,
-                self._step,
-                self._boundary_layer,
-                self._noise,
-                self._model.num_disturbances,
+            bound = self._bound(
+                with_quadrature(self.bounds, quadrature, period), period
             )
         return ErrorBound(bound.amplitude + excess, bound.rate, bound.floor)
 
@@ -227,7 +257,7 @@ def _refusal(gains: RiseGains, failed: list[Condition]) -> str:
         f"{each.name} needs {each.left:.4g} > {each.right:.4g}" for each in failed
     )
     return (
-        f"observer gains alpha, beta, gamma = {gains.alpha:g}, {gains.beta:g},"
+        f"gains alpha, beta, gamma = {gains.alpha:g}, {gains.beta:g},"
         f" {gains.gamma:g}: {broken}; leave them out to have them computed, or say"
         " uncertified for a bound of 2 delta1"
     )
