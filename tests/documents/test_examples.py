@@ -55,6 +55,15 @@ def test_example_stays_safe_and_leaves_a_picture(name, most, tmp_path):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_widened_volume_barrier_always_has_an_input(tmp_path):
+    text = run("adaptive_cruise_control.py", tmp_path)
+    assert number(text, "no volume barrier: no input left at") == 6.16
+    assert number(text, "the paper's: no input left at") == 6.52
+    assert "widened: always an input" in text
+    picture = tmp_path / "out" / "examples" / "adaptive_cruise_control.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
 def test_smallest_loop_keeps_its_distance(tmp_path):
     text = run("smallest_loop.py", tmp_path)
     assert number(text, "least distance to the sphere") > 0.0
