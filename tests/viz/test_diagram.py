@@ -81,8 +81,7 @@ def port_names(graph: pydot.Dot) -> dict[str, dict[str, str]]:
             port: html.unescape(text).strip("\N{NO-BREAK SPACE}")
             for port, text in re.findall(cell, node.get("label"))
         }
-        for part in (graph, *graph.get_subgraphs())
-        for node in part.get_nodes()
+        for node in graph.get_nodes()
         if node.get("label") and "<TABLE" in node.get("label")
     }
 
@@ -91,8 +90,7 @@ def drawn_connections(dot: str) -> Counter[Connection]:
     """Every arrow with the output that its line comes from."""
     graph = parsed(dot)
     names = port_names(graph)
-    parts = (graph, *graph.get_subgraphs())
-    edges = [edge for part in parts for edge in part.get_edges()]
+    edges = graph.get_edges()
     lines = [(e.get_source(), e.get_destination()) for e in edges if e.get("dir")]
 
     def source_of(place: str, passed: frozenset[str] = frozenset()) -> str | None:

@@ -85,7 +85,7 @@ class Block:
 
 
 def graph_dot(
-    blocks: Sequence[Block], wires: Sequence[Wire], title: str, frame: str = ""
+    blocks: Sequence[Block], wires: Sequence[Wire], title: str, heading: str = ""
 ) -> str:
     """The DOT text of blocks and wires, from left to right, the same for the same.
 
@@ -96,9 +96,9 @@ def graph_dot(
         blocks: The blocks, the first ones of the way first.
         wires: The connections between them.
         title: The graph's name.
-        frame: The title of a frame around everything; none when empty.
+        heading: What stands above everything.
     """
-    from pydot import Cluster, Dot, Node
+    from pydot import Dot, Node
 
     graph = Dot(_quoted(title), graph_type="digraph", rankdir="LR", bgcolor="white")
     graph.set("nodesep", 0.35)
@@ -106,25 +106,21 @@ def graph_dot(
     font: dict[str, Any] = {"fontname": _quoted(_FONT), "fontcolor": _quoted(INK)}
     graph.set_node_defaults(shape="plain", fontsize=10, **font)
     graph.set_edge_defaults(color=_quoted(_LINES), arrowsize=0.7, fontsize=9, **font)
-    inside: Any = graph
-    if frame:
-        style: dict[str, Any] = {
-            "label": _quoted(frame),
-            "color": _quoted(MUTED),
-            "fontsize": 11,
-        }
-        inside = Cluster("frame", **(style | font))
-        graph.add_subgraph(inside)
+    if heading:
+        graph.set("label", _quoted(heading))
+        graph.set("labelloc", "t")
+        for name, value in (font | {"fontsize": 12}).items():
+            graph.set(name, value)
     backward = _backward(blocks, wires)
     below = _below(blocks, wires, backward)
     for block in blocks:
-        inside.add_node(_node(block, block.name in below, wires))
+        graph.add_node(_node(block, block.name in below, wires))
     nets: dict[Pin, list[Wire]] = {}
     for wire in wires:
         nets.setdefault(wire.source, []).append(wire)
     for number, net in enumerate(nets.values()):
         for part in _net(number, net, backward, below):
-            (inside.add_node if isinstance(part, Node) else inside.add_edge)(part)
+            (graph.add_node if isinstance(part, Node) else graph.add_edge)(part)
     return str(graph.to_string())
 
 

@@ -70,7 +70,7 @@ def filter_dot(safety_filter: SafetyFilter) -> str:
         supplies[int(entry.ticket())] = _Supply(Pin(block.name, True, 0), block.name, 0)
     blocks.append(Block(_OUTPUTS, "", whole.outputs, (), framed=False))
     wires += _output_wires(safety_filter, supplies)
-    return graph_dot(blocks, wires, name, frame=f"{name}: {whole.kind}")
+    return graph_dot(blocks, wires, name, heading=f"{name}: {whole.kind}")
 
 
 def _output_wires(
@@ -127,23 +127,19 @@ def _entry_block(
 
 def _steps(safety_filter: SafetyFilter) -> dict[str, tuple[str, ...]]:
     """Returns what each entry computes, numbered on the way from state to input."""
-    method = safety_filter.method
-    rows = ("1  barrier rows (E7)", "2  feasible polytope (E18)")
+    method, settings = safety_filter.method, safety_filter.settings
+    steps: dict[str, tuple[str, ...]] = {
+        "feasible set": ("1  barrier rows (E7)", "2  feasible polytope (E18)"),
+        "determinants": ("3  inscribed ellipsoid (E20)", "4  its gradient (E44)"),
+        "volumes": ("5  V_v, above the threshold",),
+    }
     if not method.volume:
-        return {
-            "feasible set": rows,
-            "volume": ("inscribed ellipsoid (E20)", "for the log only"),
+        return steps | {
+            "determinants": ("inscribed ellipsoid (E20)", "for the log only"),
+            "volumes": (),
             "decision": ("3  nearest input, QP (E19)",),
         }
-    barrier = safety_filter.settings.volume
-    measured = ("3  inscribed ellipsoid (E20)", "4  volume, gradient (E44)")
-    if barrier.label != "volume":
-        measured = (f"3  {barrier.label} (E54)", "4  gradient (E44)")
-    label = "E28" if safety_filter.settings.corrections.total_derivative else "E24"
+    label = "E28" if settings.corrections.total_derivative else "E24"
     label = label if method.disturbance == "estimated" else "E22"
-    return {
-        "feasible set": rows,
-        "volume": measured,
-        "guard": (f"{barrier.guard} of the set itself (E58)",),
-        "decision": (f"5  volume row ({label})", "6  nearest input, QP (E24)"),
-    }
+    decision = (f"6  volume row ({label})", "7  nearest input, QP (E24)")
+    return steps | {"decision": decision}
