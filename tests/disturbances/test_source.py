@@ -192,12 +192,12 @@ def test_signals_go_through_yaml():
 @pytest.mark.parametrize(
     ("signal", "problem"),
     [
-        (SmoothStep([1.0], 0.0, 0.0), "duration: 0.0; it must be finite and above 0"),
+        (SmoothStep([1.0], 0.0, 0.0), "duration: 0; it must be finite and above 0"),
         (SmoothStep([1.0], float("inf"), 1.0), "start: inf"),
         (Constant([]), "value: .*; it must be a list of finite numbers"),
         (Constant([float("nan")]), "value: .*; it must be a list of finite numbers"),
         (Sinusoid([1.0], frequency=float("inf")), "frequency: inf"),
-        (BandLimitedNoise([1.0], bandwidth=-1.0), "bandwidth: -1.0"),
+        (BandLimitedNoise([1.0], bandwidth=-1.0), "bandwidth: -1;"),
         (BandLimitedNoise([-1.0]), "std: .*not below 0"),
         (BandLimitedNoise([1.0], seed=-1), "seed: -1"),
         (BandLimitedNoise([1.0], tones=0), "tones: 0"),

@@ -24,7 +24,7 @@ from pydrake.systems.primitives import (
 import pytest
 
 from vcbf_drake import Blimp, load_scenario, make_loop
-from vcbf_drake.simulation.audit_system import Audit
+from vcbf_drake.simulation.audit import Audit
 from vcbf_drake.viz.diagram import diagram_dot, write_diagram
 from vcbf_drake.viz.filter_diagram import filter_dot
 

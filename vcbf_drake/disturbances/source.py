@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 import math
 import reprlib
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from vcbf_drake.checks import Array
+from vcbf_drake.checks import Array, check_finite, check_parameter, require
 from vcbf_drake.disturbances.bounds import DisturbanceBounds
 from vcbf_drake.disturbances.signals import (
     Curve,
@@ -77,8 +77,8 @@ class Sinusoid:
     def curve(self, horizon: float) -> Tones:
         """Returns the signal as a function of time; see `Signal`."""
         amplitude = _vector("amplitude", self.amplitude)
-        _check("frequency", self.frequency, math.isfinite(self.frequency), "finite")
-        _check("phase", self.phase, math.isfinite(self.phase), "finite")
+        check_finite("frequency", self.frequency)
+        check_finite("phase", self.phase)
         return Tones(
             amplitude[None], np.array([self.frequency]), np.array([self.phase])
         )
@@ -101,8 +101,8 @@ class SmoothStep:
     def curve(self, horizon: float) -> Transition:
         """Returns the signal as a function of time; see `Signal`."""
         amplitude = _vector("amplitude", self.amplitude)
-        _check("start", self.start, math.isfinite(self.start), "finite")
-        _check_positive("duration", self.duration)
+        check_finite("start", self.start)
+        check_parameter("duration", self.duration)
         return Transition(amplitude, self.start, self.duration)
 
 
@@ -125,10 +125,10 @@ class BandLimitedNoise:
     def curve(self, horizon: float) -> Tones:
         """Returns the signal as a function of time; see `Signal`."""
         std = _vector("std", self.std)
-        _check("std", self.std, bool(np.all(std >= 0.0)), "not below 0")
-        _check_positive("bandwidth", self.bandwidth)
-        _check("seed", self.seed, self.seed >= 0, "not below 0")
-        _check("tones", self.tones, 1 <= self.tones <= 1000, "from 1 to 1000")
+        require(bool(np.all(std >= 0.0)), "std", self.std, "not below 0")
+        check_parameter("bandwidth", self.bandwidth)
+        require(self.seed >= 0, "seed", self.seed, "not below 0")
+        require(1 <= self.tones <= 1000, "tones", self.tones, "from 1 to 1000")
         generator = np.random.default_rng(self.seed)
         count = len(std) * self.tones
         # The mean square of a tone is half its squared amplitude.
@@ -157,10 +157,10 @@ class Recorded:
     def curve(self, horizon: float) -> Spline:
         """Returns the signal as a function of time; see `Signal`."""
         times = _vector("times", self.times)
-        _check("times", self.times, len(times) >= 3, "three at least")
+        require(len(times) >= 3, "times", self.times, "three at least")
         apart = bool(np.all(np.diff(times) >= _SHORTEST_INTERVAL))
         rule = f"increasing, by at least {_SHORTEST_INTERVAL:g} s"
-        _check("times", self.times, apart, rule)
+        require(apart, "times", self.times, rule)
         if times[0] > 0.0 or times[-1] < horizon:
             raise InvalidValueError(
                 "times",
@@ -222,7 +222,7 @@ class DisturbanceSource(Diagram):
             ModelError: A signal is not C2, or signals differ in size.
         """
         super().__init__()
-        _check_positive("horizon", horizon)
+        check_parameter("horizon", horizon)
         self._curve = _sum(signals, horizon, num_disturbances)
         self.bounds = DisturbanceBounds(
             *(supremum(self._curve, order, horizon) for order in range(3))
@@ -269,16 +269,5 @@ def _vector(name: str, numbers: Sequence[float]) -> Array:
     except ValueError:
         vector = np.empty(0)
     finite = vector.ndim == 1 and vector.size > 0 and bool(np.isfinite(vector).all())
-    _check(name, numbers, finite, "a list of finite numbers")
+    require(finite, name, numbers, "a list of finite numbers")
     return vector
-
-
-def _check_positive(name: str, value: float) -> None:
-    _check(name, value, math.isfinite(value) and value > 0.0, "finite and above 0")
-
-
-def _check(name: str, value: Any, allowed: bool, requirement: str) -> None:
-    if not allowed:
-        raise InvalidValueError(
-            name, f"{reprlib.repr(value)}; it must be {requirement}"
-        )

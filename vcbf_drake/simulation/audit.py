@@ -7,11 +7,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydrake.systems.framework import BasicVector, Context, InputPort, LeafSystem
 
 from vcbf_drake.barriers import BarrierSet
 from vcbf_drake.between_ticks.certified_heights import known_along
 from vcbf_drake.checks import Array
-from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceObserver
+from vcbf_drake.disturbances import (
+    DisturbanceBounds,
+    DisturbanceEstimate,
+    DisturbanceObserver,
+)
 from vcbf_drake.safety import Assumption, FilterStatus, InputSet, SafetyFilter
 
 # What `audit_margins` has a margin of, in its order.
@@ -246,3 +251,79 @@ def _least_of_each(values: Array) -> Array:
     flat = values.reshape(len(values), -1)
     least: Array = np.fmin.reduce(flat, axis=1, initial=np.inf)
     return least
+
+
+class Audit(LeafSystem):
+    """Watches, with the truth that only a simulation knows, what the filter promises.
+
+    .. pydrake_system::
+
+        name: Audit
+        input_ports:
+        - state
+        - disturbance
+        - estimate (optional)
+        - input
+        - volume
+        - slack
+        - least_chi
+        - status
+        output_ports:
+        - margins
+
+    | port | size | what |
+    | --- | --- | --- |
+    | ``state`` | n | the true state |
+    | ``disturbance`` | q | the true disturbance [m/s^2] |
+    | ``margins`` | | of each of `PROMISES`: see `audit_margins` |
+
+    The other ports are the filter's and the observer's; a method without an observer
+    has no port ``estimate``. The system is pure, and costs nothing where nobody asks
+    for its output: `simulate` finds the same margins for all ticks at once, from the
+    log.
+    """
+
+    def __init__(
+        self,
+        safety_filter: SafetyFilter,
+        barriers: BarrierSet,
+        bounds: DisturbanceBounds,
+    ) -> None:
+        """Declares the ports.
+
+        Args:
+            safety_filter: The filter that is watched.
+            barriers: What is truly there, whatever the filter perceives.
+            bounds: What is declared of the disturbance.
+        """
+        super().__init__()
+        self._safety_filter, self._barriers = safety_filter, barriers
+        self._bounds = bounds
+        model = safety_filter.model
+        sizes = {
+            "state": model.num_states,
+            "disturbance": model.num_disturbances,
+            "input": model.num_inputs,
+            "volume": 1,
+            "slack": 1,
+            "least_chi": 1,
+            "status": 1,
+        }
+        if safety_filter.method.disturbance == "estimated":
+            sizes["estimate"] = DisturbanceEstimate.packed_size(model.num_disturbances)
+        self._ports: dict[str, InputPort] = {
+            name: self.DeclareVectorInputPort(name, size)
+            for name, size in sizes.items()
+        }
+        self.DeclareVectorOutputPort("margins", len(PROMISES), self._calc_margins)
+
+    def _calc_margins(self, context: Context, output: BasicVector) -> None:
+        tick = {name: port.Eval(context)[None] for name, port in self._ports.items()}
+        for name in ("volume", "slack", "least_chi", "status"):
+            tick[name] = tick[name][:, 0]
+        if "estimate" in tick:
+            estimate = DisturbanceEstimate.unpack(tick.pop("estimate"))
+            tick |= estimate.log_arrays()
+        tick["time"] = np.array([context.get_time()])
+        margins = audit_margins(tick, self._safety_filter, self._barriers, self._bounds)
+        output.SetFromVector(margins[0])

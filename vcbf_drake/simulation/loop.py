@@ -29,7 +29,7 @@ from vcbf_drake.safety import (
     AddSafetyFilter,
     SafetyFilter,
 )
-from vcbf_drake.simulation.audit_system import Audit
+from vcbf_drake.simulation.audit import Audit
 from vcbf_drake.simulation.collision_monitor import CollisionMonitor
 from vcbf_drake.simulation.fault_systems import (
     faulty_actuator,

@@ -11,7 +11,7 @@ from pydrake.systems.framework import Diagram, System
 from pydrake.systems.primitives import VectorLogSink
 
 from vcbf_drake.safety import METHODS, SafetyFilter
-from vcbf_drake.simulation.audit_system import Audit
+from vcbf_drake.simulation.audit import Audit
 from vcbf_drake.viz.block_graph import Block, Pin, Wire, graph_dot, write_dot
 from vcbf_drake.viz.style import INK, METHOD_STYLES
 
