@@ -15,7 +15,8 @@ import numpy as np
 from tests.properties.first_order_optimality import suboptimality
 from vcbf_drake.checks import Array
 from vcbf_drake.safety import FilterDecision, FilterStatus, InputSet
-from vcbf_drake.safety.qp import InfeasiblePolicy, VolumeRow
+from vcbf_drake.safety.qp import InfeasiblePolicy
+from vcbf_drake.safety.tick_qp import VolumeRow
 
 # The filter said that no solver's answer was verified: no promise, but worth a count.
 UNSOLVED = "solved"

@@ -9,7 +9,8 @@ import numpy as np
 from tests.properties.decision_check import Tick
 from vcbf_drake.checks import Array
 from vcbf_drake.safety import InputSet
-from vcbf_drake.safety.qp import INFEASIBLE_POLICIES, VolumeRow
+from vcbf_drake.safety.qp import INFEASIBLE_POLICIES
+from vcbf_drake.safety.tick_qp import VolumeRow
 
 MOST_INPUTS = 4
 MOST_ROWS = 8

@@ -15,7 +15,8 @@ import pytest
 from tests.properties.campaign import ALL_KINDS, decide, make_example
 from tests.properties.decision_check import UNSOLVED, Tick, broken_promises
 from vcbf_drake.safety import FilterStatus, InputSet
-from vcbf_drake.safety.qp import INFEASIBLE_POLICIES, VolumeRow
+from vcbf_drake.safety.qp import INFEASIBLE_POLICIES
+from vcbf_drake.safety.tick_qp import VolumeRow
 
 BOX = InputSet.box([-1.0, -0.2, -3.0], [0.5, 0.3, 1.0])
 TRIANGLE = InputSet(

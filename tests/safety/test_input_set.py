@@ -40,10 +40,9 @@ def test_box_keeps_its_own_copy_of_the_bounds():
 @pytest.mark.parametrize(
     ("lower", "upper", "message"),
     [
-        ([0.0, 1.0], [1.0, 1.0], "input 1 has lower bound 1 and upper bound 1"),
         ([0.0, 2.0], [1.0, 1.0], "input 1 has lower bound 2 and upper bound 1"),
         ([np.nan], [1.0], "input 0 has lower bound nan"),
-        ([0.0], [np.inf], "input 0 has lower bound 0 and upper bound inf"),
+        ([-np.inf], [-np.inf], "input 0 has lower bound -inf and upper bound -inf"),
         ([0.0], [1.0, 2.0], r"lower has shape \(1,\) and upper \(2,\)"),
         ([], [], r"must be \(m,\) with m >= 1"),
     ],
@@ -108,8 +107,8 @@ def test_faulty_sets_are_refused():
         InputSet(np.vstack([A, [0.0, -1.0]]), np.append(b, -2.0))
     np.testing.assert_array_equal(empty.value.A, [*A, [0.0, -1.0]])
     np.testing.assert_array_equal(empty.value.b, [*b, -2.0])
-    with pytest.raises(EmptySetError):  # Flat: a single point on the first input.
-        InputSet([[1.0], [-1.0]], [1.0, -1.0])
+    with pytest.raises(EmptySetError):  # Flat, along no input.
+        InputSet(np.vstack([np.eye(2), -np.eye(2), [[1, 1], [-1, -1]]]), [1] * 5 + [-1])
     with pytest.raises(UnboundedSetError) as raised:
         InputSet(A[:2], b[:2])
     assert np.all(A[:2] @ raised.value.direction <= 0.0)

@@ -10,11 +10,12 @@ from vcbf_drake.safety import (
     InputSet,
     chebyshev_ball,
     projection,
-    qp,
+    tick_qp,
 )
 from vcbf_drake.safety.feasible_set import feasible_set
 from vcbf_drake.safety.projection import nearest_point
-from vcbf_drake.safety.qp import VolumeRow, choose_input, failed_decision
+from vcbf_drake.safety.qp import choose_input, failed_decision
+from vcbf_drake.safety.tick_qp import VolumeRow
 
 BOX = InputSet.box([-1.0, -2.0], [3.0, 2.0])
 ORIGIN = np.zeros(2)
@@ -230,7 +231,9 @@ def test_an_emptiness_that_cannot_be_proven_is_a_failure(monkeypatch):
 def test_the_fallback_on_a_set_that_is_not_empty_stays_near_the_reference():
     """No barrier need give way, so none is kept further than it asks for."""
     feasible = set_of([[1.0, 0.0], [0.0, 1.0]], [0.5, 5.0])
-    decision = failed_decision(feasible, np.array([0.4, 0.2]), ORIGIN, BOX)
+    decision = failed_decision(
+        feasible, BOX.center + BOX.scale * [0.4, 0.2], ORIGIN, BOX
+    )
     assert decision.status == FilterStatus.FAILED
     np.testing.assert_allclose(decision.input, [0.5, 0.4], atol=1e-6)
 
@@ -243,7 +246,7 @@ def test_a_volume_row_that_holds_after_all_has_no_slack(monkeypatch):
         attempts.append(arguments)
         return nearest_point(*arguments) if len(attempts) > 1 else failing()
 
-    monkeypatch.setattr(qp, "nearest_point", at_the_second)
+    monkeypatch.setattr(tick_qp, "nearest_point", at_the_second)
     row = VolumeRow(a=np.array([1.0, 0.0]), c=-0.5, slack_penalty=1e3)
     decision = choose(set_of([0.0, 1.0], 1.0), [-0.8, 1.5], row)
     assert decision.status == FilterStatus.FILTERED and decision.slack == 0.0
@@ -251,8 +254,8 @@ def test_a_volume_row_that_holds_after_all_has_no_slack(monkeypatch):
 
 
 def test_without_any_solver_the_held_input_acts(monkeypatch):
-    monkeypatch.setattr(qp, "nearest_point", failing)
-    monkeypatch.setattr(qp, "minimise_linear", failing)
+    monkeypatch.setattr(tick_qp, "nearest_point", failing)
+    monkeypatch.setattr(tick_qp, "minimise_linear", failing)
     decision = choose(set_of([1.0, 1.0], -1.0), [2.0, 1.0], held_input=[-9.0, 0.5])
     assert decision.status == FilterStatus.FAILED
     np.testing.assert_allclose(decision.input, [-1.0, 0.5])

@@ -14,7 +14,8 @@ from vcbf_drake.safety import DisturbanceKnowledge, FilterStatus, InputSet
 from vcbf_drake.safety.active_set import nearest_by_active_set
 from vcbf_drake.safety.feasible_set import feasible_set
 from vcbf_drake.safety.projection import minimise_linear, nearest_point
-from vcbf_drake.safety.qp import VolumeRow, choose_input
+from vcbf_drake.safety.qp import choose_input
+from vcbf_drake.safety.tick_qp import VolumeRow
 
 SQUARE = np.vstack([np.eye(2), -np.eye(2)])
 

@@ -13,7 +13,6 @@ from vcbf_drake.barriers import Barrier
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceObserver, RiseObserver
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety.polytope import recession_direction
 from vcbf_drake.safety.volume import LEAST_THRESHOLD
 
 if TYPE_CHECKING:
@@ -161,11 +160,10 @@ def _standing(
     """The hypotheses that hold at every state or at none."""
     method, applied = safety_filter.method, safety_filter.settings.corrections
     inputs, delta1 = safety_filter.input_set, observer.bounds.delta1
-    is_bounded = recession_direction(inputs.A) is None
     yield Assumption(
         "bounded input set",
         "U = {u : A_m u <= b_m} is bounded and has an interior",
-        is_bounded and bool(np.all(inputs.scale > 0.0)),
+        inputs.is_bounded and bool(np.any(inputs.scale > 0.0)),
         {"smallest half-width": float(inputs.scale.min())},
         "the largest inscribed ellipsoid (E20) would not exist",
     )

@@ -55,8 +55,11 @@ class FeasibleSet:
         known: What they take as known of the disturbance.
         weights: How much a violation of each barrier row counts, shape (N,).
         input_set: What limits the input whatever the state.
-        cutting: Indices of the rows that can matter: the input set's, and the barrier
-            rows that cut its bounding box |v_j| <= 1. The others hold for every input.
+        penalties: For soft barrier rows the penalty of their squared slack, else
+            infinity, shape (N,). The set takes no notice of soft rows: on their right
+            there is infinity.
+        cutting: Indices of the rows that can matter: the input set's limits, and the
+            barrier rows that cut its bounding box. The others hold for every input.
     """
 
     A_v: Array
@@ -66,6 +69,7 @@ class FeasibleSet:
     known: DisturbanceKnowledge
     weights: Array
     input_set: InputSet
+    penalties: Array
     cutting: NDArray[np.intp]
 
     @property
@@ -76,7 +80,8 @@ class FeasibleSet:
     @property
     def b(self) -> Array:
         """Their right-hand sides, shape (k + N,)."""
-        return np.concatenate([self.input_set.b, self.rows.b + self.margin])
+        b = np.where(np.isinf(self.penalties), self.rows.b + self.margin, np.inf)
+        return np.concatenate([self.input_set.b, b])
 
     @property
     def num_input_rows(self) -> int:
@@ -92,18 +97,32 @@ class FeasibleSet:
         k = self.num_input_rows
         b_v = self.b_v.copy()
         b_v[k:] -= reserve
-        cutting = cutting_rows(self.A_v, b_v, k)
+        cutting = cutting_rows(self.input_set, self.A_v, b_v)
         return replace(self, b_v=b_v, margin=self.margin - reserve, cutting=cutting)
 
     @cached_property
     def is_finite(self) -> bool:
         """Whether every number in the rows is finite."""
-        return bool(np.isfinite(self.A_v).all() and np.isfinite(self.b_v).all())
+        b = self.rows.b + self.margin
+        return bool(np.isfinite(self.A_v).all() and np.isfinite(b).all())
 
     @property
     def is_uncut(self) -> bool:
         """Whether every barrier row, if finite, holds for every input."""
-        return len(self.cutting) == self.num_input_rows
+        return len(self.cutting) == len(self.input_set.limits)
+
+    def soft_bound(self, row: int) -> float:
+        """Returns what stands on a soft barrier row's right, as of any other."""
+        return float(self.rows.b[row] + self.margin[row])
+
+    def soft_slack(self, row: int, u: Array) -> float:
+        """Returns how far a soft barrier row has to give way at an input; else > 0."""
+        return self.soft_bound(row) - float(self.rows.A[row] @ u)
+
+    @property
+    def soft(self) -> NDArray[np.intp]:
+        """Indices of the soft barrier rows, among the barriers'."""
+        return np.isfinite(self.penalties).nonzero()[0]
 
 
 def disturbance_margin(rows: BarrierRows, known: DisturbanceKnowledge) -> Array:
@@ -117,6 +136,7 @@ def feasible_set(
     rows: BarrierRows,
     known: DisturbanceKnowledge,
     weights: Array | None = None,
+    penalties: Array | None = None,
 ) -> FeasibleSet:
     """Returns the feasible set of (E18): A u <= b + Delta b.
 
@@ -126,11 +146,16 @@ def feasible_set(
         known: What is known of the disturbance there.
         weights: How much a violation of each barrier row counts, shape (N,); ones by
             default.
+        penalties: Of soft rows, and infinity for the others, shape (N,); by default no
+            row is soft.
     """
-    k = len(input_set.b)
     margin = disturbance_margin(rows, known)
     A_v = np.concatenate([input_set.A_normalised, rows.A * input_set.scale])
     b_v = rows.b + margin - rows.A @ input_set.center
+    if penalties is None:
+        penalties = np.full(len(b_v), np.inf)
+    else:
+        b_v = np.where(np.isinf(penalties), b_v, np.inf)
     b_v = np.concatenate([input_set.b_normalised, b_v])
     return FeasibleSet(
         A_v=A_v,
@@ -140,12 +165,19 @@ def feasible_set(
         known=known,
         weights=np.ones(len(rows.b)) if weights is None else weights,
         input_set=input_set,
-        cutting=cutting_rows(A_v, b_v, k),
+        penalties=penalties,
+        cutting=cutting_rows(input_set, A_v, b_v),
     )
 
 
-def cutting_rows(A_v: Array, b_v: Array, num_input_rows: int) -> NDArray[np.intp]:
-    """Returns the rows that can matter; see `FeasibleSet.cutting`."""
-    k = num_input_rows
-    cut = (b_v[k:] < np.abs(A_v[k:]).sum(axis=1)).nonzero()[0]
-    return np.concatenate([np.arange(k), k + cut])
+def cutting_rows(input_set: InputSet, A_v: Array, b_v: Array) -> NDArray[np.intp]:
+    """Returns the rows that can matter; see `FeasibleSet.cutting`.
+
+    Args:
+        input_set: The input set, whose rows are the first.
+        A_v: All rows in normalised inputs, shape (n, m).
+        b_v: Their right-hand sides, shape (n,).
+    """
+    k = len(input_set.b)
+    cut = (b_v[k:] < input_set.farthest(A_v[k:])).nonzero()[0]
+    return np.concatenate([input_set.limits, k + cut])

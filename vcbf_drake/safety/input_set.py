@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import EmptySetError, UnboundedSetError, VcbfError
@@ -17,9 +17,11 @@ _TOLERANCE = 1e-10
 
 
 class InputSet:
-    """A bounded polytope ``{u : A u <= b}`` of inputs, with an interior.
+    """A polytope ``{u : A u <= b}`` of inputs: what the actuators can do.
 
-    In normalised inputs v, u = center + scale * v, its bounding box is |v_j| <= 1.
+    In normalised inputs v, u = center + scale * v, its bounding box is |v_j| <= 1. An
+    input that its rows fix, as of a dead actuator, has scale 0 and stays at its center
+    whatever v says. Only a box may have infinite limits: see `InputSet.box`.
 
     Args:
         A: The rows, shape (k, m). Rows of zeros with b_i >= 0 are dropped.
@@ -33,46 +35,73 @@ class InputSet:
         scale: The half-widths of the bounding box, shape (m,).
         interior: A point well inside: the Chebyshev centre, shape (m,).
         is_box: Whether the set was made by `InputSet.box`.
+        is_bounded: Whether every input has a limit on either side.
         A_normalised: The rows in v, of unit length, shape (k, m); [I; -I] for a box.
-        b_normalised: Their right-hand sides, shape (k,); ones for a box.
+        b_normalised: Their right-hand sides, shape (k,); ones for a bounded box.
+        limits: Indices of the rows that limit something: not those of infinite limits.
 
     Raises:
-        EmptySetError: The set has no interior.
+        EmptySetError: The set has no interior, fixed inputs apart.
         UnboundedSetError: The set contains a ray.
         ValueError: Wrong shapes or numbers that are not finite.
     """
 
     is_box = False
+    is_bounded = True
 
     def __init__(self, A: ArrayLike, b: ArrayLike) -> None:
         rows = UnitRows.checked(A, b)
-        given_A, given_b = rows.given
-        self.interior, radius = chebyshev_ball(given_A, given_b)
+        self.A, self.b = (each[~rows.is_blank] for each in rows.given)
+        if rows.conflict is not None:
+            raise EmptySetError(*rows.given, -np.inf)
+        A, b = rows.without_blanks()
+        fixed, value = _fixed_inputs(A, b)
+        b = b - A @ value
+        moves = A[:, ~fixed].any(axis=1)
+        if (b[~moves] < -_TOLERANCE * (1.0 + np.abs(value).max(initial=0.0))).any():
+            raise EmptySetError(*rows.given, float(b.min()))
+        self.center, self.scale, self.interior = value.copy(), 0.0 * value, value.copy()
+        self.A_normalised, self.b_normalised = A, np.ones(len(b))
+        self.limits = np.arange(len(b))
+        if fixed.all() and len(fixed):
+            return
+        A, b = A[np.ix_(moves, ~fixed)], b[moves]
+        try:
+            inside, radius = chebyshev_ball(A, b)
+            direction = recession_direction(A)
+        except UnboundedSetError as error:
+            radius, direction = np.inf, error.direction
         if radius <= 0.0:
-            raise EmptySetError(given_A, given_b, radius)
-        direction = recession_direction(given_A)
+            raise EmptySetError(*rows.given, radius)
         if direction is not None:
-            raise UnboundedSetError(given_A, given_b, direction)
-        self.A, self.b = given_A[~rows.is_blank], given_b[~rows.is_blank]
-        unit_A, unit_b = rows.without_blanks()
-        lower, upper = _bounding_box(unit_A, unit_b, self.interior, radius)
-        self.center, self.scale = 0.5 * (lower + upper), 0.5 * (upper - lower)
-        normals = unit_A * self.scale
+            ray = np.zeros(len(fixed))
+            ray[~fixed] = direction
+            raise UnboundedSetError(*rows.given, ray)
+        lower, upper = _bounding_box(A, b, inside, radius)
+        self.interior[~fixed] = inside
+        self.center[~fixed] = 0.5 * (lower + upper)
+        self.scale[~fixed] = 0.5 * (upper - lower)
+        normals = A * self.scale[~fixed]
         length = np.linalg.norm(normals, axis=1)
-        self.A_normalised = normals / length[:, None]
-        self.b_normalised = (unit_b - unit_A @ self.center) / length
+        self.A_normalised = self.A_normalised.copy()
+        self.A_normalised[moves] = 0.0
+        self.A_normalised[np.ix_(moves, ~fixed)] = normals / length[:, None]
+        self.b_normalised[moves] = (b - A @ self.center[~fixed]) / length
 
     @staticmethod
     def box(lower: ArrayLike, upper: ArrayLike) -> InputSet:
         """Returns ``{u : lower <= u <= upper}``.
 
+        A limit may be infinite where no volume barrier needs a bounded set: then
+        center is the input nearest to 0 and scale is 1, its unit. Equal limits fix an
+        input.
+
         Args:
             lower: The least inputs, shape (m,).
-            upper: The greatest inputs, shape (m,), each greater than its least.
+            upper: The greatest inputs, shape (m,), none below its least.
 
         Raises:
-            ValueError: Wrong shapes, numbers that are not finite, or an input without
-                room between its bounds.
+            ValueError: Wrong shapes, or limits that leave an input no value.
         """
         return _Box(lower, upper)
 
@@ -80,6 +109,20 @@ class InputSet:
     def num_inputs(self) -> int:
         """The number of inputs m."""
         return len(self.center)
+
+    def normalised(self, u: Array) -> Array:
+        """Returns v of an input u, shape (m,); 0 where it is fixed."""
+        v: Array = (u - self.center) / np.where(self.scale > 0.0, self.scale, np.inf)
+        return v
+
+    def farthest(self, A: Array) -> Array:
+        """Returns the greatest a_i v over the bounding box, shape (n,).
+
+        Args:
+            A: Rows in normalised inputs, shape (n, m).
+        """
+        farthest: Array = np.abs(A).sum(axis=1)
+        return farthest
 
     def contains(self, u: ArrayLike, tolerance: float = 1e-9) -> bool:
         """Returns whether u, shape (m,), meets every row.
@@ -91,8 +134,12 @@ class InputSet:
         u = np.asarray(u, dtype=float)
         if not np.all(np.isfinite(u)):
             return False
-        v = (u - self.center) / self.scale
-        return bool(np.all(self.A_normalised @ v <= self.b_normalised + tolerance))
+        v, is_fixed = self.normalised(u), self.scale == 0.0
+        off = np.abs(u - self.center)[is_fixed]
+        return bool(
+            np.all(self.A_normalised @ v <= self.b_normalised + tolerance)
+            and np.all(off <= tolerance * (1.0 + np.abs(self.center[is_fixed])))
+        )
 
     def project(self, u: ArrayLike) -> Array:
         """Returns the input of the set nearest to u in normalised inputs, shape (m,).
@@ -108,9 +155,9 @@ class InputSet:
         if not np.all(np.isfinite(u)):
             return self.interior.copy()
         with np.errstate(over="ignore"):
-            v = np.clip((u - self.center) / self.scale, -_FARTHEST, _FARTHEST)
-        if np.all(self.A_normalised @ v <= self.b_normalised):
-            return u
+            v = np.clip(self.normalised(u), -_FARTHEST, _FARTHEST)
+        if np.all(self.A_normalised @ v <= self.b_normalised + _TOLERANCE):
+            return np.where(self.scale > 0.0, u, self.center)
         try:
             v = nearest_point(self.A_normalised, self.b_normalised, v).point
         except VcbfError:
@@ -121,14 +168,14 @@ class InputSet:
         """Returns the last point inside on the segment from the interior to v."""
         if np.all(self.A_normalised @ v <= self.b_normalised + _TOLERANCE):
             return v
-        start = (self.interior - self.center) / self.scale
+        start = self.normalised(self.interior)
         room = self.b_normalised - self.A_normalised @ start
         approach = self.A_normalised @ (v - start)
         return start + (v - start) / np.max(approach / room)
 
 
 class _Box(InputSet):
-    """Bounds on every input by itself, for which everything has a closed form."""
+    """Limits of every input by itself, for which everything has a closed form."""
 
     is_box = True
 
@@ -140,21 +187,45 @@ class _Box(InputSet):
                 " (m,) with m >= 1"
             )
         for j, (least, most) in enumerate(zip(lower, upper, strict=True)):
-            if not (np.isfinite([least, most]).all() and least < most):
+            if not (least <= most and least < np.inf and most > -np.inf):
                 raise ValueError(
                     f"input {j} has lower bound {least:g} and upper bound {most:g};"
-                    " they must be finite, and lower < upper"
+                    " they must be numbers or infinite, and lower <= upper"
                 )
         identity = np.eye(len(lower))
         self.A = self.A_normalised = np.concatenate([identity, -identity])
-        self.b, self.b_normalised = (
-            np.concatenate([upper, -lower]),
-            np.ones(len(self.A)),
-        )
+        self.b = np.concatenate([upper, -lower])
+        self.limits = np.isfinite(self.b).nonzero()[0]
         # Halved before they are added: bounds may be as large as a float can be.
-        self.center, self.scale = 0.5 * lower + 0.5 * upper, 0.5 * upper - 0.5 * lower
+        with np.errstate(invalid="ignore"):
+            self.center, self.scale = (
+                0.5 * lower + 0.5 * upper,
+                0.5 * upper - 0.5 * lower,
+            )
         self.interior = self.center
+        self.b_normalised = np.ones(len(self.A))
         self._lower, self._upper = lower, upper
+        self._is_open = ~(np.isfinite(lower) & np.isfinite(upper))
+        if self._is_open.any():
+            self._widen()
+
+    def _widen(self) -> None:
+        """Normalises the inputs with an infinite limit by their unit."""
+        is_open = self._is_open
+        self.is_bounded = False
+        self.center[is_open] = np.clip(0.0, self._lower, self._upper)[is_open]
+        self.scale[is_open] = 1.0
+        room = np.concatenate([self._upper - self.center, self.center - self._lower])
+        both = np.tile(is_open, 2)
+        self.b_normalised[both] = room[both]
+        inward = np.clip(self.center, self._lower + 1.0, self._upper - 1.0)
+        self.interior = np.where(is_open, inward, self.center)
+
+    def farthest(self, A: Array) -> Array:
+        farthest = super().farthest(A)
+        if not self.is_bounded:
+            farthest[A[:, self._is_open].any(axis=1)] = np.inf
+        return farthest
 
     def project(self, u: ArrayLike) -> Array:
         u = np.asarray(u, dtype=float)
@@ -162,6 +233,26 @@ class _Box(InputSet):
             return self.interior.copy()
         inside: Array = np.minimum(np.maximum(u, self._lower), self._upper)
         return inside
+
+
+def _fixed_inputs(A: Array, b: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Finds inputs whose own limits coincide; returns which, and their value or 0.
+
+    Args:
+        A: Rows of unit length, shape (k, m).
+        b: Their right-hand sides, shape (k,).
+    """
+    m = A.shape[1]
+    upper, lower = np.full(m, np.inf), np.full(m, -np.inf)
+    for i in ((A != 0.0).sum(axis=1) == 1).nonzero()[0].tolist():
+        j = int(A[i].nonzero()[0][0])
+        if A[i, j] > 0.0:
+            upper[j] = min(upper[j], b[i] / A[i, j])
+        else:
+            lower[j] = max(lower[j], b[i] / A[i, j])
+    is_limited = np.isfinite(upper) & np.isfinite(lower)
+    fixed = is_limited & (np.abs(upper - lower) <= 4e-16 * np.abs(upper))
+    return fixed, np.where(fixed, upper, 0.0)
 
 
 def _bounding_box(

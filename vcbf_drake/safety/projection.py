@@ -50,6 +50,8 @@ _CARRYING = 1e-3
 _EXACT = 1e-10
 # ... or, where the last zoom does not get there, than ...
 _NEARLY_EXACT = 1e-7
+# No point's cost is lower by more than this, relative to where they are.
+_LP_GAP = 1e-9
 _ZOOMS = (1.0, 1e4, 1e8)
 # The scale of its cost: Clp's tolerance on multipliers is absolute.
 _SHARPNESS = 1e4
@@ -129,7 +131,7 @@ def minimise_linear(cost: Array, A: Array, b: Array) -> Array:
     rows = UnitRows(A, b, SHORTEST)
     cost = _SHARPNESS * cost / (float(np.linalg.norm(cost)) or 1.0)
     program, point = LinearProgram.of_size(*A.shape), np.zeros(len(cost))
-    excess = math.inf
+    size, excess, is_least = 1.0, math.inf, False
     for zoom in _ZOOMS:
         bounds = zoom * (rows.b - rows.A @ point)
         found = program.solve(cost, rows.A, bounds)
@@ -141,11 +143,16 @@ def minimise_linear(cost: Array, A: Array, b: Array) -> Array:
             break
         move, multipliers = found
         point = _touching(rows, point + move / zoom, multipliers > _CARRYING)
-        excess = float(np.max(rows.A @ point - rows.b))
-        if excess <= _EXACT:
+        slack = rows.b - rows.A @ point
+        excess = -float(slack.min())
+        # No point is better by more than weak duality allows.
+        size = 1.0 + float(np.abs(point).max())
+        pull = float(np.abs(cost + multipliers @ rows.A).sum()) * size
+        is_least = float(multipliers @ slack) + pull <= _LP_GAP * _SHARPNESS * size
+        if excess <= _EXACT and is_least:
             return point
     error = _no_answer(rows, None)
-    is_near = excess <= _NEARLY_EXACT * (1.0 + float(np.abs(point).max()))
+    is_near = is_least and excess <= _NEARLY_EXACT * size
     if isinstance(error, SolverError) and is_near:
         return point
     raise error

@@ -1,4 +1,4 @@
-"""The filter's QP, and what happens at a tick when it has no solution."""
+"""The decision of a control tick: the filter's QP, or what acts where it has none."""
 
 from __future__ import annotations
 
@@ -15,25 +15,21 @@ from vcbf_drake.checks import Array
 from vcbf_drake.errors import EmptySetError, SolverError
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.polytope import FEASIBILITY_TOLERANCE, UnitRows
 from vcbf_drake.safety.programs import DEFAULT_SOLVER
-from vcbf_drake.safety.projection import (
-    SHORTEST,
-    minimise_linear,
-    nearest_point,
-    opening,
+from vcbf_drake.safety.projection import NearestPoint
+from vcbf_drake.safety.tick_qp import (
+    QP,
+    Frame,
+    VolumeRow,
+    finer_frame,
+    least_violation,
+    solve_qp,
+    state_qp,
 )
 
 InfeasiblePolicy = Literal["stop", "least_violation", "hold"]
 
 INFEASIBLE_POLICIES: tuple[InfeasiblePolicy, ...] = ("stop", "least_violation", "hold")
-
-# A reference this many input ranges away is as good as one infinitely far.
-_FARTHEST_REFERENCE = 1e6
-# The least slack or violation leaves a set without interior. Its rows are opened by
-# this distance, in normalised inputs; at narrow angles it takes more.
-_MARGIN = 1e-10
-_WIDER = (0.0, 1e-8, 1e-7, 1e-6)
 
 
 class FilterStatus(IntEnum):
@@ -52,83 +48,6 @@ class FilterStatus(IntEnum):
 
 
 @dataclass(frozen=True)
-class VolumeRow:
-    """The volume barrier's condition a u <= c.
-
-    Attributes:
-        a: Shape (m,).
-        c: The right-hand side.
-        slack_penalty: M of (E24), for the inexact slack.
-        name: For whoever reads the program.
-    """
-
-    a: Array
-    c: float
-    slack_penalty: float
-    name: str = "volume"
-
-    @property
-    def is_finite(self) -> bool:
-        """Whether every number in it is finite."""
-        return math.isfinite(self.c) and bool(np.isfinite(self.a).all())
-
-    def normalised(self, input_set: InputSet) -> VolumeRow:
-        """Returns the row in normalised inputs."""
-        shifted = self.c - float(self.a @ input_set.center)
-        return replace(self, a=self.a * input_set.scale, c=shifted)
-
-
-@dataclass(frozen=True)
-class QP:
-    """min 1/2 |z - reference|^2 subject to ``A z <= b``.
-
-    The variables are the normalised inputs v and, for each row that gives way at a
-    penalty, sqrt(M) times its slack. The rows are the feasible set's that can matter,
-    the volume rows, and those that give way.
-
-    Attributes:
-        A: The rows, shape (n, d).
-        b: Their right-hand sides, shape (n,).
-        reference: Shape (d,).
-        num_inputs: m, the first variables.
-        num_firm: How many rows, the first, limit the input whatever the state.
-        num_hard: How many rows, the first, do not give way.
-        num_volume: How many of those, the last, are volume rows.
-        rows: Which of the feasible set's rows are the first.
-        further_rows: The names of those that follow.
-    """
-
-    A: Array
-    b: Array
-    reference: Array
-    num_inputs: int
-    num_firm: int
-    num_hard: int
-    num_volume: int
-    rows: tuple[int, ...] = ()
-    further_rows: tuple[str, ...] = ()
-
-    def solved(self, solver: str) -> Array:
-        """Returns the minimiser z, shape (d,).
-
-        Raises:
-            EmptySetError: No point satisfies the hard rows, certified.
-            SolverError: No solver's answer was verified.
-        """
-        try:
-            found = nearest_point(self.A, self.b, self.reference, self.num_firm, solver)
-        except EmptySetError as error:
-            if self.num_hard == len(self.b):
-                raise
-            # With free slacks it is empty only where the hard rows are.
-            A, b, m = self.A, self.b, self.num_inputs
-            hard, free = A[: self.num_hard, :m], self.reference[:m]
-            nearest_point(hard, b[: self.num_hard], free, self.num_firm, solver)
-            raise SolverError("no solution with slacks", A, b) from error
-        return found.point
-
-
-@dataclass(frozen=True)
 class FilterDecision:
     """The input that leaves the filter, finite and inside the input set.
 
@@ -140,6 +59,8 @@ class FilterDecision:
         conflict: When infeasible, rows of the feasible set that exclude each other.
         row_margin: What every barrier row's chi is at least until the next tick (E77);
             nan where no such input was sought.
+        soft_slacks: How far each soft barrier row gave way, at most 0, where the input
+            is a QP's solution.
         qp: The QP whose solution the input is, where it is one.
     """
 
@@ -148,6 +69,7 @@ class FilterDecision:
     slack: float = 0.0
     conflict: tuple[int, ...] = ()
     row_margin: float = math.nan
+    soft_slacks: tuple[float, ...] = ()
     qp: QP | None = field(default=None, compare=False, repr=False)
 
 
@@ -160,12 +82,13 @@ def choose_input(
     exact_slack: bool,
     policy: InfeasiblePolicy,
     solver: str = DEFAULT_SOLVER,
+    frame: Frame | None = None,
 ) -> FilterDecision:
     """Returns the feasible input nearest to the reference, (E19) or (E24), (E25).
 
     With the exact slack volume rows are hard and give way, by as little as possible,
     only when no input satisfies them together with the other rows; without, they have
-    the printed penalty M delta^2.
+    the printed penalty M delta^2. Soft barrier rows always have theirs (E85).
 
     Args:
         feasible: Input limits and barrier rows.
@@ -177,17 +100,32 @@ def choose_input(
         exact_slack: How the volume rows may give way.
         policy: What to apply when the barrier rows have no solution.
         solver: The name of the solver that proposes, one of `SOLVERS`.
+        frame: The coordinates of the normalised inputs, with the cost's weights; by
+            default `Frame.of(input_set)`.
     """
     if not (feasible.is_finite and np.isfinite(reference).all()):
         return FilterDecision(input_set.project(held_input), FilterStatus.FAILED)
-    rows = [row.normalised(input_set) for row in volume_rows]
     # The others hold on the whole bounding box.
-    rows = [row for row in rows if row.c < np.abs(row.a).sum()]
-    qp = _stated(feasible, rows, _normalised(reference, input_set), exact_slack)
-    if (qp.A @ qp.reference <= qp.b).all():
+    rows = [row for row in volume_rows if _cuts(row, input_set)]
+    frame = frame or Frame.of(input_set)
+    if not input_set.is_bounded:
+        farthest = np.abs(input_set.normalised(reference)).max()
+        frame = replace(frame, size=max(1.0, float(farthest)))
+    qp = state_qp(feasible, frame, rows, reference, exact_slack)
+    if (qp.A @ qp.reference <= qp.b).all() and not _moves_a_fixed(reference, input_set):
         return FilterDecision(reference, FilterStatus.REFERENCE, qp=qp)
     try:
-        z, solved = _solution(qp, solver)
+        found, solved = solve_qp(qp, solver)
+        gave_way = solved is not qp or not exact_slack
+        if solved is qp:
+            barriers = slice(qp.num_firm, len(feasible.cutting))
+            touched = (found.multipliers > 0.0) | (qp.A @ found.point > qp.b)
+            finer = finer_frame(
+                feasible, frame, frame.input(found.point), touched[barriers]
+            )
+            if finer is not None:
+                finer_qp = state_qp(feasible, finer, rows, reference, exact_slack)
+                found, solved = _better(finer_qp, found, qp, solver)
     except EmptySetError as error:
         # Of the feasible set's rows alone; a volume row that may give way has none.
         among = [i for i in error.conflict if i < len(feasible.cutting)]
@@ -195,95 +133,41 @@ def choose_input(
         if policy == "hold":
             u = input_set.project(held_input)
         else:
-            u = _least_violation(feasible, qp.reference, held_input, input_set, solver)
+            u = least_violation(feasible, qp.hard, held_input, solver)
         return FilterDecision(u, FilterStatus.INFEASIBLE, conflict=conflict)
     except (SolverError, LinAlgError):
-        return failed_decision(feasible, qp.reference, held_input, input_set, solver)
-    v, slack = z[: qp.num_inputs], 0.0
-    if solved is not qp or not exact_slack:
-        slack = min([0.0, *(row.c - float(row.a @ v) for row in rows)])
+        u = least_violation(feasible, qp.hard, held_input, solver)
+        return FilterDecision(u, FilterStatus.FAILED)
+    u = solved.frame.input(found.point)
+    slack = min([0.0, *(row.slack(u) for row in rows)]) if gave_way else 0.0
     status = FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
-    u = input_set.project(input_set.center + input_set.scale * v)
-    return FilterDecision(u, status, slack, qp=solved)
+    soft = tuple(min(0.0, feasible.soft_slack(i, u)) for i in feasible.soft.tolist())
+    return FilterDecision(
+        input_set.project(u), status, slack, soft_slacks=soft, qp=solved
+    )
 
 
-def _normalised(reference: Array, input_set: InputSet) -> Array:
-    v: Array = (reference - input_set.center) / input_set.scale
-    if np.abs(v).max() > _FARTHEST_REFERENCE:
-        v = v.clip(-_FARTHEST_REFERENCE, _FARTHEST_REFERENCE)
-    return v
+def _cuts(row: VolumeRow, input_set: InputSet) -> bool:
+    """Whether a row excludes any input of the bounding box."""
+    a = row.a * input_set.scale
+    farthest = float(input_set.farthest(a[None])[0])
+    return row.c - float(row.a @ input_set.center) < farthest
 
 
-def _stated(
-    feasible: FeasibleSet,
-    volume_rows: Sequence[VolumeRow],
-    reference: Array,
-    exact_slack: bool,
-) -> QP:
-    """The tick's QP, all in normalised inputs."""
-    A, b = feasible.A_v[feasible.cutting], feasible.b_v[feasible.cutting]
-    m, count = len(reference), len(volume_rows)
-    if volume_rows:
-        A = np.concatenate([A, [row.a for row in volume_rows]])
-        b = np.concatenate([b, [row.c for row in volume_rows]])
-    num_firm = feasible.num_input_rows
-    rows, names = tuple(feasible.cutting.tolist()), tuple(r.name for r in volume_rows)
-    if exact_slack or not volume_rows:
-        return QP(A, b, reference, m, num_firm, len(b), count, rows, names)
-    # Each with its free slack delta at the cost M delta^2 (E24): in the variables
-    # (v, sqrt(M) delta) the cost is a distance again.
-    root = np.sqrt([row.slack_penalty for row in volume_rows])
-    num_hard = len(b) - count
-    slopes = np.concatenate([np.zeros((num_hard, count)), np.diag(1.0 / root)])
-    A, reference = np.hstack([A, slopes]), np.append(reference, np.zeros(count))
-    return QP(A, b, reference, m, num_firm, num_hard, 0, rows, names)
+def _moves_a_fixed(reference: Array, input_set: InputSet) -> bool:
+    """Whether a reference asks of an input that is fixed what it does not do."""
+    is_fixed = input_set.scale == 0.0
+    return bool((reference != input_set.center)[is_fixed].any())
 
 
-def _solution(qp: QP, solver: str) -> tuple[Array, QP]:
-    """A QP's minimiser; where its volume rows leave none, that of one where they do.
-
-    With several volume rows, each in its turn gives way by the least that those before
-    it allow (E25).
-    """
+def _better(
+    finer: QP, found: NearestPoint, qp: QP, solver: str
+) -> tuple[NearestPoint, QP]:
+    """The solution in finer coordinates; where none is verified, the one found."""
     try:
-        return qp.solved(solver), qp
-    except (EmptySetError, SolverError, LinAlgError):
-        if not qp.num_volume:
-            raise
-    first = qp.num_hard - qp.num_volume
-    firmer = replace(qp, A=qp.A[:first], b=qp.b[:first], num_hard=first, num_volume=0)
-    rows = UnitRows(qp.A, qp.b, SHORTEST)
-    bounds, opened = qp.b.copy(), rows.length * opening(rows, qp.num_firm)
-    for i in range(first, qp.num_hard):
-        z = minimise_linear(qp.A[i], qp.A[:i], bounds[:i] + opened[:i])
-        margin = 0.0 if rows.is_blank[i] else _MARGIN * rows.length[i]
-        bounds[i] = max(bounds[i], float(qp.A[i] @ z) + margin)
-    may_open = rows.length * (np.arange(len(bounds)) >= first)
-    z, relaxed = _opened(replace(qp, b=bounds), may_open, z, solver)
-    excess = (qp.A[:first] @ z - bounds[:first]) / rows.length[:first]
-    if (excess > FEASIBILITY_TOLERANCE).any():
-        firmer.solved(solver)  # Or is it empty without the volume rows too?
-        raise SolverError("no least slack that leaves the other rows alone", qp.A, qp.b)
-    return z, relaxed
-
-
-def _opened(qp: QP, may_open: Array, z: Array, solver: str) -> tuple[Array, QP]:
-    """The minimiser of a QP with next to no interior, near its feasible point z.
-
-    Args:
-        qp: Its rows opened already.
-        may_open: How far a row may be opened, in units of `_WIDER`, shape (n,).
-        z: What is returned where the QP fails and z leaves no row.
-        solver: The solver's name.
-    """
-    for wider in _WIDER:
-        attempt = replace(qp, b=qp.b + wider * may_open)
-        try:
-            return attempt.solved(solver), attempt
-        except (EmptySetError, SolverError, LinAlgError):
-            if (qp.A @ z <= qp.b).all():
-                break
-    return z, qp
+        return finer.solved(solver), finer
+    except (SolverError, LinAlgError):
+        return found, qp
 
 
 def failed_decision(
@@ -297,45 +181,12 @@ def failed_decision(
 
     Args:
         feasible: Input limits and barrier rows, all finite.
-        reference: The controller's input, normalised, shape (m,).
+        reference: The controller's input, finite, shape (m,).
         held_input: The input applied now, shape (m,).
         input_set: The inputs the actuators can produce.
         solver: The solver's name.
     """
-    u = _least_violation(feasible, reference, held_input, input_set, solver)
+    frame = Frame.of(input_set)
+    qp = state_qp(feasible, frame, (), reference, exact_slack=True)
+    u = least_violation(feasible, qp.hard, held_input, solver)
     return FilterDecision(u, FilterStatus.FAILED)
-
-
-def _least_violation(
-    feasible: FeasibleSet,
-    reference: Array,
-    held_input: Array,
-    input_set: InputSet,
-    solver: str,
-) -> Array:
-    """The input within its limits whose worst weighted barrier violation is least.
-
-    min t subject to weight_i (a_i u - b_i) <= t, t >= 0; among those inputs, the one
-    nearest to the reference.
-    """
-    A, b = feasible.A_v[feasible.cutting], feasible.b_v[feasible.cutting]
-    k, m = feasible.num_input_rows, input_set.num_inputs
-    weight = feasible.weights[feasible.cutting[k:] - k]
-    length = np.linalg.norm(A[k:], axis=1)
-    # t is counted in units of the heaviest row's distance, and from where no input is
-    # below it.
-    weight /= float(np.max(weight * length, initial=0.0)) or 1.0
-    A = np.concatenate([A[:k], A[k:] * weight[:, None]])
-    b = np.concatenate([b[:k], b[k:] * weight])
-    b[k:] += max(0.0, float(np.max(-b[k:] - np.abs(A[k:]).sum(axis=1), initial=0.0)))
-    last = np.append(np.zeros(m), 1.0)
-    give = np.concatenate([np.zeros(k), np.ones(len(weight))])
-    rows = np.vstack([np.column_stack([A, -give]), -last])
-    try:
-        v = minimise_linear(last, rows, np.append(b, 0.0))[:-1]
-    except (EmptySetError, SolverError, LinAlgError):
-        return input_set.project(held_input)
-    b[k:] += np.max(A[k:] @ v - b[k:], initial=0.0) + _MARGIN
-    nearest = QP(A, b, reference[:m], m, k, len(b), 0)
-    v, _ = _opened(nearest, give, v, solver)
-    return input_set.project(input_set.center + input_set.scale * v)

@@ -38,12 +38,12 @@ from vcbf_drake.safety.projection import nearest_point
 from vcbf_drake.safety.qp import (
     FilterDecision,
     FilterStatus,
-    VolumeRow,
     choose_input,
     failed_decision,
 )
 from vcbf_drake.safety.settings import FilterSettings
 from vcbf_drake.safety.tick_programs import TickPrograms, state_programs
+from vcbf_drake.safety.tick_qp import VolumeRow
 from vcbf_drake.safety.volume import Volume, threshold_of
 from vcbf_drake.safety.volume_rows import VolumeRows, above
 
@@ -439,8 +439,7 @@ class SafetyFilter(LeafSystem):
         reference, held = self._reference.Eval(context), self._held(context)
         if not (feasible.is_finite and np.isfinite(reference).all()):
             return inputs.project(held)
-        normalised = (reference - inputs.center) / inputs.scale
-        return failed_decision(feasible, normalised, held, inputs).input
+        return failed_decision(feasible, reference, held, inputs).input
 
     def _calc_packed_feasible_set(self, context: Context, output: BasicVector) -> None:
         feasible = self.feasible_set(context)
@@ -467,7 +466,8 @@ def _volume_value(volumes: _Volumes) -> list[float]:
 
 
 def _check_effort_limits(model: ControlAffineModel, input_set: InputSet) -> None:
-    reach = np.abs(input_set.center) + input_set.scale
+    is_open = np.isinf(input_set.farthest(np.eye(input_set.num_inputs)))
+    reach = np.abs(input_set.center) + np.where(is_open, np.inf, input_set.scale)
     for j, (most, limit) in enumerate(zip(reach, model.effort_limits, strict=True)):
         if most > limit:
             raise ValueError(

@@ -9,19 +9,19 @@ from pydrake.solvers import MathematicalProgram, MathematicalProgramResult
 
 from vcbf_drake.checks import Array
 from vcbf_drake.safety.feasible_set import FeasibleSet, cutting_rows
-from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.polytope import UnitRows
 from vcbf_drake.safety.programs import EllipsoidProgram, NearestPointProgram
 from vcbf_drake.safety.projection import SHORTEST
-from vcbf_drake.safety.qp import QP
+from vcbf_drake.safety.tick_qp import QP, Frame
 
 
 @dataclass(frozen=True)
 class TickPrograms:
     """The QP and the cone program of one control tick, as MathematicalPrograms.
 
-    Both are stated anew, in normalised inputs v (u = center + scale v) and with rows of
-    unit length, as the filter's solver was given them; nobody else holds them.
+    Both are stated anew, with rows of unit length as the filter's solver was given
+    them; nobody else holds them. The inputs are normalised, v with u = center + scale v
+    (see `InputSet`), but for weights of the cost and for limits as good as none.
 
     Attributes:
         qp: min 1/2 |z - reference|^2 subject to ``A z <= b``; z is v, followed by the
@@ -31,23 +31,26 @@ class TickPrograms:
             largest ellipsoid {L w + d : |w| <= 1}; None for a single input, whose
             largest interval needs no program.
         ellipsoid_rows: What each of its rows stands for.
-        input_set: What the inputs are normalised by.
+        frame: The coordinates of the QP's inputs.
+        back: What makes of the QP's variables z in these, shape (d, d); None for the
+            identity.
     """
 
     qp: MathematicalProgram
     qp_rows: tuple[str, ...]
     ellipsoid: MathematicalProgram | None
     ellipsoid_rows: tuple[str, ...]
-    input_set: InputSet
+    frame: Frame
+    back: Array | None
 
     def input(self, result: MathematicalProgramResult) -> Array:
         """Returns the input u of a solution of the QP, shape (m,)."""
-        v = result.get_x_val()[: self.input_set.num_inputs]
-        return np.asarray(self.input_set.center + self.input_set.scale * v)
+        y = result.get_x_val()
+        return self.frame.input(y if self.back is None else self.back @ y)
 
     def log_det(self, result: MathematicalProgramResult) -> float:
         """Returns log det B of a solution of the cone program, in normalised inputs."""
-        m = self.input_set.num_inputs
+        m = len(self.frame.scale)
         row, column = np.tril_indices(m)
         diagonal = result.get_x_val()[: len(row)][row == column]
         return float(np.log(diagonal).sum())
@@ -64,12 +67,13 @@ def state_programs(
         names: Of the feasible set's rows.
         widening: kappa of the volume barrier.
     """
-    rows = UnitRows(qp.A, qp.b, SHORTEST)
-    nearest = NearestPointProgram(*qp.A.shape)
-    nearest.state(rows.A, rows.b, qp.reference)
+    A, reference, back = qp.as_projection()
+    rows = UnitRows(A, qp.b, SHORTEST)
+    nearest = NearestPointProgram(*A.shape)
+    nearest.state(rows.A, rows.b, reference)
     bounds = feasible.b_v.copy()
     bounds[feasible.num_input_rows :] /= widening
-    kept = cutting_rows(feasible.A_v, bounds, feasible.num_input_rows)
+    kept = cutting_rows(feasible.input_set, feasible.A_v, bounds)
     unit = UnitRows(feasible.A_v[kept], bounds[kept])
     cone, m = None, feasible.input_set.num_inputs
     if m > 1:
@@ -78,8 +82,12 @@ def state_programs(
         cone = largest.program
     return TickPrograms(
         nearest.program,
-        (*(names[i] for i in qp.rows), *qp.further_rows),
+        tuple(
+            row if isinstance(row, str) else names[row]
+            for row in (*qp.rows, *qp.further_rows)
+        ),
         cone,
         tuple(names[i] for i in kept),
-        feasible.input_set,
+        qp.frame,
+        back,
     )

@@ -12,8 +12,9 @@ from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.ellipsoid import Ellipsoid, InscribedEllipsoidSolver
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.qp import VolumeRow
+from vcbf_drake.safety.methods import METHODS
 from vcbf_drake.safety.settings import FilterSettings
+from vcbf_drake.safety.tick_qp import VolumeRow
 from vcbf_drake.safety.volume import Volume, VolumeMeasure, volume, volume_row
 
 
@@ -25,6 +26,9 @@ class VolumeRows:
         input_set: What the actuators can do.
         settings: The filter's.
 
+    Raises:
+        ValueError: The method has a volume barrier, and the input set no bounds.
+
     Attributes:
         has_guard: Whether a second row, of the set as it is, gives way last.
     """
@@ -35,6 +39,15 @@ class VolumeRows:
         self._model, self._input_set, self._settings = model, input_set, settings
         self.has_guard = settings.volume.guard != "none"
         solver = settings.solver
+        self._is_bounded = input_set.is_bounded
+        if not self._is_bounded:
+            if not METHODS[settings.method].volume:
+                return
+            raise ValueError(
+                "input_set: has an infinite limit, and the volume barrier of method"
+                f" {settings.method} needs a bounded set of inputs; give limits, or"
+                " take a method without volume barrier, as dob-cbf-qp"
+            )
         self._measure = VolumeMeasure(input_set, 0.0, settings.volume.widening, solver)
         self._guard_measure = VolumeMeasure(input_set, 0.0, 1.0, solver)
         self._ellipsoids = InscribedEllipsoidSolver(input_set, solver)
@@ -48,7 +61,7 @@ class VolumeRows:
             feasible: The feasible set.
             guard: Of the set as it is, whatever the widening.
         """
-        if not feasible.is_finite:
+        if not (feasible.is_finite and self._is_bounded):
             return None
         measure = self._guard_measure if guard else self._measure
         if feasible.is_uncut and measure.of_input_set is not None:
@@ -67,6 +80,8 @@ class VolumeRows:
         Args:
             feasible: The feasible set.
         """
+        if not self._is_bounded:
+            return None
         k = feasible.num_input_rows
         try:
             return self._ellipsoids.solve(feasible.A_v[k:], feasible.b_v[k:])

@@ -229,7 +229,7 @@ def _each(rows: Array, vectors: Array) -> Array:
 
 @np.errstate(invalid="ignore")
 def _are_inside(inputs: Array, input_set: InputSet) -> NDArray[np.bool_]:
-    v = (inputs - input_set.center) / input_set.scale
+    v = input_set.normalised(inputs)
     reach = v @ input_set.A_normalised.T
     inside: NDArray[np.bool_] = np.all(
         reach <= input_set.b_normalised + ROUNDING, axis=1

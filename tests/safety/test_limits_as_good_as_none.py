@@ -1,0 +1,147 @@
+"""Limits that are next to infinite, infinite, or leave an input no room at all."""
+
+import numpy as np
+import pytest
+
+from vcbf_drake import Car, ControlAffineModel, SafetyFilter, SphereObstacle
+from vcbf_drake.barriers import BarrierRows
+from vcbf_drake.safety import (
+    DisturbanceKnowledge,
+    FilterSettings,
+    FilterStatus,
+    InputSet,
+)
+from vcbf_drake.safety.feasible_set import feasible_set
+from vcbf_drake.safety.qp import choose_input
+
+FAR = [1e6, 1e8, 1e9, 1e10, 1e12, np.inf]
+
+
+def choose(input_set, A, b, reference, policy="least_violation"):
+    A, b = np.atleast_2d(np.array(A, dtype=float)), np.array(b, dtype=float)
+    n, m = A.shape
+    rows = BarrierRows(
+        value=np.ones(n),
+        chain=(),
+        A=A,
+        b=b,
+        w=np.zeros((n, 1)),
+        num_states=1,
+        gradients=lambda rows: np.zeros((len(rows), m + 2, 2)),
+    )
+    feasible = feasible_set(input_set, rows, DisturbanceKnowledge.constant(1, 0.0))
+    reference = np.array(reference, dtype=float)
+    return choose_input(feasible, (), reference, np.zeros(m), input_set, True, policy)
+
+
+@pytest.mark.parametrize("far", FAR)
+@pytest.mark.parametrize("reference", [0.0, 1.5, 5.0, -7e3])
+def test_rows_a_unit_apart_exclude_each_other(far, reference):
+    """U <= 1 and u >= 2: least violated halfway."""
+    box = InputSet.box([-far], [far])
+    decision = choose(box, [[1.0], [-1.0]], [1.0, -2.0], [reference])
+    assert decision.status == FilterStatus.INFEASIBLE
+    assert decision.conflict == (2, 3)
+    np.testing.assert_allclose(decision.input, [1.5], atol=1e-8)
+
+
+@pytest.mark.parametrize("far", FAR)
+@pytest.mark.parametrize("reference", [1.5, 0.0, 9.0])
+def test_rows_a_unit_apart_leave_what_is_between_them(far, reference):
+    box = InputSet.box([-far], [far])
+    decision = choose(box, [[1.0], [-1.0]], [2.0, -1.0], [reference])
+    np.testing.assert_allclose(decision.input, [np.clip(reference, 1, 2)], atol=1e-8)
+
+
+@pytest.mark.parametrize("far", FAR)
+@pytest.mark.parametrize("other", [1.0, 1e10])
+def test_an_oblique_row_is_met_to_its_own_size(far, other):
+    """2 u_1 + u_2 >= 2, and u_2 <= 0.1: by hand, in the norm of the half-widths."""
+    box = InputSet.box([-far, -other], [far, other])
+    A, b = [[-2.0, -1.0], [0.0, 1.0]], [-2.0, 0.1]
+    decision = choose(box, A, b, [0.0, 0.0])
+    assert decision.status == FilterStatus.FILTERED
+    a = np.array([2.0, 1.0]) * box.scale
+    v = a * 2.0 / (a @ a)
+    expected = box.scale * v
+    if expected[1] > 0.1:
+        expected = [0.95, 0.1]
+    np.testing.assert_allclose(decision.input, expected, atol=2e-8)
+
+
+@pytest.mark.parametrize("far", [1e9, 1e12, np.inf])
+def test_limits_on_one_side_alone(far):
+    box = InputSet.box([0.0, -1.0], [far, 1.0])
+    decision = choose(box, [[1.0, 0.0]], [3.0], [7.0, -5.0])
+    np.testing.assert_allclose(decision.input, [3.0, -1.0], atol=1e-6)
+    decision = choose(box, [[1.0, 0.0]], [-3.0], [7.0, 0.5])
+    assert decision.status == FilterStatus.INFEASIBLE
+    assert decision.conflict == (2, 4)
+    np.testing.assert_allclose(decision.input, [0.0, 0.5], atol=1e-6)
+
+
+def test_without_limits_a_reference_far_away_is_met():
+    box = InputSet.box([-np.inf, -np.inf], [np.inf, np.inf])
+    decision = choose(box, [[1.0, 0.0]], [1.0], [1e7, -3e5])
+    assert decision.status == FilterStatus.FILTERED
+    np.testing.assert_allclose(decision.input, [1.0, -3e5], rtol=1e-9)
+    decision = choose(box, [[1.0, 0.0]], [1e8], [1e7, -3e5])
+    assert decision.status == FilterStatus.REFERENCE
+
+
+def test_a_dead_actuator_stays_where_it_is():
+    """As a box and as rows; the other inputs do what it leaves to do."""
+    box = InputSet.box([-1.0, 0.3, -2.0], [1.0, 0.3, 2.0])
+    rows = InputSet(np.vstack([box.A, [[1.0, 0.0, 1.0]]]), [*box.b, 1.5])
+    for input_set in (box, rows):
+        np.testing.assert_array_equal(input_set.scale, [1.0, 0.0, 2.0])
+        assert input_set.center[1] == 0.3
+        decision = choose(input_set, [[1.0, 1.0, 0.0]], [0.5], [0.9, 0.7, 0.1])
+        assert decision.status == FilterStatus.FILTERED
+        np.testing.assert_allclose(decision.input, [0.2, 0.3, 0.1], atol=1e-9)
+        # A reference that asks of it what it does not do does not pass ...
+        decision = choose(input_set, [[1.0, 1.0, 0.0]], [0.5], [0.1, 0.7, 0.1])
+        assert decision.status == FilterStatus.FILTERED
+        np.testing.assert_allclose(decision.input, [0.1, 0.3, 0.1], atol=1e-12)
+        # ... and one that does not, does.
+        decision = choose(input_set, [[1.0, 1.0, 0.0]], [0.5], [0.1, 0.3, 0.1])
+        assert decision.status == FilterStatus.REFERENCE
+        decision = choose(input_set, [[0.0, 1.0, 0.0]], [0.1], [0.1, 0.3, 0.1])
+        assert decision.status == FilterStatus.INFEASIBLE
+        assert input_set.contains([0.1, 0.3, 0.1])
+        assert not input_set.contains([0.1, 0.31, 0.1])
+        np.testing.assert_array_equal(
+            input_set.project([0.1, 5.0, 0.1]), [0.1, 0.3, 0.1]
+        )
+
+
+def test_all_actuators_dead():
+    for input_set in (
+        InputSet.box([0.5, -1.0], [0.5, -1.0]),
+        InputSet(np.vstack([np.eye(2), -np.eye(2)]), [0.5, -1.0, -0.5, 1.0]),
+    ):
+        decision = choose(input_set, [[1.0, 1.0]], [1.0], [3.0, 3.0])
+        np.testing.assert_allclose(decision.input, [0.5, -1.0])
+        decision = choose(input_set, [[1.0, 1.0]], [-1.0], [3.0, 3.0])
+        assert decision.status == FilterStatus.INFEASIBLE
+        np.testing.assert_allclose(decision.input, [0.5, -1.0])
+
+
+def test_the_volume_barrier_alone_needs_limits():
+    model = ControlAffineModel.from_system(Car())
+    barriers = [SphereObstacle([3.0, 0.1], 0.5).barrier([4.0, 3.0])]
+    inputs = InputSet.box([-np.inf, -0.5], [np.inf, 0.5])
+    with pytest.raises(ValueError, match="infinite limit, and the volume barrier"):
+        SafetyFilter(model, barriers, inputs, FilterSettings(method="dob-vcbf-qp"))
+    settings = FilterSettings(method="cbf-qp")
+    safety_filter = SafetyFilter(model, barriers, inputs, settings)
+    context = safety_filter.CreateDefaultContext()
+    safety_filter.GetInputPort("state").FixValue(context, [2.0, 0.0, 0.0, 1.0])
+    safety_filter.GetInputPort("reference").FixValue(context, [5.0, 0.0])
+    decision = safety_filter.decision(context)
+    assert decision.status == FilterStatus.FILTERED
+    feasible = safety_filter.feasible_set(context)
+    assert (feasible.A @ decision.input <= feasible.b + 1e-9).all()
+    assert np.isnan(safety_filter.GetOutputPort("volume").Eval(context)[0])
+    assert safety_filter.GetOutputPort("feasible_set").Eval(context).shape == (21,)
+    assert "upper limit of input 1" in safety_filter.programs(context).qp_rows

@@ -1,0 +1,412 @@
+"""The QP of a control tick: its coordinates, its rows and their order of giving way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+import math
+
+import numpy as np
+from numpy.linalg import LinAlgError
+from numpy.typing import ArrayLike, NDArray
+
+from vcbf_drake.checks import Array, require
+from vcbf_drake.errors import EmptySetError, SolverError
+from vcbf_drake.safety.feasible_set import FeasibleSet
+from vcbf_drake.safety.input_set import InputSet
+from vcbf_drake.safety.polytope import FEASIBILITY_TOLERANCE, UnitRows
+from vcbf_drake.safety.projection import (
+    SHORTEST,
+    NearestPoint,
+    minimise_linear,
+    nearest_point,
+    opening,
+)
+
+# A reference this many input ranges away is as good as one infinitely far; without
+# limits, one this many units away.
+_FARTHEST_REFERENCE = 1e6
+_FARTHEST_IN_UNITS = 1e15
+# Where the rows that a solution touches are made of numbers this small, in the QP's
+# coordinates, it is solved again in coordinates of their size.
+_SMALL = 1e-3
+# The least slack or violation leaves a set without interior. Its rows are opened by
+# this distance, in normalised inputs; at narrow angles it takes more.
+_MARGIN = 1e-10
+_WIDER = (0.0, 1e-8, 1e-7, 1e-6)
+
+
+@dataclass(frozen=True)
+class VolumeRow:
+    """A condition a u <= c that may give way: the volume barrier's, or a soft one.
+
+    Attributes:
+        a: Shape (m,).
+        c: The right-hand side.
+        slack_penalty: M of (E24), for the inexact slack.
+        name: For whoever reads the program.
+    """
+
+    a: Array
+    c: float
+    slack_penalty: float
+    name: str = "volume"
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether every number in it is finite."""
+        return math.isfinite(self.c) and bool(np.isfinite(self.a).all())
+
+    def slack(self, u: Array) -> float:
+        """Returns how far the row gives way at an input, at most 0."""
+        return min(0.0, self.c - float(self.a @ u))
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The coordinates z of a QP, u = origin + size * scale * z.
+
+    Attributes:
+        origin: Shape (m,); the input set's center, as a rule.
+        scale: The input set's, shape (m,).
+        size: 1, as a rule.
+        metric: The cost is |metric (z - reference)|^2; no singular value is below 1,
+            shape (m, m). None for the identity.
+        cost_unit: What the cost was divided by for that.
+    """
+
+    origin: Array
+    scale: Array
+    size: float = 1.0
+    metric: Array | None = None
+    cost_unit: float = 1.0
+
+    @staticmethod
+    def of(input_set: InputSet, weights: ArrayLike | None = None) -> Frame:
+        """Returns the frame of the normalised inputs.
+
+        Args:
+            input_set: The input set.
+            weights: W of the cost (u - u_ref)'W (u - u_ref), a matrix (m, m) or its
+                diagonal (m,); by default that of the normalised inputs' norm.
+
+        Raises:
+            ValueError: W has another shape or is not positive definite.
+        """
+        frame = Frame(input_set.center, input_set.scale)
+        if weights is None or not np.size(weights):
+            return frame
+        m, W = input_set.num_inputs, np.array(weights, dtype=float)
+        W = np.diag(W) if W.ndim == 1 else W
+        rule = f"{m} positive numbers or a positive definite ({m}, {m}) matrix"
+        is_matrix = W.shape == (m, m) and bool(np.isfinite(W).all())
+        require(
+            is_matrix and np.allclose(W, W.T) and np.linalg.eigvalsh(W)[0] > 0.0,
+            "input_weights",
+            weights,
+            rule,
+        )
+        # Inputs that are fixed have no part in it.
+        W = input_set.scale[:, None] * W * input_set.scale
+        W[input_set.scale == 0.0, input_set.scale == 0.0] = 1.0
+        least = float(np.linalg.eigvalsh(W)[0])
+        return replace(frame, metric=np.linalg.cholesky(W / least).T, cost_unit=least)
+
+    def input(self, z: Array) -> Array:
+        """Returns u of z, shape (m,)."""
+        return self.origin + self.size * self.scale * z[: len(self.scale)]
+
+    def distance(self, A: Array, b: Array) -> Array:
+        """Returns the right-hand sides of rows ``A u <= b`` in z, shape (n,)."""
+        distance: Array = (b - A @ self.origin) / self.size
+        return distance
+
+
+@dataclass(frozen=True)
+class QP:
+    """min 1/2 |R (z - reference)|^2 subject to ``A z <= b``.
+
+    The variables are the inputs in the coordinates of a frame and, for each row that
+    gives way at a penalty, sqrt(M) times its slack; R is the frame's metric. The rows
+    are the feasible set's that can matter, the volume rows, and those that give way.
+
+    Attributes:
+        frame: The coordinates.
+        A: The rows, shape (n, d).
+        b: Their right-hand sides, shape (n,).
+        reference: Shape (d,).
+        num_firm: How many rows, the first, limit the input whatever the state.
+        num_hard: How many rows, the first, do not give way.
+        num_volume: How many of those, the last, are volume rows.
+        rows: Which of the feasible set's rows are the first.
+        further_rows: Those that follow: volume rows by name, soft ones by index.
+    """
+
+    frame: Frame
+    A: Array
+    b: Array
+    reference: Array
+    num_firm: int
+    num_hard: int
+    num_volume: int = 0
+    rows: tuple[int, ...] = ()
+    further_rows: tuple[str | int, ...] = ()
+
+    def solved(self, solver: str) -> NearestPoint:
+        """Returns the minimiser z, shape (d,), and its multipliers.
+
+        Raises:
+            EmptySetError: No point satisfies the hard rows, certified.
+            SolverError: No solver's answer was verified.
+        """
+        A, reference, back = self.as_projection()
+        try:
+            found = nearest_point(A, self.b, reference, self.num_firm, solver)
+        except EmptySetError as error:
+            if self.num_hard == len(self.b):
+                raise
+            # With free slacks it is empty only where the hard rows are.
+            self.hard.solved(solver)
+            raise SolverError("no solution with slacks", A, self.b) from error
+        return found if back is None else replace(found, point=back @ found.point)
+
+    def as_projection(self) -> tuple[Array, Array, Array | None]:
+        """Returns rows and reference in y = R z, and R^-1 (None for the identity)."""
+        metric = self.frame.metric
+        if metric is None:
+            return self.A, self.reference, None
+        R, m = np.eye(len(self.reference)), len(metric)
+        R[:m, :m] = metric
+        back = np.asarray(np.linalg.inv(R), dtype=float)
+        return self.A @ back, R @ self.reference, back
+
+    @property
+    def hard(self) -> QP:
+        """The QP of the rows that never give way."""
+        n, m = self.num_hard - self.num_volume, len(self.frame.scale)
+        A, b, reference = self.A[:n, :m], self.b[:n], self.reference[:m]
+        return QP(self.frame, A, b, reference, self.num_firm, n)
+
+
+def state_qp(
+    feasible: FeasibleSet,
+    frame: Frame,
+    volume_rows: Sequence[VolumeRow],
+    reference: Array,
+    exact_slack: bool,
+) -> QP:
+    """Returns the tick's QP.
+
+    Args:
+        feasible: Input limits and barrier rows.
+        frame: The coordinates.
+        volume_rows: The volume barrier's rows, finite.
+        reference: The controller's input, finite, shape (m,).
+        exact_slack: Whether volume rows are hard; else they give way at their penalty.
+    """
+    kept, inputs = feasible.cutting, feasible.input_set
+    A, b = feasible.A_v[kept], _distances(feasible, frame)
+    z = _normalised(reference, inputs)
+    if frame.origin is not inputs.center:
+        z = z - inputs.normalised(frame.origin)
+    if frame.size != 1.0:
+        z = z / frame.size
+    soft = [
+        VolumeRow(feasible.rows.A[i], feasible.soft_bound(i), feasible.penalties[i])
+        for i in feasible.soft.tolist()
+    ]
+    further = [*volume_rows, *soft]
+    if further:
+        a, c = np.array([row.a for row in further]), [row.c for row in further]
+        A = np.concatenate([A, a * frame.scale])
+        b = np.concatenate([b, frame.distance(a, np.array(c))])
+    names: list[str | int] = [row.name for row in volume_rows]
+    names += (feasible.num_input_rows + feasible.soft).tolist()
+    num_volume = len(volume_rows) if exact_slack else 0
+    yielding = further[num_volume:]
+    qp = QP(
+        frame=frame,
+        A=A,
+        b=b,
+        reference=z,
+        num_firm=len(inputs.limits),
+        num_hard=len(b) - len(yielding),
+        num_volume=num_volume,
+        rows=tuple(kept.tolist()),
+        further_rows=tuple(names),
+    )
+    return _with_slacks(qp, [row.slack_penalty for row in yielding])
+
+
+def _with_slacks(qp: QP, penalties: Sequence[float]) -> QP:
+    """Gives each of the last rows a slack delta at the cost M delta^2 (E24), (E85).
+
+    In the variables (z, sqrt(M) delta) the cost is a distance again.
+    """
+    if not penalties:
+        return qp
+    root, count = np.sqrt(np.divide(penalties, qp.frame.cost_unit)), len(penalties)
+    slopes = np.concatenate([np.zeros((qp.num_hard, count)), np.diag(1.0 / root)])
+    reference = np.append(qp.reference, np.zeros(count))
+    return replace(qp, A=np.hstack([qp.A, slopes]), reference=reference)
+
+
+def _distances(feasible: FeasibleSet, frame: Frame) -> Array:
+    """Right-hand sides of the feasible set's rows that can matter, in a frame."""
+    kept = feasible.cutting
+    if frame.origin is feasible.input_set.center:
+        return feasible.b_v[kept] / frame.size
+    # From the rows as given: where two large numbers cancel, little is left.
+    distance = frame.distance(feasible.A[kept], feasible.b[kept])
+    k = len(feasible.input_set.limits)
+    length = np.linalg.norm(feasible.input_set.A * frame.scale, axis=1)[kept[:k]]
+    distance[:k] /= np.where(length > 0.0, length, 1.0)
+    return distance
+
+
+def _normalised(reference: Array, inputs: InputSet) -> Array:
+    v = inputs.normalised(reference)
+    if np.abs(v).max() > _FARTHEST_REFERENCE:
+        is_open = np.isinf(inputs.farthest(np.eye(len(v))))
+        farthest = np.where(is_open, _FARTHEST_IN_UNITS, _FARTHEST_REFERENCE)
+        v = v.clip(-farthest, farthest)
+    return v
+
+
+def solve_qp(qp: QP, solver: str) -> tuple[NearestPoint, QP]:
+    """Returns a QP's minimiser; where its volume rows leave none, that of one they do.
+
+    With several volume rows, each in its turn gives way by the least that those before
+    it allow (E25).
+
+    Args:
+        qp: The QP.
+        solver: The solver's name.
+
+    Raises:
+        EmptySetError: No input satisfies the rows that never give way, certified.
+        SolverError: No solver's answer was verified.
+    """
+    try:
+        return qp.solved(solver), qp
+    except (EmptySetError, SolverError, LinAlgError):
+        if not qp.num_volume:
+            raise
+    first = qp.num_hard - qp.num_volume
+    rows = UnitRows(qp.A, qp.b, SHORTEST)
+    bounds, opened = qp.b.copy(), rows.length * opening(rows, qp.num_firm)
+    for i in range(first, qp.num_hard):
+        z = minimise_linear(qp.A[i], qp.A[:i], bounds[:i] + opened[:i])
+        margin = 0.0 if rows.is_blank[i] else _MARGIN * rows.length[i]
+        bounds[i] = max(bounds[i], float(qp.A[i] @ z) + margin)
+    may_open = np.zeros(len(bounds))
+    may_open[first : qp.num_hard] = rows.length[first : qp.num_hard]
+    found, relaxed = _opened(replace(qp, b=bounds), may_open, z, solver)
+    excess = (qp.A[:first] @ found.point - bounds[:first]) / rows.length[:first]
+    if (excess > FEASIBILITY_TOLERANCE).any():
+        qp.hard.solved(solver)  # Or is it empty without the volume rows too?
+        raise SolverError("no least slack that leaves the other rows alone", qp.A, qp.b)
+    return found, relaxed
+
+
+def _opened(qp: QP, may_open: Array, z: Array, solver: str) -> tuple[NearestPoint, QP]:
+    """The minimiser of a QP with next to no interior, near its feasible point z.
+
+    Args:
+        qp: Its rows opened already.
+        may_open: How far a row may be opened, in units of `_WIDER`, shape (n,).
+        z: What is returned where the QP fails and z leaves no row.
+        solver: The solver's name.
+    """
+    for wider in _WIDER:
+        attempt = replace(qp, b=qp.b + wider * may_open)
+        try:
+            return attempt.solved(solver), attempt
+        except (EmptySetError, SolverError, LinAlgError):
+            if (qp.A @ z <= qp.b).all():
+                break
+    return NearestPoint(z, np.zeros(len(qp.b))), qp
+
+
+def finer_frame(
+    feasible: FeasibleSet, frame: Frame, u: Array, touched: NDArray[np.bool_]
+) -> Frame | None:
+    """Returns coordinates of the size of some barrier rows; None if a frame is that.
+
+    Limits may be as good as none, and then barrier rows are made of numbers that are
+    next to nothing in normalised inputs, and so is what separates them.
+
+    Args:
+        feasible: The feasible set.
+        frame: The coordinates until now.
+        u: An input near the rows, shape (m,).
+        touched: Which of the rows that can matter, but for the limits, shape (n,).
+    """
+    if not touched.any():
+        return None
+    k, inputs = len(feasible.input_set.limits), feasible.input_set
+    i = feasible.cutting[k:][touched] - feasible.num_input_rows
+    A, b = feasible.rows.A[i], (feasible.rows.b + feasible.margin)[i]
+    length = np.linalg.norm(A * frame.scale, axis=1)
+    terms = np.abs(b) + np.abs(A) @ np.abs(u)
+    size = float(np.max(terms / np.where(length > 0.0, length, np.inf)))
+    if not 0.0 < size < _SMALL * frame.size:
+        return None
+    return replace(frame, origin=inputs.project(u), size=size)
+
+
+def least_violation(
+    feasible: FeasibleSet, qp: QP, held_input: Array, solver: str
+) -> Array:
+    """Returns the input whose worst weighted barrier violation is least, shape (m,).
+
+    Among those, the one nearest to the reference; the held input, or the one nearest to
+    it that is allowed, where none was verified.
+
+    Args:
+        feasible: Input limits and barrier rows.
+        qp: The QP of its rows, `QP.hard`.
+        held_input: The input applied now, shape (m,).
+        solver: The solver's name.
+    """
+    project, k = feasible.input_set.project, qp.num_firm
+    try:
+        u = qp.frame.input(_least_violation(feasible, qp, solver))
+    except (EmptySetError, SolverError, LinAlgError):
+        return project(held_input)
+    violated = (qp.A @ _coordinates(u, qp.frame) > qp.b)[k:]
+    frame = finer_frame(feasible, qp.frame, u, violated)
+    if frame is not None:
+        reference = qp.frame.input(qp.reference)
+        finer = state_qp(feasible, frame, (), reference, exact_slack=True).hard
+        try:
+            u = frame.input(_least_violation(feasible, finer, solver))
+        except (EmptySetError, SolverError, LinAlgError):
+            pass  # In the coordinates before there is an answer.
+    return project(u)
+
+
+def _coordinates(u: Array, frame: Frame) -> Array:
+    scale = np.where(frame.scale > 0.0, frame.scale, np.inf)
+    z: Array = (u - frame.origin) / (frame.size * scale)
+    return z
+
+
+def _least_violation(feasible: FeasibleSet, qp: QP, solver: str) -> Array:
+    """Min t subject to weight_i (a_i u - b_i) <= t, t >= 0, and then the nearest z."""
+    A, b, k, m = qp.A.copy(), qp.b.copy(), qp.num_firm, len(qp.frame.scale)
+    weight = feasible.weights[feasible.cutting[k:] - feasible.num_input_rows]
+    length = np.linalg.norm(A[k:], axis=1)
+    # t is counted in units of the heaviest row's distance, and from where no input is
+    # below it.
+    weight /= float(np.max(weight * length, initial=0.0)) or 1.0
+    A[k:], b[k:] = A[k:] * weight[:, None], b[k:] * weight
+    farthest = feasible.input_set.farthest(A[k:]) / qp.frame.size
+    b[k:] += max(0.0, float(np.max(-b[k:] - farthest, initial=0.0)))
+    last = np.append(np.zeros(m), 1.0)
+    give = np.concatenate([np.zeros(k), np.ones(len(weight))])
+    rows = np.vstack([np.column_stack([A, -give]), -last])
+    z = minimise_linear(last, rows, np.append(b, 0.0))[:-1]
+    b[k:] += np.max(A[k:] @ z - b[k:], initial=0.0) + _MARGIN
+    found, _ = _opened(replace(qp, A=A, b=b), give, z, solver)
+    return found.point
