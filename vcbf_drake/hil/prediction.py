@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 import math
 from typing import Any
 
@@ -153,12 +153,12 @@ class PredictionRecord:
 
     Args:
         diagram: A hardware loop with a predictor.
-        dimensions: How many states, the first ones, are the position.
+        positions: Returns where the vehicle is, (T, k), from its states (T, n).
     """
 
-    def __init__(self, diagram: Diagram, dimensions: int) -> None:
+    def __init__(self, diagram: Diagram, positions: Callable[[Array], Array]) -> None:
         self._predictor: StatePredictor = diagram.GetSubsystemByName("state_predictor")
-        self._dimensions = dimensions
+        self._positions = positions
         self._last: tuple[float, Array] | None = None
         # When, and where the vehicle should be then, and where it was seen.
         self._pending: deque[tuple[float, Array, Array]] = deque(maxlen=_PENDING)
@@ -190,7 +190,7 @@ class PredictionRecord:
         }
 
     def _position(self, state: Array) -> Array:
-        return state[: self._dimensions].copy()
+        return self._positions(np.atleast_2d(state))[0].copy()
 
     def _look_back(self, before: float, x_0: Array, now: float, x_1: Array) -> None:
         due = [each for each in self._pending if each[0] <= now]

@@ -12,6 +12,7 @@ from pydrake.lcm import DrakeLcm
 from pydrake.systems.analysis import SimulatorStatus
 from pydrake.systems.framework import Context, Diagram
 
+from vcbf_drake.checks import Array
 from vcbf_drake.hil.bus import Bus, LinkFaults, SimulatedClock, Tap
 from vcbf_drake.hil.controller_side import CommandSender, make_hardware_loop
 from vcbf_drake.hil.decoding import CommandMode, VehicleMode
@@ -296,13 +297,13 @@ class ControllerProcess(_Process):
             return None
         return CommandMode(status.mode)
 
-    def measure_prediction(self, dimensions: int) -> None:
+    def measure_prediction(self, positions: Callable[[Array], Array]) -> None:
         """Compares predicted positions with measured ones from now on.
 
         Args:
-            dimensions: How many states, the first ones, are the position.
+            positions: Returns where the vehicle is, (T, k), from its states (T, n).
         """
-        self._prediction = PredictionRecord(self.diagram, dimensions)
+        self._prediction = PredictionRecord(self.diagram, positions)
         self.tick_taps.append(self._prediction)
 
     def run(self, patience: float = math.inf) -> None:
@@ -440,7 +441,7 @@ def controller_of(scenario: Scenario, bus: Bus) -> ControllerProcess:
     diagram = make_hardware_loop(scenario, bus)
     process = ControllerProcess(diagram, bus, scenario.duration)
     if scenario.hardware.predict:
-        process.measure_prediction(len(scenario.target))
+        process.measure_prediction(scenario.vehicle.positions)
     return process
 
 

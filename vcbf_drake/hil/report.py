@@ -132,7 +132,7 @@ def plant_report(
     monitor: CollisionMonitor = diagram.GetSubsystemByName(COLLISION_MONITOR)
     times, path = _log(diagram, context, "path")
     target = np.array(scenario.target)
-    distance = np.linalg.norm(path[:, : len(target)] - target, axis=1)
+    distance = np.linalg.norm(scenario.vehicle.positions(path) - target, axis=1)
     arrived = distance <= scenario.arrival_tolerance
     reached_at = float(times[np.argmax(arrived)]) if arrived.any() else None
     heights = monitor.barrier_set.values_along(path, times)

@@ -53,7 +53,7 @@ def fallback_input(
 
     ``zero`` is no input. ``brake`` takes off the speed v = E⁺ x, the states that a
     disturbance acts on, by E⁺ (f + g u) = -brake_rate v, or comes nearest to it in the
-    sense of least squares. Source: ours.
+    sense of least squares; where no disturbance acts, it is no input. Source: ours.
 
     Args:
         kind: "zero" or "brake".
@@ -62,7 +62,7 @@ def fallback_input(
         x: Its state, shape (n,).
         brake_rate: How fast the speed decays [1/s].
     """
-    if kind == "zero":
+    if kind == "zero" or model.num_disturbances == 0:
         return input_set.project(np.zeros(model.num_inputs))
     speed_of = np.linalg.pinv(model.disturbance_matrix)
     f, g = model.drift_and_input_matrix(x)
