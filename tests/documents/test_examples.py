@@ -91,6 +91,16 @@ def test_slow_link_is_closer_to_the_ideal_path_with_prediction(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_boat_in_another_language_is_controlled(tmp_path):
+    text = run("boat_controller.py", tmp_path)
+    if "skipped: the boat needs" in text or "no route for multicast" in text:
+        pytest.skip(text.strip())
+    assert number(text, "min h") > 0.0
+    assert number(text, "infeasible ticks") == 0
+    assert "refuted: nothing" in text
+    assert "0 rejected" in text
+
+
 def test_hardware_faults_reports_from_both_sides(tmp_path):
     text = run("hardware_faults.py", tmp_path)
     if "carries no messages" in text:

@@ -63,6 +63,7 @@ class Vehicle:
 
     def step_to(self, instant: int) -> None:
         self._simulator.AdvanceTo(1e-6 * instant)
+        self.receiver.catch_up()
 
     @property
     def applied(self) -> int:

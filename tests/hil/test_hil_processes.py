@@ -123,6 +123,81 @@ def test_a_stopped_controller_leaves_the_fallback_as_its_last_command(
     assert commands[-1].mode == CommandMode.END
 
 
+@needs_bus
+@pytest.mark.slow
+@pytest.mark.parametrize("side", ["plant", "controller"])
+def test_who_meets_nobody_says_so_and_ends_with_status_5(side, start) -> None:
+    alone = start(side, "--wait", "0.5")
+    out, err = alone.communicate(timeout=120.0)
+    assert alone.returncode == 5, err
+    found = json.loads(out)
+    assert found["ending"] == "no peer"
+    assert ("fallback, no state yet" in err) is (side == "controller")
+    assert ("waiting" in err) is (side == "plant")
+
+
+@needs_bus
+@pytest.mark.slow
+def test_a_collision_ends_with_status_3_and_every_change_is_told(start) -> None:
+    """Nobody commands any more, with no fallback but zero: the car runs into the disc."""
+    override = ("--override", "{hardware: {fallback: zero}}")
+    plant, controller = start("plant", *override), start("controller", *override)
+    lcm, states = DrakeLcm(URL), []
+    channel = "VCBF_STATE/car-avoidance"
+    lcm.Subscribe(channel, lambda data: states.append(vcbf_state.decode(data)))
+    deadline = time.monotonic() + 60.0
+    while not states or states[-1].time < 2.0:
+        assert time.monotonic() < deadline
+        lcm.HandleSubscriptions(20)
+    controller.kill()
+    out, err = plant.communicate(timeout=120.0)
+    assert plant.returncode == 3, err
+    assert json.loads(out)["ending"] == "collision"
+    said = [line for line in err.splitlines() if line.startswith("vehicle: ")]
+    told = [line.split(": ")[-1] for line in said]
+    assert told == ["waiting", "following", "fallback"]
+
+
+@needs_bus
+@pytest.mark.slow
+def test_an_endless_duration_and_the_log_of_the_crash(start, tmp_path) -> None:
+    """A controller that starts again does not replace the log of the one before."""
+    log = str(tmp_path / "flight.log")
+    for number in (1, 2):
+        alone = start("controller", "--duration", "inf", "--wait", "0.3", "--log", log)
+        _, err = alone.communicate(timeout=120.0)
+        assert alone.returncode == 5, err
+        assert "log written to" in err
+        assert len(list(tmp_path.iterdir())) == number
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "flight.log",
+        "flight.log.01",
+    ]
+
+
+@needs_bus
+def test_a_signal_while_everything_is_loaded_is_one_line(start) -> None:
+    """Neither a traceback nor an error of half-imported modules."""
+    for wait in (0.3, 0.6, 1.0):
+        loading = start("controller")
+        time.sleep(wait)
+        loading.send_signal(signal.SIGTERM)
+        _, err = loading.communicate(timeout=60.0)
+        assert loading.returncode in (143, -signal.SIGTERM), err
+        assert "Traceback" not in err
+        assert "Error" not in err
+
+
+def test_a_missing_server_is_named() -> None:
+    with pytest.raises(BusError, match=r"no LCM server answers at localhost:9 "):
+        check_bus("tcpq://localhost:9")
+
+
+def test_a_unicast_address_is_named() -> None:
+    with pytest.raises(BusError, match=r"127\.0\.0\.1 is no multicast address"):
+        check_bus("udpm://127.0.0.1:7667?ttl=0", patience=0.1)
+
+
 # The bus itself --------------------------------------------------------------------
 
 

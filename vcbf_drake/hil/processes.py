@@ -190,6 +190,7 @@ class PlantProcess(_Process):
         if self.collided or time <= self.time:
             return
         status = self._simulator.AdvanceTo(time)
+        self._receiver.catch_up()
         self.collided = (
             status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition
         )
@@ -276,6 +277,10 @@ class ControllerProcess(_Process):
         self._sender: CommandSender = named("command_sender")
         self._period = round(1e6 * self._sender.period)  # [us]
         warm_up(named("filter").model.num_inputs)
+        # And one tick that nobody sees: the first one of a diagram is slow.
+        self.diagram.EvalUniquePeriodicDiscreteUpdate(
+            self.diagram.CreateDefaultContext()
+        )
         self.context = self.diagram.CreateDefaultContext()
         self.tick_taps: list[Callable[[Context], None]] = []
         self.takes_over = False

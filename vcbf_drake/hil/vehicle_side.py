@@ -102,9 +102,9 @@ class CommandReceiver(LeafSystem):
     At the beginning of every simulator step the newest command that has come by then is
     taken, and the watchdog looks at its age; between steps the input is held. A process
     that wakes late handles commands that are younger than the step it has to make up
-    for: that one step passes them over, for they were not there yet, and the next one
-    takes them. So a command acts from the second step on at the latest that begins
-    after it was handled, whatever comes after it.
+    for: that one passes them over, for they were not there yet, and they wait, whatever
+    comes after them. When it is made up for (`catch_up`), they act from the next step
+    on.
 
     Args:
         bus: Where commands come from.
@@ -143,7 +143,7 @@ class CommandReceiver(LeafSystem):
         )
         self._applied: _Received | None = None
         self._waiting: deque[_Received] = deque(maxlen=_MOST_WAITING)
-        self._passed_over = 0
+        self._overdue = 0
         self._state = self.DeclareVectorInputPort("state", model.num_states)
         # The input, and the mode.
         self.DeclareDiscreteState(np.append(np.zeros(m), VehicleMode.WAITING))
@@ -156,6 +156,10 @@ class CommandReceiver(LeafSystem):
         """Returns what the vehicle does."""
         return VehicleMode(int(_held(context)[-1]))
 
+    def catch_up(self) -> None:
+        """Has what was passed over act from the next step on."""
+        self._overdue = len(self._waiting)
+
     def _take_over(self, context: Context, state: State) -> EventStatus:
         self._bus.poll()
         mode, u = self._choose(context)
@@ -163,12 +167,12 @@ class CommandReceiver(LeafSystem):
         return EventStatus.Succeeded()
 
     def _take_commands(self, now: int) -> None:
-        """Takes what has come by `now` [us], and whatever a step passed over before."""
+        """Takes what has come by `now` [us], and what is overdue."""
         waiting = self._waiting
-        while waiting and (self._passed_over > 0 or waiting[0].at <= now):
+        while waiting and (self._overdue > 0 or waiting[0].at <= now):
             self._applied = waiting.popleft()
-            self._passed_over -= 1
-        self._passed_over = len(waiting)
+            self._overdue -= 1
+        self._overdue = 0
 
     def _choose(self, context: Context) -> tuple[VehicleMode, Array]:
         now = self._timeline.utime(context.get_time())
