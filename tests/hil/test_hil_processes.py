@@ -139,7 +139,7 @@ def test_who_meets_nobody_says_so_and_ends_with_status_5(side, start) -> None:
 @needs_bus
 @pytest.mark.slow
 def test_a_collision_ends_with_status_3_and_every_change_is_told(start) -> None:
-    """Nobody commands any more, with no fallback but zero: the car runs into the disc."""
+    """Nobody commands any more, and the fallback is zero: the car hits the disc."""
     override = ("--override", "{hardware: {fallback: zero}}")
     plant, controller = start("plant", *override), start("controller", *override)
     lcm, states = DrakeLcm(URL), []

@@ -118,6 +118,10 @@ class FaultyLink:
             _, _, channel, data = heapq.heappop(self._on_the_way)
             yield channel, data
 
+    def clear(self) -> None:
+        """Forgets what is on the way."""
+        self._on_the_way.clear()
+
     def next_due(self) -> float:
         """Returns when the next message arrives [us]; infinite for none."""
         return self._on_the_way[0][0] if self._on_the_way else math.inf
@@ -137,6 +141,7 @@ _BETWEEN_PROCESSES = ("udpm://", "tcpq://")
 _SIGNATURE = 32  # Bytes of HMAC-SHA256.
 _LEAST_KEY = 16  # Bytes.
 _LONGEST_NAME = 48  # LCM's channels have at most 63 characters.
+_MOST_DRAINED = 100
 _CHECK_CHANNEL = "VCBF_BUS_CHECK"
 _CHECK_PATIENCE = 1.0  # [s]
 
@@ -228,6 +233,13 @@ class Bus:
         if not self._key:
             return b""
         return hmac.digest(self._key, channel.encode() + b"\0" + data, "sha256")
+
+    def drain(self) -> None:
+        """Throws away what has arrived so far, told to nobody."""
+        for _ in range(_MOST_DRAINED):
+            if not self.lcm.HandleSubscriptions(0):
+                break
+        self._link.clear()
 
     def poll(self) -> int:
         """Handles what has arrived and returns how many messages that were."""

@@ -33,8 +33,6 @@ from vcbf_drake.simulation.run import make_simulator
 from vcbf_drake.simulation.scenario import Scenario
 
 _TIMES, _PAUSE = 10, 0.05  # [s]
-# Messages that are thrown away at the start, at most.
-_DRAINED = 100
 
 # Why a process ended, and its exit status.
 EXIT_STATUSES = {
@@ -104,9 +102,7 @@ class _Process:
 
     def _begin_session(self, inbox: Inbox) -> None:
         """What came before is no loss: nobody listened."""
-        for _ in range(_DRAINED):
-            if not self.bus.poll():
-                break
+        self.bus.drain()
         self.bus.begin_session()
         inbox.begin_anew()
 
