@@ -396,7 +396,7 @@ def test_a_model_from_a_urdf_file_has_an_enclosure():
     plant = MultibodyPlant(0.0)
     Parser(plant).AddModels(str(ROOT / "examples/models/planar_arm.urdf"))
     plant.Finalize()
-    model = ControlAffineModel.from_system(plant, "actuation")
+    model = ControlAffineModel.from_system(plant, "actuation", symbolic=True)
     barriers = BarrierSet(model, StateLimit(3, -1.5, 1.5).barriers([15.0]))
     x, u, period = np.array([0.4, -0.2, 0.3, 1.4]), np.array([1.0, 0.1]), 0.005
     known = DisturbanceKnowledge.constant(0, 0.0)

@@ -19,18 +19,25 @@ DIFFERENCES = (
 )
 
 
-def assert_rows_are_derivatives(system, barrier, h, start, u, d=()) -> None:
+def assert_rows_are_derivatives(
+    system, barrier, h, start, u, d=(), input_port=0
+) -> None:
     """Checks h, the row and its gradients under a constant input and disturbance.
 
-    `h(x, t)` is the closed form in plain NumPy.
+    `h(x, t)` is the closed form in plain NumPy, `input_port` the input's name or index.
     """
-    barriers = BarrierSet(ControlAffineModel.from_system(system), [barrier])
+    model = ControlAffineModel.from_system(system, input_port)
+    barriers = BarrierSet(model, [barrier])
     simulator = Simulator(system)
     ResetIntegratorFromFlags(simulator, "runge_kutta5", 1e-3)
     simulator.get_mutable_integrator().set_fixed_step_mode(True)
     context = simulator.get_mutable_context()
     context.SetContinuousState(start)
-    system.get_input_port(0).FixValue(context, u)
+    (
+        system.GetInputPort(input_port)
+        if isinstance(input_port, str)
+        else system.get_input_port(input_port)
+    ).FixValue(context, u)
     if len(d):
         system.GetInputPort("disturbance").FixValue(context, d)
     times, states = STEP * np.arange(45), []

@@ -17,6 +17,7 @@ from pydrake.multibody.tree import (
     SpatialInertia,
     UnitInertia,
 )
+from pydrake.systems.controllers import PidController
 from pydrake.systems.framework import (
     BasicVector_,
     Diagram,
@@ -353,8 +354,11 @@ def test_ports_that_do_not_fit_are_refused_with_a_list_of_those_there_are() -> N
             ControlAffineModel.from_system(car, port)
     with pytest.raises(ModelError, match="'input' cannot be both"):
         ControlAffineModel.from_system(car, "input", "input")
-    with pytest.raises(ModelError, match=r"say which .* actuation \(2\), applied_gen"):
-        ControlAffineModel.from_system(arm())
+    with pytest.raises(
+        ModelError, match=r"say which .* estimated_state \(2\), desired"
+    ):
+        ControlAffineModel.from_system(PidController([1.0], [1.0], [1.0]))
+    assert ControlAffineModel.from_system(arm()).num_inputs == 2  # A plant's actuators.
     with pytest.raises(ModelError, match="'applied_spatial_force' carries no vector"):
         ControlAffineModel.from_system(arm(), "applied_spatial_force")
     with pytest.raises(ModelError, match="its vector input ports are none"):

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.chain import TIME, Chain, Formula, Symbols
 from vcbf_drake.barriers.limits import StateInputLimit
+from vcbf_drake.barriers.multibody_rows import multibody_row
 from vcbf_drake.barriers.relative_degree import check_relative_degree
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.compiled import CompiledFunction, compile_nodes
 from vcbf_drake.model.control_affine import ControlAffineModel, Dynamics
 from vcbf_drake.model.graph import Node, gradients, number
+from vcbf_drake.model.multibody_model import MultibodyModel
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,15 @@ def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctio
         ModelError: The barrier's function cannot be derived or compiled, or its
             relative degree is not r.
     """
-    parameters = tuple(barrier.parameters.tolist())
+    parameters, early = tuple(barrier.parameters.tolist()), barrier.early_disturbance
+    worst = () if early is None else (early.bound, early.smoothing)
+    constants = (*barrier.decay_rates.tolist(), *worst, *parameters)
+    r = barrier.relative_degree
+    if isinstance(model, MultibodyModel):
+        moved = multibody_row(model, barrier, constants)
+        return RowFunctions(
+            moved.row, moved.gradient, constants, moved.value, parameters, r
+        )
     symbols = Symbols(model, len(parameters))
     h = symbols.call(barrier.function, barrier.of_position)
     h = np.asarray(h, dtype=object)
@@ -161,16 +171,13 @@ def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctio
         raise ModelError(
             f"function(x, t, p) must return one scalar expression, got shape {h.shape}"
         )
-    early = barrier.early_disturbance
     formula = Formula(
         symbols.read(h).item(),
         model.dynamics,
         symbols.parameters,
-        barrier.relative_degree,
+        r,
         early is not None,
     )
-    worst = () if early is None else (early.bound, early.smoothing)
-    constants = (*barrier.decay_rates.tolist(), *worst, *parameters)
     try:
         check_relative_degree(model, Chain.of(formula), constants)
         row, gradient, value = _compile_barrier(formula)
@@ -179,9 +186,7 @@ def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctio
             "function(x, t, p) cannot be differentiated as often as needed: write it"
             f" without abs and without the root of a square ({error})"
         ) from None
-    return RowFunctions(
-        row, gradient, constants, value, parameters, barrier.relative_degree
-    )
+    return RowFunctions(row, gradient, constants, value, parameters, r)
 
 
 def limit_functions(model: ControlAffineModel, limit: StateInputLimit) -> RowFunctions:

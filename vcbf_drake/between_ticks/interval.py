@@ -272,6 +272,11 @@ def interval_function(function: CompiledFunction) -> IntervalFunction:
     Raises:
         ModelError: The code tells cases apart, or calls what has no enclosure here.
     """
+    if inspect.ismethod(function):
+        raise ModelError(
+            "no enclosure on intervals, for Drake evaluates this MultibodyPlant: derive"
+            " its model by ControlAffineModel.from_system(.., symbolic=True)"
+        )
     source = inspect.getsource(function)
     nodes = list(ast.walk(ast.parse(source)))
     called = {

@@ -24,6 +24,7 @@ from vcbf_drake.model.graph import (
     variable,
     variables_of,
 )
+from vcbf_drake.model.numeric_dynamics import has_plant_state, numeric_dynamics
 from vcbf_drake.model.position import Position, named_position
 from vcbf_drake.model.symbolic_dynamics import (
     Context,
@@ -41,13 +42,13 @@ class Dynamics(NamedTuple):
         x: The state's variables, n nodes.
         f: n nodes.
         g: n rows of m nodes.
-        E: n rows of q numbers.
+        E: n rows of q numbers, or nodes.
     """
 
     x: tuple[Node, ...]
     f: tuple[Node, ...]
     g: tuple[tuple[Node, ...], ...]
-    E: tuple[tuple[float, ...], ...]
+    E: tuple[tuple[Node | float, ...], ...]
 
     def drift_rate(self, phi: Node, time: Node) -> Node:
         """Returns the Lie derivative along the extended drift [f; 1] (E2)."""
@@ -119,22 +120,15 @@ class ControlAffineModel:
                 f"{name}: f, g and E have the shapes {shapes}; with {n} states they"
                 f" must be ({n},), ({n}, m) and ({n}, q)"
             )
-        if q and np.linalg.matrix_rank(disturbance_matrix) < q:
-            raise ModelError(
-                f"{name}: the columns of the disturbance matrix E are dependent, so"
-                " the motion does not tell one disturbance from another"
-            )
-        self.num_states, self.num_inputs, self.num_disturbances = n, m, q
         self.state = state
-        self.disturbance_matrix = disturbance_matrix
-        self.state_names = tuple(state_names or (f"x{i}" for i in range(n)))
-        self.name = name
-        self.effort_limits = (
-            np.full(m, np.inf) if effort_limits is None else effort_limits
-        )
-        self.wrapping_periods = self._periods(wrapped_states)
-        self.position = (
-            named_position(self.state_names) if position is None else position
+        self._describe(
+            m,
+            disturbance_matrix,
+            state_names,
+            name,
+            effort_limits,
+            wrapped_states,
+            position,
         )
         x = tuple(variable(f"x{i}") for i in range(n))
         reader = Reader(dict(zip(state, x, strict=True)))
@@ -145,6 +139,35 @@ class ControlAffineModel:
         u = np.array([variable(f"u{j}") for j in range(m)], dtype=object)
         self.compiled_rate = compile_nodes([*x, *u], f + g @ u, f"{name}, f + g u")
 
+    def _describe(
+        self,
+        num_inputs: int,
+        disturbance_matrix: Array,
+        state_names: Sequence[str] | None,
+        name: str,
+        effort_limits: Array | None,
+        wrapped_states: Sequence[str] | Mapping[str, float],
+        position: Position | None,
+    ) -> None:
+        """Sets the attributes that every model has."""
+        n, q = disturbance_matrix.shape
+        if q and np.linalg.matrix_rank(disturbance_matrix) < q:
+            raise ModelError(
+                f"{name}: the columns of the disturbance matrix E are dependent, so"
+                " the motion does not tell one disturbance from another"
+            )
+        self.num_states, self.num_inputs, self.num_disturbances = n, num_inputs, q
+        self.disturbance_matrix = disturbance_matrix
+        self.state_names = tuple(state_names or (f"x{i}" for i in range(n)))
+        self.name = name
+        self.effort_limits = (
+            np.full(num_inputs, np.inf) if effort_limits is None else effort_limits
+        )
+        self.wrapping_periods = self._periods(wrapped_states)
+        self.position = (
+            named_position(self.state_names) if position is None else position
+        )
+
     @classmethod
     def from_system(
         cls,
@@ -152,18 +175,27 @@ class ControlAffineModel:
         input_port: PortChoice = None,
         disturbance_port: PortChoice = None,
         context: Context = None,
+        symbolic: bool = False,
     ) -> ControlAffineModel:
-        """Derives the model of a Drake System, or Diagram, that converts to symbolic.
+        """Derives the model of a Drake System or Diagram.
+
+        A MultibodyPlant, also in a Diagram without further states, stays what it is:
+        see `MultibodyModel`. Of any other System f, g and E are read off symbolically,
+        so it has to convert to symbolic.
 
         Args:
             system: The System; all its state must be continuous.
-            input_port: The port of u: an InputPort, its name or its index; None for the
-                only vector input port beside the disturbance's.
+            input_port: The port of u: an InputPort, its name or its index; None for a
+                MultibodyPlant's actuators, or the only vector input port beside the
+                disturbance's.
             disturbance_port: The port of d, likewise; None for the port called
                 "disturbance" if there is one, else q = 0.
             context: Holds the parameters, and values for the other input ports; None
                 for the defaults. Other ports without a value are left unconnected if
                 the System tolerates it, and held at 0 if not.
+            symbolic: Whether a MultibodyPlant is read off symbolically too, as
+                certificates between ticks, and barriers of other relative degrees than
+                1 and 2, need it. It takes long beyond three joints.
 
         Raises:
             ModelError: The System is not symbolic, has a state that is not continuous
@@ -171,7 +203,13 @@ class ControlAffineModel:
                 constant or lacks rank, the ports are not what is needed, or pydrake's
                 expressions give other rates than the System itself.
         """
-        dynamics = symbolic_dynamics(system, input_port, disturbance_port, context)
+        # The one import upwards: this class is what a MultibodyPlant's model extends.
+        from vcbf_drake.model.multibody_model import MultibodyModel
+
+        choices = system, input_port, disturbance_port, context
+        if not symbolic and has_plant_state(system):
+            return MultibodyModel(numeric_dynamics(*choices))
+        dynamics = symbolic_dynamics(*choices)
         m = len(dynamics.input)
         parts = _solve(dynamics.mass_matrix, _affine_parts(dynamics))
         model = cls(

@@ -13,6 +13,7 @@ from vcbf_drake.errors import ModelError
 from vcbf_drake.model.compiled import Expressions
 from vcbf_drake.model.explained import first_line
 from vcbf_drake.model.massless_bodies import give_mass
+from vcbf_drake.model.outputs import OutputSymbols
 
 PositionFunction: TypeAlias = Callable[[Expressions], Expressions]
 Position: TypeAlias = Sequence[int] | PositionFunction
@@ -81,6 +82,8 @@ def point_position(
     chosen, offset = list(axes), np.array(point, dtype=float)
 
     def position(x: Expressions) -> Expressions:
+        if isinstance(x, OutputSymbols) and x.plant is plant:
+            return x.point(frame, tuple(offset.tolist()), chosen)
         numbers = x.dtype == float
         tree, moving, context = in_numbers if numbers else in_symbols
         tree.SetPositions(context, x[: tree.num_positions()])

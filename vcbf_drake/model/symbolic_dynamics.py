@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.symbolic import Expression, Variable
 from pydrake.systems.framework import InputPort, PortDataType
 
@@ -75,8 +76,9 @@ def symbolic_dynamics(
 
     Args:
         system: The System; all its state must be continuous.
-        input_port: The port of u: an InputPort, its name or its index; None for the
-            only vector input port beside the disturbance's.
+        input_port: The port of u: an InputPort, its name or its index; None for a
+            MultibodyPlant's actuators, or the only vector input port beside the
+            disturbance's.
         disturbance_port: The port of d, likewise; None for the port called
             "disturbance" if there is one, else q = 0.
         context: Holds the parameters, and values for the other input ports; None for
@@ -88,10 +90,10 @@ def symbolic_dynamics(
             none at all, depends on time, or its ports are not what is needed.
     """
     name = system.get_name() or system.GetSystemType()
-    disturbance = _disturbance_port(system, name, disturbance_port)
-    input_ = _input_port(system, name, input_port, disturbance)
+    disturbance = find_disturbance_port(system, name, disturbance_port)
+    input_ = find_input_port(system, name, input_port, disturbance)
     symbolic = _to_symbolic(system, name)
-    target = _default_context(symbolic, name)
+    target = default_context(symbolic, name)
     state_names = _state_names(system, target.num_continuous_states())
 
     time = Variable("t")
@@ -120,7 +122,7 @@ def symbolic_dynamics(
     )
     force, mass_matrix = _force_and_mass(reader.read(residual), nodes["r"])
     _require_time_invariant(force, mass_matrix, state_names, name)
-    limits = _effort_limits(system, input_)
+    limits = effort_limits_of(system, input_)
     own_rate = _own_rate(system, input_, disturbance, context)
     return SymbolicDynamics(
         name=name,
@@ -145,15 +147,26 @@ def _force_and_mass(residual: Nodes, rate: Nodes) -> tuple[Nodes, Nodes]:
     return force, np.array(mass, dtype=object).reshape(len(residual), len(rate))
 
 
-def _disturbance_port(system: System, name: str, choice: PortChoice) -> Port:
+def find_disturbance_port(system: System, name: str, choice: PortChoice) -> Port:
+    """Returns the port of d; None where none is chosen and none is called so.
+
+    Raises:
+        ModelError: There is no such port, or it carries no vector.
+    """
     if choice is None and not system.HasInputPort("disturbance"):
         return None
     return _chosen_port(system, name, "disturbance" if choice is None else choice)
 
 
-def _input_port(
+def find_input_port(
     system: System, name: str, choice: PortChoice, disturbance: Port
 ) -> Port:
+    """Returns the port of u.
+
+    Raises:
+        ModelError: There is no such port, it carries no vector or the disturbance, or
+            there are several and none is chosen.
+    """
     if choice is not None:
         port = _chosen_port(system, name, choice)
         if port is disturbance:
@@ -162,6 +175,8 @@ def _input_port(
                 " the disturbance"
             )
         return port
+    if isinstance(system, MultibodyPlant) and system.num_actuated_dofs():
+        return system.get_actuation_input_port()
     ports = [p for p in _vector_ports(system) if p is not disturbance]
     if len(ports) != 1:
         raise ModelError(
@@ -228,8 +243,8 @@ def _actuators(system: System) -> list[Any]:
     return [system.get_joint_actuator(i) for i in system.GetJointActuatorIndices()]
 
 
-def _effort_limits(system: System, port: Port) -> Array:
-    """How large each input may be before a MultibodyPlant clamps it, shape (m,)."""
+def effort_limits_of(system: System, port: Port) -> Array:
+    """Returns how large inputs may be before a MultibodyPlant clamps them, (m,)."""
     actuators = _actuators(system)
     if actuators and port is not system.get_actuation_input_port():
         actuators = [
@@ -241,7 +256,12 @@ def _effort_limits(system: System, port: Port) -> Array:
     return np.array(limits or [np.inf] * port.size())
 
 
-def _default_context(system: System, name: str) -> Context:
+def default_context(system: System, name: str) -> Context:
+    """Returns the default context of a System whose state is continuous.
+
+    Raises:
+        ModelError: It has another state, or none.
+    """
     context = system.CreateDefaultContext()
     if context.num_discrete_state_groups() or context.num_abstract_states():
         raise ModelError(

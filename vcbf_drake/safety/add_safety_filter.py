@@ -61,10 +61,10 @@ def AddSafetyFilter(
 
     Args:
         builder: Holds the plant and the controller already.
-        plant: Any control-affine Drake system, whose input is its port ``input`` or its
-            only one; or the input port itself, where that is another. None where the
-            plant is elsewhere: then `model` and `state` are needed, and the hold's
-            output is yours to connect.
+        plant: Any control-affine Drake system, whose input is its port ``input``, a
+            MultibodyPlant's ``actuation``, or its only one; or the input port itself,
+            where that is another. None where the plant is elsewhere: then `model` and
+            `state` are needed, and the hold's output is yours to connect.
         reference: The controller's output port, (m,); None leaves the filter's port
             ``reference`` to connect, or to export from a diagram.
         barriers: What must stay true.
@@ -98,7 +98,11 @@ def AddSafetyFilter(
     if plant is not None:
         plant_input = plant if isinstance(plant, InputPort) else _input_port(plant)
         system = plant_input.get_system()
-        model = model or ControlAffineModel.from_system(system, plant_input)
+        # What holds between ticks is certified on symbolic dynamics.
+        symbolic = settings.between_ticks == "certified"
+        model = model or ControlAffineModel.from_system(
+            system, plant_input, symbolic=symbolic
+        )
         state = state or _state_output(system)
     if model is None or state is None:
         raise ValueError("plant: None; then model and state must be given")
@@ -182,6 +186,7 @@ def _state_output(plant: System) -> OutputPort:
 
 
 def _input_port(plant: System) -> InputPort:
-    if plant.HasInputPort("input"):
-        return plant.GetInputPort("input")
+    for name in ("input", "actuation"):  # The latter is a MultibodyPlant's.
+        if plant.HasInputPort(name):
+            return plant.GetInputPort(name)
     return plant.get_input_port()

@@ -1,0 +1,246 @@
+"""Rows of barriers on a MultibodyPlant: functions of outputs that Drake moves.
+
+A barrier on bodies is a function h(z, t) of a few outputs z: positions, velocities,
+coordinates of bodies' points. h is small and is differentiated in formulas; how the
+outputs move is Drake's kinematics and dynamics, in numbers. Where one of the outputs is
+a velocity, the inputs are in their first derivatives,
+
+    (E80)  dz/dt = a + b u + c d,
+
+and where all are positions, whose rates no input moves at once, in their second:
+
+    (E81)  d²z/dt² = a + b u + c d.
+
+So to a barrier the plant is a chain of integrators (`Dynamics` of z, or of z and dz/dt)
+whose a, b and c are numbers of the state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from pydrake.symbolic import Expression, MakeVectorVariable, Variable
+
+from vcbf_drake.barriers.barrier import Barrier
+from vcbf_drake.barriers.chain import TIME, Chain, Formula, as_expressions
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import ModelError
+from vcbf_drake.model.compiled import CompiledFunction, Expressions, compile_nodes
+from vcbf_drake.model.control_affine import Dynamics
+from vcbf_drake.model.explained import explained
+from vcbf_drake.model.graph import ZERO, Node, Nodes, Reader, gradients, variable
+from vcbf_drake.model.multibody_model import MultibodyModel
+from vcbf_drake.model.outputs import (
+    Output,
+    OutputSymbols,
+    StateOutput,
+    jets,
+    jets_by_state,
+)
+
+
+@dataclass(frozen=True)
+class OutputFunctions:
+    """h(z, t, p) with its row, as functions of plain floats.
+
+    Attributes:
+        value: ``value(*z, t, *p)`` returns [h].
+        row: ``row(*jets, t, *constants)`` returns [A, b, w], then phi^0, .., phi^(r-1).
+        gradient: ``gradient(..)`` returns the derivatives of [A, b, w] by the jets and
+            t, in C order.
+    """
+
+    value: CompiledFunction
+    row: CompiledFunction
+    gradient: CompiledFunction
+
+
+@dataclass(frozen=True)
+class MultibodyRow:
+    """One barrier's numbers at a state, as `RowFunctions` has them.
+
+    Attributes:
+        model: The plant.
+        outputs: z, k of them.
+        order: The relative degree r, 1 or 2.
+        functions: h and its row, compiled.
+    """
+
+    model: MultibodyModel
+    outputs: tuple[Output, ...]
+    order: int
+    functions: OutputFunctions
+
+    def value(self, *arguments: float) -> list[float]:
+        """Returns [h] at (x, t, p)."""
+        x, rest = self._split(arguments)
+        z = [each.value(self.model, x) for each in self.outputs]
+        return self.functions.value(*z, *rest)
+
+    def row(self, *arguments: float) -> list[float]:
+        """Returns [A, b, w] and the chain at (x, t, constants)."""
+        x, rest = self._split(arguments)
+        motion = jets(self.model, x, self.outputs, self.order)
+        return self.functions.row(*motion.ravel().tolist(), *rest)
+
+    def gradient(self, *arguments: float) -> list[float]:
+        """Returns the derivatives of [A, b, w] by [x; t], in C order."""
+        x, rest = self._split(arguments)
+        motion = jets(self.model, x, self.outputs, self.order)
+        by_state = jets_by_state(self.model, x, self.outputs, self.order)
+        flat = self.functions.gradient(*motion.ravel().tolist(), *rest)
+        by_motion = np.array(flat).reshape(-1, motion.size + 1)
+        by_x = by_motion[:, :-1] @ by_state.reshape(motion.size, -1)
+        found: list[float] = np.column_stack([by_x, by_motion[:, -1]]).ravel().tolist()
+        return found
+
+    def _split(self, arguments: tuple[float, ...]) -> tuple[Array, tuple[float, ...]]:
+        n = self.model.num_states
+        return np.array(arguments[:n]), arguments[n:]
+
+
+def multibody_row(
+    model: MultibodyModel, barrier: Barrier, constants: Sequence[float]
+) -> MultibodyRow:
+    """Returns a barrier's row on a MultibodyPlant, its relative degree checked.
+
+    Args:
+        model: The plant.
+        barrier: A function of its positions, velocities and points.
+        constants: The values of the chain's constants.
+
+    Raises:
+        ModelError: h cannot be derived, or its relative degree is not r.
+    """
+    formula, outputs = _formula(model, barrier)
+    functions = _compiled(formula, len(outputs), model.num_inputs)
+    row = MultibodyRow(model, outputs, barrier.relative_degree, functions)
+    _require_authority(row, constants)
+    return row
+
+
+def _formula(
+    model: MultibodyModel, barrier: Barrier
+) -> tuple[Formula, tuple[Output, ...]]:
+    """Reads h as a formula of outputs that move as a chain of integrators."""
+    x, p = OutputSymbols.of(model), MakeVectorVariable(len(barrier.parameters), "p")
+    time = Variable("t")
+    place: Expressions = x
+    if barrier.of_position is not None:
+        place = model.position_of(x, barrier.of_position)
+    try:
+        written = barrier.function(place, Expression(time), as_expressions(p))
+        (h,) = as_expressions([np.asarray(written, dtype=object).item()])
+    except (AttributeError, IndexError, RuntimeError, TypeError, ValueError) as error:
+        raise ModelError(
+            f"function(x, t, p) fails on symbols: {explained(error)}"
+        ) from None
+    used = {v.get_id() for v in h.GetVariables()}
+    known: list[tuple[Variable, Output]] = [
+        *((v, StateOutput(i)) for i, v in enumerate(model.state)),
+        *((v, output) for output, v in x.points.items()),
+    ]
+    chosen = [(v, output) for v, output in known if v.get_id() in used]
+    order, outputs = barrier.relative_degree, tuple(output for _, output in chosen)
+    _require_order(model, outputs, order)
+    jet = _jet(len(outputs), model.num_inputs, model.num_disturbances)
+    parameters = tuple(variable(f"p{i}") for i in range(len(p)))
+    variables = [*(v for v, _ in chosen), time, *p]
+    nodes = [*jet[:, 0], TIME, *parameters]
+    try:
+        node = Reader(dict(zip(variables, nodes, strict=True))).read([h])[0]
+    except NotImplementedError as error:
+        raise ModelError(f"function(x, t, p) cannot be compiled: {error}") from None
+    robust = barrier.early_disturbance is not None
+    dynamics = _integrators(jet, model.num_inputs, order)
+    return Formula(node, dynamics, parameters, order, robust), outputs
+
+
+def _jet(size: int, num_inputs: int, num_disturbances: int) -> Nodes:
+    """The variables [z, dz, a, b, c] of some outputs, shape (k, 3 + m + q)."""
+    columns = [
+        *("z", "dz", "a"),
+        *(f"b{j}_" for j in range(num_inputs)),
+        *(f"c{j}_" for j in range(num_disturbances)),
+    ]
+    nodes = [[variable(f"{name}{i}") for name in columns] for i in range(size)]
+    return np.array(nodes, dtype=object).reshape(size, len(columns))
+
+
+def _integrators(jet: Nodes, num_inputs: int, order: int) -> Dynamics:
+    """The outputs' dynamics, of z (E80) or of z and dz (E81)."""
+    k, (z, dz, a) = len(jet), jet[:, :3].T
+    b, c = jet[:, 3 : 3 + num_inputs], jet[:, 3 + num_inputs :]
+    if order == 1:
+        return Dynamics(tuple(z), tuple(a), _rows(b), _rows(c))
+    none = np.full((k, 1), ZERO)
+    b = np.vstack([np.repeat(none, b.shape[1], axis=1), b])
+    c = np.vstack([np.repeat(none, c.shape[1], axis=1), c])
+    return Dynamics((*z, *dz), (*dz, *a), _rows(b), _rows(c))
+
+
+def _rows(nodes: Nodes) -> tuple[tuple[Node, ...], ...]:
+    return tuple(map(tuple, nodes))
+
+
+@lru_cache(maxsize=64)
+def _compiled(formula: Formula, size: int, num_inputs: int) -> OutputFunctions:
+    num_disturbances = len(formula.dynamics.E[0])
+    jet, chain = _jet(size, num_inputs, num_disturbances), Chain.of(formula)
+    try:
+        entries = chain.row()
+        slopes = gradients(entries, [*jet.ravel(), TIME]).ravel()
+    except ValueError as error:
+        raise ModelError(
+            "function(x, t, p) cannot be differentiated as often as needed: write it"
+            f" without abs and without the root of a square ({error})"
+        ) from None
+    arguments, z = [*jet.ravel(), TIME, *chain.constants], jet[:, 0]
+    return OutputFunctions(
+        compile_nodes([*z, TIME, *formula.parameters], [formula.h], "barrier_value"),
+        compile_nodes(arguments, [*entries, *chain.levels], "barrier_row"),
+        compile_nodes(arguments, slopes, "barrier_gradient"),
+    )
+
+
+def _require_order(
+    model: MultibodyModel, outputs: Sequence[Output], order: int
+) -> None:
+    """Checks that the number of gains is the derivative that forces enter."""
+    if not outputs:
+        raise ModelError(_no_authority(model, order))
+    has_velocity = any(
+        isinstance(each, StateOutput) and each.index >= model.num_positions
+        for each in outputs
+    )
+    degree = 1 if has_velocity else 2
+    if order != degree:
+        what = "a velocity" if has_velocity else "positions alone"
+        raise ModelError(
+            f"h is a function of {what}, so its relative degree is {degree}, not"
+            f" {order}: give {degree} gain{'s' if degree > 1 else ''}"
+        )
+
+
+def _require_authority(row: MultibodyRow, constants: Sequence[float]) -> None:
+    """Checks that an input enters the row at one of a few seeded states."""
+    random, m = np.random.default_rng(0), row.model.num_inputs
+    for scale in np.geomspace(0.1, 3.0, 8):
+        x = row.model.regular_state(random, scale)
+        try:
+            entries = row.row(*x, 0.3, *constants)
+        except (ArithmeticError, ValueError):  # Outside the domain of h.
+            continue
+        if np.abs(entries[:m]).max() > 1e-12 * np.abs(entries).max():
+            return
+    raise ModelError(_no_authority(row.model, row.order))
+
+
+def _no_authority(model: MultibodyModel, order: int) -> str:
+    return (
+        f"no input enters derivative {order} of h: choose an h of states that the"
+        f" inputs of {model.name} move"
+    )

@@ -1,0 +1,272 @@
+"""The control-affine model of a MultibodyPlant, evaluated by Drake in plain numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
+from pydrake.symbolic import Variable
+
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import ModelError
+from vcbf_drake.model.control_affine import ControlAffineModel, Dynamics
+from vcbf_drake.model.graph import variable
+from vcbf_drake.model.numeric_dynamics import NumericDynamics
+
+# How many seeded states a constant or an affine form is looked for at.
+_NUM_SAMPLES = 6
+
+
+class MultibodyModel(ControlAffineModel):
+    """The functions f, g and E of a MultibodyPlant of any size (E1).
+
+    Nothing is written out in symbols, which multiply out beyond two or three joints: f
+    and g are the plant's own time derivatives at no input and at unit inputs, and their
+    sensitivities are Drake's with AutoDiffXd. Barriers on it are functions of
+    *outputs*: positions and velocities of the state, and points of its bodies.
+
+    Attributes:
+        plant: The MultibodyPlant.
+        num_positions: How many of the states are positions q; velocities v follow.
+    """
+
+    def __init__(self, dynamics: NumericDynamics) -> None:
+        """Looks at the System's numbers at a few seeded states.
+
+        Args:
+            dynamics: The System, its ports and its parameters.
+
+        Raises:
+            ModelError: It depends on time, is not affine in u and d, or E is not
+                constant or lacks rank.
+        """
+        self.plant = dynamics.plant
+        self._dynamics = dynamics
+        self.num_positions = self.plant.num_positions()
+        names = dynamics.state_names
+        self._describe(
+            num_inputs=dynamics.num_inputs,
+            disturbance_matrix=_constant_matrix(dynamics),
+            state_names=names,
+            name=dynamics.name,
+            effort_limits=dynamics.effort_limits,
+            wrapped_states=dynamics.wrapped_states,
+            position=getattr(dynamics.system, "position_indices", None),
+        )
+        self.state = np.array([Variable(name) for name in names])
+        x = tuple(variable(f"x{i}") for i in range(len(names)))
+        E = tuple(map(tuple, self.disturbance_matrix.tolist()))
+        self.dynamics = Dynamics(x, (), (), E)  # f and g have no formulas.
+        self.compiled_rate = self._rate
+        self._motion: Motion | None = None
+        _require_affine(dynamics, self)
+
+    @cached_property
+    def velocity_of_position(self) -> dict[int, int]:
+        """The state j that is the rate of position i, where one is: {i: j}."""
+        plant, context = self.plant, self.plant.CreateDefaultContext()
+        random, maps = np.random.default_rng(0), []
+        for _ in range(_NUM_SAMPLES):
+            plant.SetPositions(
+                context, self.regular_state(random)[: self.num_positions]
+            )
+            maps.append(plant.MakeVelocityToQDotMap(context).toarray())
+        rates = maps[0]
+        is_unit = (np.ptp(maps, axis=0) == 0.0).all(axis=1)
+        is_unit &= (np.count_nonzero(rates, axis=1) == 1) & (rates.sum(axis=1) == 1.0)
+        velocities = self.num_positions + rates.argmax(axis=1)
+        return {int(i): int(velocities[i]) for i in np.flatnonzero(is_unit)}
+
+    def regular_state(self, random: np.random.Generator, scale: float = 1.0) -> Array:
+        """Returns a random state, shape (n,), its quaternions of unit length."""
+        return self._dynamics.regular_state(random, scale)
+
+    def at(self, x: Array) -> Motion:
+        """Returns how the bodies move at a state x (n,); kept until the next one."""
+        key = x.tobytes()
+        if self._motion is None or self._motion.key != key:
+            self._motion = Motion(
+                self._dynamics, self.disturbance_matrix, x.copy(), key
+            )
+        return self._motion
+
+    def drift_and_input_matrix(self, x: Array) -> tuple[Array, Array]:
+        """Evaluates f(x), shape (n,), and g(x), shape (n, m), at once.
+
+        Raises:
+            ValueError: x has the wrong shape.
+        """
+        x = np.asarray(x, dtype=float)
+        if x.shape != (self.num_states,):
+            raise ValueError(
+                f"{self.name}: x has shape {x.shape}; it must be ({self.num_states},)"
+            )
+        return self.at(x).parts
+
+    def _rate(self, *arguments: float) -> list[float]:
+        x, u = np.split(np.array(arguments), [self.num_states])
+        rate: list[float] = self.nominal_rate(x, u).tolist()
+        return rate
+
+    def nominal_rate(self, x: Array, u: Array) -> Array:
+        """Evaluates f(x) + g(x) u, shape (n,): dx/dt without disturbance."""
+        d = np.zeros(self.num_disturbances)
+        return self._dynamics.in_numbers.rate(x, np.asarray(u, dtype=float), d)
+
+
+@dataclass(frozen=True)
+class PointMotion:
+    """A body's point along the flow: p, dp/dt and d^2p/dt^2 = a + b u + c d.
+
+    Attributes:
+        position: p, shape (3,) [m].
+        velocity: dp/dt, shape (3,) [m/s].
+        drift: a, shape (3,) [m/s^2].
+        input: b, shape (3, m).
+        disturbance: c, shape (3, q).
+    """
+
+    position: Array
+    velocity: Array
+    drift: Array
+    input: Array
+    disturbance: Array
+
+
+class Motion:
+    """How the bodies of a MultibodyPlant move at one state.
+
+    Attributes:
+        key: What tells the state from another.
+    """
+
+    def __init__(
+        self, dynamics: NumericDynamics, disturbance_matrix: Array, x: Array, key: bytes
+    ) -> None:
+        self.key = key
+        self._dynamics, self._E, self._x = dynamics, disturbance_matrix, x
+        self._points: dict[Hashable, PointMotion] = {}
+        self._sensitive_points: dict[Hashable, PointMotion] = {}
+
+    @cached_property
+    def parts(self) -> tuple[Array, Array]:
+        """f, shape (n,), and g, shape (n, m)."""
+        return self._dynamics.in_numbers.affine_parts(self._x)
+
+    @cached_property
+    def sensitivity(self) -> tuple[Array, Array]:
+        """The derivatives of f, shape (n, n), and of g, shape (n, m, n), by x."""
+        _ = self._sensitive
+        return self._sensitive_parts
+
+    @cached_property
+    def _sensitive(self) -> Any:
+        numbers = self._dynamics.in_autodiff
+        f, g = numbers.affine_parts(InitializeAutoDiff(self._x).ravel())
+        n, m = g.shape
+        self._sensitive_parts = (
+            ExtractGradient(f),
+            ExtractGradient(g.reshape(-1, 1)).reshape(n, m, n),
+        )
+        return numbers
+
+    def place(self, frame: str, offset: tuple[float, ...]) -> Array:
+        """Returns where a point of a frame is, shape (3,) [m]."""
+        numbers = self._dynamics.in_numbers
+        numbers.set_state(self._x)
+        return numbers.place(frame, offset)
+
+    def point(self, frame: str, offset: tuple[float, ...]) -> PointMotion:
+        """Returns the motion of a point of a frame.
+
+        Args:
+            frame: The name of the frame or body.
+            offset: The point in that frame, shape (3,) [m].
+        """
+        key = frame, offset
+        if key not in self._points:
+            f, g = self.parts
+            numbers = self._dynamics.in_numbers
+            numbers.set_state(self._x)
+            p, J, bias = numbers.kinematics(frame, offset)
+            nq = len(f) - J.shape[1]
+            v = self._x[nq:]
+            self._points[key] = PointMotion(
+                p, J @ v, J @ f[nq:] + bias, J @ g[nq:], J @ self._E[nq:]
+            )
+        return self._points[key]
+
+    def point_sensitivity(self, frame: str, offset: tuple[float, ...]) -> PointMotion:
+        """Returns the derivatives of a point's motion by x, along a last axis (n,).
+
+        Args:
+            frame: The name of the frame or body.
+            offset: The point in that frame, shape (3,) [m].
+        """
+        key = frame, offset
+        if key not in self._sensitive_points:
+            f, g = self.parts
+            f_x, g_x = self.sensitivity
+            numbers = self._sensitive
+            numbers.set_state(InitializeAutoDiff(self._x).ravel())
+            p, J, bias = numbers.kinematics(frame, offset)
+            n, nv = len(self._x), J.shape[1]
+            nq = n - nv
+            p_x, bias_x = ExtractGradient(p), ExtractGradient(bias)
+            J_x = ExtractGradient(J.reshape(-1, 1)).reshape(3, nv, n)
+            J = ExtractValue(J)
+            v, v_x = self._x[nq:], np.eye(n)[nq:]
+            self._sensitive_points[key] = PointMotion(
+                p_x,
+                np.einsum("ijk,j->ik", J_x, v) + J @ v_x,
+                np.einsum("ijk,j->ik", J_x, f[nq:]) + J @ f_x[nq:] + bias_x,
+                np.einsum("ijk,jm->imk", J_x, g[nq:])
+                + np.einsum("ij,jmk->imk", J, g_x[nq:]),
+                np.einsum("ijk,jm->imk", J_x, self._E[nq:]),
+            )
+        return self._sensitive_points[key]
+
+
+def _constant_matrix(dynamics: NumericDynamics) -> Array:
+    """E, shape (n, q), the same at a few seeded states."""
+    random, q = np.random.default_rng(0), dynamics.num_disturbances
+    if not q:
+        return np.zeros((len(dynamics.state_names), 0))
+    found = [
+        dynamics.in_numbers.disturbance_matrix(dynamics.regular_state(random))
+        for _ in range(_NUM_SAMPLES)
+    ]
+    spread = np.ptp(found, axis=0)
+    varying = np.argwhere(spread > 1e-9 * np.abs(found).max())
+    if len(varying):
+        i, j = varying[0]
+        raise ModelError(
+            f"{dynamics.name}: the disturbance matrix E is not constant: disturbance"
+            f" {j} acts on the derivative of {dynamics.state_names[i]} differently from"
+            " state to state"
+        )
+    matrix: Array = found[0]
+    return matrix
+
+
+def _require_affine(dynamics: NumericDynamics, model: ControlAffineModel) -> None:
+    """Checks dx/dt = f + g u + E d at seeded states, inputs, disturbances and times."""
+    random = np.random.default_rng(1)
+    limits = np.fmin(model.effort_limits, 1e3)
+    for scale in np.geomspace(0.1, 10.0, _NUM_SAMPLES):
+        x = dynamics.regular_state(random, scale)
+        u = random.uniform(-limits, limits)
+        d = np.asarray(random.normal(size=model.num_disturbances))
+        f, g = model.drift_and_input_matrix(x)
+        expected = f + g @ u + model.disturbance_matrix @ d
+        size = np.abs(f) + np.abs(g) @ np.abs(u) + 1.0
+        for t, word in ((0.0, "is not affine in the input"), (1.3, "depends on time")):
+            found = dynamics.in_numbers.rate(x, u, d, t)
+            wrong = np.abs(found - expected) > 1e-7 * size
+            if wrong.any():
+                state = model.state_names[int(wrong.argmax())]
+                raise ModelError(f"{model.name}: the derivative of {state} {word}")
