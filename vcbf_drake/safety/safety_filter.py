@@ -43,7 +43,7 @@ from vcbf_drake.safety.qp import (
 )
 from vcbf_drake.safety.settings import FilterSettings
 from vcbf_drake.safety.tick_programs import TickPrograms, state_programs
-from vcbf_drake.safety.tick_qp import VolumeRow
+from vcbf_drake.safety.tick_qp import Frame, VolumeRow
 from vcbf_drake.safety.volume import Volume, threshold_of
 from vcbf_drake.safety.volume_rows import VolumeRows, above
 
@@ -68,6 +68,7 @@ class SafetyFilter(LeafSystem):
         - fallback
         - volume
         - slack
+        - soft_slacks (optional)
         - barriers
         - levels
         - authority
@@ -96,6 +97,7 @@ class SafetyFilter(LeafSystem):
     | ``fallback`` | m | the command where no solver's answer can be verified |
     | ``volume`` | 1 | V_v, what the volume row keeps positive; nan on failure |
     | ``slack`` | 1 | delta of (E24), at most 0; 0 unless the volume row gave way |
+    | ``soft_slacks`` | | how far each soft row gave way, at most 0; nan without a QP |
     | ``barriers`` | N | h_i; nan for a state-dependent input limit or an empty slot |
     | ``levels`` | | phi_0, ..., phi_(r-1) of every barrier, one after the other (E3) |
     | ``authority`` | N | how far the inputs move each row; 0 when not at all (R33) |
@@ -166,9 +168,13 @@ class SafetyFilter(LeafSystem):
             self.held_rows = HeldRows(
                 model, self.barrier_set, self.certified_hold, self.bounds.delta1
             )
-        self._weights = _checked_weights(
-            self.settings.violation_weights, len(self.barriers)
+        self._weights = _one_a_barrier(
+            "violation_weights", self.settings.violation_weights, self.barriers, 1.0
         )
+        self._penalties = _one_a_barrier(
+            "soft_penalties", self.settings.soft_penalties, self.barriers, np.inf
+        )
+        self._frame = Frame.of(input_set, self.settings.input_weights)
         self._volume_rows = VolumeRows(model, input_set, self.settings)
         self._declare_inputs()
         self._declare_cache_entries()
@@ -240,6 +246,14 @@ class SafetyFilter(LeafSystem):
             {self._feasible_entry.ticket(), *self._asked},
         )
         self._output("slack", 1, decision, lambda decided: [decided.slack])
+        num_soft = int(np.isfinite(self._penalties).sum())
+        if num_soft:
+            self._output(
+                "soft_slacks",
+                num_soft,
+                decision,
+                lambda decided: decided.soft_slacks or [np.nan] * num_soft,
+            )
         self._output("status", 1, decision, lambda decided: [decided.status])
         self._output("row_margin", 1, decision, lambda decided: [decided.row_margin])
         self._output("volume", 1, self._volumes_entry, _volume_value)
@@ -357,7 +371,11 @@ class SafetyFilter(LeafSystem):
             self._state.Eval(context), context.get_time(), seen
         )
         return feasible_set(
-            self.input_set, rows, self.knowledge(context), self._weights
+            self.input_set,
+            rows,
+            self.knowledge(context),
+            self._weights,
+            self._penalties,
         )
 
     def thresholds(self, context: Context) -> tuple[float, float]:
@@ -416,6 +434,7 @@ class SafetyFilter(LeafSystem):
                 self.settings.corrections.exact_slack,
                 self.settings.infeasible,
                 self.settings.solver,
+                self._frame,
             )
 
         decision = choose()
@@ -476,9 +495,11 @@ def _check_effort_limits(model: ControlAffineModel, input_set: InputSet) -> None
             )
 
 
-def _checked_weights(weights: Sequence[float], size: int) -> Array:
-    if len(weights) not in (0, size):
+def _one_a_barrier(
+    name: str, given: Sequence[float], barriers: Sequence[object], default: float
+) -> Array:
+    if len(given) not in (0, len(barriers)):
         raise ValueError(
-            f"violation_weights: {len(weights)} numbers; there are {size} barriers"
+            f"{name}: {len(given)} numbers; there are {len(barriers)} barriers"
         )
-    return np.array(weights, dtype=float) if len(weights) else np.ones(size)
+    return np.array(given if len(given) else [default] * len(barriers), dtype=float)

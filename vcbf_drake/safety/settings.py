@@ -44,6 +44,12 @@ class FilterSettings:
             such.
         violation_weights: How much a violation of each barrier counts when not all can
             hold, (N,); empty for 1 each.
+        input_weights: W of the cost (u - u_ref)'W (u - u_ref), its diagonal, (m,);
+            empty for that of the normalised inputs' norm, and 1 each for the published
+            |u - u_ref|^2 in the inputs' own units. In Python it may be a matrix.
+        soft_penalties: Penalty of the squared slack of each barrier row that may give
+            way, (N,): infinity for the others; empty for none. A control Lyapunov
+            function V beside barriers is the barrier h = -V with a penalty.
         observer: The disturbance observer.
         solver: Drake's solver that proposes solutions of the QP and, where it takes
             cone programs, the largest ellipsoid: one of `SOLVERS`.
@@ -61,6 +67,8 @@ class FilterSettings:
     volume: VolumeBarrier = field(default_factory=VolumeBarrier)
     between_ticks: BetweenTicks = "none"
     violation_weights: list[float] = field(default_factory=list)
+    input_weights: list[float] = field(default_factory=list)
+    soft_penalties: list[float] = field(default_factory=list)
     observer: ObserverSettings = field(default_factory=ObserverSettings)
     solver: str = DEFAULT_SOLVER
     warn: bool = True
@@ -75,6 +83,10 @@ class FilterSettings:
         require_choice("between_ticks", self.between_ticks, BETWEEN_TICKS)
         weights = self.violation_weights
         check_parameter("violation_weights", weights, size=len(weights))
+        penalties = self.soft_penalties
+        check_parameter(
+            "soft_penalties", penalties, size=len(penalties), infinity_allowed=True
+        )
         require(
             self.observer.period <= self.period,
             ("observer", "period"),
