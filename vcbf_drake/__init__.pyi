@@ -1,5 +1,11 @@
 """The public names of the package, each from where it is defined."""
 
+from .add_safety_filter import (
+    AddedSafetyFilter as AddedSafetyFilter,
+)
+from .add_safety_filter import (
+    AddSafetyFilter as AddSafetyFilter,
+)
 from .barriers import (
     Barrier as Barrier,
 )
@@ -125,12 +131,6 @@ from .plants import (
 )
 from .safety import (
     METHODS as METHODS,
-)
-from .safety import (
-    AddedSafetyFilter as AddedSafetyFilter,
-)
-from .safety import (
-    AddSafetyFilter as AddSafetyFilter,
 )
 from .safety import (
     Corrections as Corrections,

@@ -11,6 +11,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput
 
+from vcbf_drake.add_safety_filter import AddSafetyFilter
 from vcbf_drake.barriers import Barrier
 from vcbf_drake.between_ticks.certified_heights import certified_least_barrier
 from vcbf_drake.disturbances import DisturbanceEstimate, DisturbanceSource
@@ -18,7 +19,6 @@ from vcbf_drake.disturbances.source import Constant
 from vcbf_drake.model.compiled import Expressions
 from vcbf_drake.plants import Car
 from vcbf_drake.safety import (
-    AddSafetyFilter,
     FilterSettings,
     FilterStatus,
     InputSet,

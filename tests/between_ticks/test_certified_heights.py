@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from vcbf_drake import ControlAffineModel, InputSet, SafetyFilter, SphereObstacle
-from vcbf_drake.between_ticks import certified_heights
+from vcbf_drake.between_ticks import HeldRows, certified_heights
 from vcbf_drake.between_ticks.certified_heights import certified_least_barrier
 from vcbf_drake.between_ticks.interval import hull
 from vcbf_drake.disturbances import DisturbanceBounds
 from vcbf_drake.plants import Car
-from vcbf_drake.safety import DisturbanceKnowledge, FilterSettings, HeldRows
+from vcbf_drake.safety import DisturbanceKnowledge, FilterSettings
 
 PERIOD, DELTA_1, HOLD_MARGIN = 0.02, 0.8, 0.01
 

@@ -40,7 +40,7 @@ from vcbf_drake.barriers import (
     StateLimit,
     ackermann_limit,
 )
-from vcbf_drake.between_ticks import held_rows
+from vcbf_drake.between_ticks import HeldRows, held_rows, least_height
 from vcbf_drake.between_ticks.enclosures import reach_tube
 from vcbf_drake.between_ticks.interval import Interval
 from vcbf_drake.disturbances import DisturbanceBounds
@@ -48,9 +48,7 @@ from vcbf_drake.plants import BlimpParameters, CarParameters
 from vcbf_drake.safety import (
     DisturbanceKnowledge,
     FilterSettings,
-    HeldRows,
     Tick,
-    least_height,
 )
 from vcbf_drake.safety.qp import FilterDecision, FilterStatus
 
@@ -353,7 +351,7 @@ def test_what_has_no_enclosure_is_said_in_one_line():
     SafetyFilter(model, barriers, inputs, settings)
     settings = FilterSettings(period=0.01, method="cbf-qp", between_ticks="certified")
     with pytest.raises(ModelError, match=r"no enclosure on intervals.*cases") as error:
-        SafetyFilter(model, barriers, inputs, settings)
+        SafetyFilter(model, barriers, inputs, settings, make_row_holder=HeldRows)
     assert "\n" not in str(error.value)
 
 
@@ -525,6 +523,7 @@ def drive_away_from_a_wall(slowest, between_ticks="certified"):
         [Barrier(lambda x, t, p: x[0], [2.0, 1.0], name="wall")],
         InputSet.box([-0.6, -1.0], [slowest, 1.0]),
         FilterSettings(period=0.5, method="cbf-qp", between_ticks=between_ticks),
+        make_row_holder=HeldRows,
     )
     context = safety_filter.CreateDefaultContext()
     for name, value in {

@@ -13,6 +13,7 @@ from vcbf_drake import (
     SafetyFilter,
 )
 from vcbf_drake.barriers import HalfSpace, StateInputLimit, StateLimit
+from vcbf_drake.between_ticks import HeldRows
 from vcbf_drake.disturbances import DisturbanceBounds, ObserverSettings
 from vcbf_drake.safety import (
     METHODS,
@@ -47,6 +48,7 @@ def at(car, method, speed=1.0, observer=RiseObserver, barriers=(AHEAD,), **optio
         walls,
         INPUTS,
         FilterSettings(method=method, **{"period": PERIOD, **options}),
+        make_row_holder=HeldRows,
     )
     context = safety_filter.CreateDefaultContext()
     values = {"state": [0.0, 0.0, speed, 0.0], "reference": np.zeros(2)}
@@ -221,7 +223,9 @@ def test_a_plant_too_fast_for_its_period_has_no_certified_hold(drag, period, hol
     settings = FilterSettings(method="cbf-qp", period=period, between_ticks="certified")
     box = InputSet.box([-4.0], [4.0])
     bounds = DisturbanceBounds(0.0, 0.0, 0.0)
-    safety_filter = SafetyFilter(model, wall, box, settings, bounds=bounds)
+    safety_filter = SafetyFilter(
+        model, wall, box, settings, bounds=bounds, make_row_holder=HeldRows
+    )
     context = safety_filter.CreateDefaultContext()
     safety_filter.GetInputPort("state").FixValue(context, [0.0, 1.0])
     safety_filter.GetInputPort("reference").FixValue(context, [0.0])

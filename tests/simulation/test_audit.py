@@ -5,6 +5,7 @@ import pytest
 from vcbf_drake import load_scenario, make_loop, simulate
 from vcbf_drake.barriers import SphereObstacle
 from vcbf_drake.barriers.barrier_set import BarrierSet
+from vcbf_drake.between_ticks import HeldRows
 from vcbf_drake.disturbances import DisturbanceBounds
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.plants import Car
@@ -59,7 +60,9 @@ def audited(method, x, u, d, estimate=0.0, bound=0.0, hold=0.0, **logged):
         method=method,
         between_ticks="certified" if hold else "none",
     )
-    safety_filter = SafetyFilter(model, [obstacle], inputs, settings)
+    safety_filter = SafetyFilter(
+        model, [obstacle], inputs, settings, make_row_holder=HeldRows
+    )
     barriers = BarrierSet(model, [obstacle])
     log = {
         "time": 0.0, "state": x, "disturbance": [d], "input": u,

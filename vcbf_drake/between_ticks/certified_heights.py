@@ -10,15 +10,14 @@ import numpy as np
 
 from vcbf_drake.barriers import Barrier
 from vcbf_drake.between_ticks.enclosures import RowEnclosures
+from vcbf_drake.between_ticks.held_rows import HeldRows, least_height
 from vcbf_drake.between_ticks.interval import Interval
 from vcbf_drake.checks import Array
 from vcbf_drake.safety import (
     Assumption,
     DisturbanceKnowledge,
-    HeldRows,
     SafetyFilter,
     Tick,
-    least_height,
 )
 
 if TYPE_CHECKING:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import contextlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 import math
 from typing import TypeAlias
 
 import numpy as np
 
-from vcbf_drake.barriers import BarrierRows, BarrierSet
+from vcbf_drake.barriers import BarrierSet
 from vcbf_drake.between_ticks.enclosures import (
     ReachTube,
     RowEnclosures,
@@ -20,8 +20,9 @@ from vcbf_drake.between_ticks.enclosures import (
 from vcbf_drake.between_ticks.interval import Interval, Number
 from vcbf_drake.checks import Array
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety.feasible_set import DisturbanceKnowledge, disturbance_margin
+from vcbf_drake.safety.feasible_set import DisturbanceKnowledge
 from vcbf_drake.safety.qp import FilterDecision, FilterStatus
+from vcbf_drake.safety.row_holder import Tick
 
 _Pair: TypeAlias = tuple[Array, Array]  # Middles and radii of intervals.
 
@@ -32,35 +33,6 @@ _HEADROOM = 1.1
 _ATTEMPTS = 5
 # Bounds the rounding of the sums below, relative to the sum of their terms' sizes.
 _ROUNDING = 1e-12
-
-
-@dataclass(frozen=True)
-class Tick:
-    """What is known at one tick.
-
-    Attributes:
-        rows: The barrier rows.
-        state: Shape (n,).
-        time: When it is [s].
-        known: What is known of the disturbance until the next tick.
-        obstacles: What is perceived, shape (obstacles_size,).
-    """
-
-    rows: BarrierRows
-    state: Array
-    time: float
-    known: DisturbanceKnowledge
-    obstacles: Array | None = None
-
-    def chi(self, u: Array) -> Array:
-        """Returns b + Lambda - A u, shape (N,).
-
-        Args:
-            u: An input, shape (m,).
-        """
-        margin = disturbance_margin(self.rows, self.known)
-        chi: Array = self.rows.b + margin - self.rows.A @ u
-        return chi
 
 
 class HeldRows:

@@ -16,6 +16,7 @@ from pydrake.systems.framework import (
     OutputPort,
 )
 
+from vcbf_drake.add_safety_filter import AddedSafetyFilter
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceEstimate
 from vcbf_drake.hil.bus import Bus
@@ -35,7 +36,6 @@ from vcbf_drake.hil.watchdogs import (
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import (
     METHODS,
-    AddedSafetyFilter,
     FilterStatus,
     SafetyFilter,
     unpack_feasible_set,

@@ -1,7 +1,5 @@
 """The mathematics of one control tick, and the Drake system that runs it."""
 
-from vcbf_drake.between_ticks.held_rows import HeldRows, Tick, least_height
-from vcbf_drake.safety.add_safety_filter import AddedSafetyFilter, AddSafetyFilter
 from vcbf_drake.safety.assumptions import Assumption, assumptions
 from vcbf_drake.safety.corrections import FIDELITIES, Corrections
 from vcbf_drake.safety.ellipsoid import Ellipsoid, inscribed_ellipsoid
@@ -27,6 +25,7 @@ from vcbf_drake.safety.qp import (
     FilterStatus,
     InfeasiblePolicy,
 )
+from vcbf_drake.safety.row_holder import RowHolder, Tick
 from vcbf_drake.safety.safety_filter import SafetyFilter
 from vcbf_drake.safety.settings import BETWEEN_TICKS, FilterSettings
 from vcbf_drake.safety.volume import Volume, VolumeBarrier
@@ -36,8 +35,6 @@ __all__ = [
     "FIDELITIES",
     "INFEASIBLE_POLICIES",
     "METHODS",
-    "AddSafetyFilter",
-    "AddedSafetyFilter",
     "Assumption",
     "Corrections",
     "DisturbanceKnowledge",
@@ -47,11 +44,11 @@ __all__ = [
     "FilterDecision",
     "FilterSettings",
     "FilterStatus",
-    "HeldRows",
     "InfeasiblePolicy",
     "InputSet",
     "Method",
     "PackedFeasibleSet",
+    "RowHolder",
     "SafetyFilter",
     "Tick",
     "Volume",
@@ -61,6 +58,5 @@ __all__ = [
     "disturbance_margin",
     "emptiness_certificate",
     "inscribed_ellipsoid",
-    "least_height",
     "unpack_feasible_set",
 ]

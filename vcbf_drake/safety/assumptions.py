@@ -279,14 +279,14 @@ def _least_weight(delta1: float, start: float) -> float:
 
 def _sampling(safety_filter: SafetyFilter, context: Context) -> Assumption:
     period = safety_filter.settings.period
-    if safety_filter.held_rows is not None:
+    if safety_filter.row_holder is not None:
         x = safety_filter.GetInputPort("state").Eval(context)
         u, model = safety_filter.input_set.center, safety_filter.model
         return Assumption(
             "sampled input",
             "inputs are chosen to keep the rows until the next tick (Theorem 4, E77),"
             " which takes a motion that can be enclosed: T abs(df/dx) below about 1",
-            safety_filter.held_rows.can_enclose(x, u),
+            safety_filter.row_holder.can_enclose(x, u),
             {"period": period, "T abs(df/dx)": period * _slope(model, x, u)},
             "between_ticks: certified does nothing there: barriers may dip between"
             " ticks. Take a shorter period",

@@ -21,7 +21,6 @@ from pydrake.systems.framework import (
 )
 
 from vcbf_drake.barriers import Barrier, BarrierSet, StateInputLimit
-from vcbf_drake.between_ticks.held_rows import HeldRows, Tick
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
 from vcbf_drake.errors import EmptySetError, SolverError
@@ -41,6 +40,7 @@ from vcbf_drake.safety.qp import (
     choose_input,
     failed_decision,
 )
+from vcbf_drake.safety.row_holder import RowHolder, Tick
 from vcbf_drake.safety.settings import FilterSettings
 from vcbf_drake.safety.tick_programs import TickPrograms, state_programs
 from vcbf_drake.safety.tick_qp import Frame, VolumeRow
@@ -119,6 +119,10 @@ class SafetyFilter(LeafSystem):
         bounds: DisturbanceBounds | None = None,
         estimate_gain: float = 0.0,
         longest_hold: float = 0.0,
+        make_row_holder: Callable[
+            [ControlAffineModel, BarrierSet, float, float], RowHolder
+        ]
+        | None = None,
     ) -> None:
         """Declares ports and cache entries.
 
@@ -133,6 +137,9 @@ class SafetyFilter(LeafSystem):
             estimate_gain: The observer's `estimate_gain` [1/s].
             longest_hold: How long an input may be held, where that can be longer than
                 the control period [s].
+            make_row_holder: Makes what holds rows between ticks, of model, barrier set,
+                hold and delta1: `vcbf_drake.between_ticks.HeldRows`. Needed where the
+                settings say ``between_ticks: certified``.
 
         Raises:
             ValueError: An argument is outside what is allowed.
@@ -163,9 +170,14 @@ class SafetyFilter(LeafSystem):
         self.certified_hold = (
             hold if self.settings.between_ticks == "certified" else 0.0
         )
-        self.held_rows: HeldRows | None = None
+        self.row_holder: RowHolder | None = None
         if self.certified_hold:
-            self.held_rows = HeldRows(
+            if make_row_holder is None:
+                raise ValueError(
+                    "between_ticks: certified; it needs make_row_holder=HeldRows, of"
+                    " vcbf_drake.between_ticks (AddSafetyFilter gives it)"
+                )
+            self.row_holder = make_row_holder(
                 model, self.barrier_set, self.certified_hold, self.bounds.delta1
             )
         self._weights = _one_a_barrier(
@@ -440,12 +452,12 @@ class SafetyFilter(LeafSystem):
         decision = choose()
         if failed:
             return FilterDecision(decision.input, FilterStatus.FAILED)
-        if self.held_rows is None:
+        if self.row_holder is None:
             return decision
         seen = None if self._obstacles is None else self._obstacles.Eval(context)
         x, t = self._state.Eval(context), context.get_time()
         tick = Tick(feasible.rows, x, t, feasible.known, seen)
-        return self.held_rows.lasting_decision(tick, decision, choose)
+        return self.row_holder.lasting_decision(tick, decision, choose)
 
     def _held(self, context: Context) -> Array:
         if not self._held_input.HasValue(context):

@@ -22,7 +22,8 @@ from pydrake.systems.primitives import (
     Saturation,
 )
 
-from vcbf_drake.safety import AddedSafetyFilter, FilterStatus
+from vcbf_drake.add_safety_filter import AddedSafetyFilter
+from vcbf_drake.safety import FilterStatus
 from vcbf_drake.simulation.faults import Faults, StepGust
 from vcbf_drake.simulation.sensors import (
     DelayedMeasurement,

@@ -15,6 +15,7 @@ from pydrake.systems.framework import (
 )
 from pydrake.systems.primitives import LogVectorOutput
 
+from vcbf_drake.add_safety_filter import AddedSafetyFilter, AddSafetyFilter
 from vcbf_drake.barriers import (
     BarrierSet,
 )
@@ -25,8 +26,6 @@ from vcbf_drake.disturbances import (
 )
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import (
-    AddedSafetyFilter,
-    AddSafetyFilter,
     SafetyFilter,
 )
 from vcbf_drake.simulation.audit import Audit

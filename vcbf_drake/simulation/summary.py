@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vcbf_drake.add_safety_filter import LOOP_MONITOR
 from vcbf_drake.checks import Array
 from vcbf_drake.safety import FilterStatus, SafetyFilter
-from vcbf_drake.safety.add_safety_filter import LOOP_MONITOR
 from vcbf_drake.simulation.audit import LEAST_AUTHORITY, authority
 from vcbf_drake.simulation.loop import COLLISION_MONITOR
 from vcbf_drake.simulation.scenario import Scenario

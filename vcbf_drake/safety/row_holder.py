@@ -1,0 +1,72 @@
+"""RowHolder: what a filter asks of the rows between its ticks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+from vcbf_drake.barriers import BarrierRows, BarrierSet
+from vcbf_drake.checks import Array
+from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.safety.feasible_set import DisturbanceKnowledge, disturbance_margin
+from vcbf_drake.safety.qp import FilterDecision
+
+
+@dataclass(frozen=True)
+class Tick:
+    """What is known at one tick.
+
+    Attributes:
+        rows: The barrier rows.
+        state: Shape (n,).
+        time: When it is [s].
+        known: What is known of the disturbance until the next tick.
+        obstacles: What is perceived, shape (obstacles_size,).
+    """
+
+    rows: BarrierRows
+    state: Array
+    time: float
+    known: DisturbanceKnowledge
+    obstacles: Array | None = None
+
+    def chi(self, u: Array) -> Array:
+        """Returns b + Lambda - A u, shape (N,).
+
+        Args:
+            u: An input, shape (m,).
+        """
+        margin = disturbance_margin(self.rows, self.known)
+        chi: Array = self.rows.b + margin - self.rows.A @ u
+        return chi
+
+
+class RowHolder(Protocol):
+    """Finds inputs under which the rows hold until the next tick.
+
+    `vcbf_drake.between_ticks.HeldRows` is one.
+    """
+
+    def can_enclose(self, state: Array, u: Array) -> bool:
+        """Returns whether the motion from a state under an input can be enclosed."""
+
+    def lasting_decision(
+        self,
+        tick: Tick,
+        decision: FilterDecision,
+        choose: Callable[[Array], FilterDecision],
+    ) -> FilterDecision:
+        """Returns a decision under which the rows last, where there is one.
+
+        Args:
+            tick: Where it is made.
+            decision: The one that asks for the tick alone.
+            choose: Returns the decision under margins, shape (N,).
+        """
+
+
+MakeRowHolder: TypeAlias = Callable[
+    [ControlAffineModel, BarrierSet, float, float], RowHolder
+]
+"""Makes one of the plant, its rows, how long an input is held [s], and delta1."""
