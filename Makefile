@@ -4,8 +4,11 @@ BIN := .venv/bin
 # What a demo needs, and what everything else needs too.
 DEMO := .venv/.demo
 STAMP := .venv/.installed
+# What `make mutation` puts faults into, and who should notice.
+MODULE ?= vcbf_drake/safety/volume_barrier.py
+TESTS ?= tests/safety
 
-.PHONY: demo reproduce test coverage properties mutation bench audit lint format clean help
+.PHONY: demo reproduce test coverage properties mutation results bench audit lint format clean help
 
 help:
 	@echo "make demo        the paper's Test 2 with and without the volume barrier, in out/"
@@ -13,7 +16,8 @@ help:
 	@echo "make test        every test, on all processors"
 	@echo "make coverage    every test, and how much of each package they reach"
 	@echo "make properties  the filter's promises on a million hostile ticks (an hour)"
-	@echo "make mutation    which small faults in vcbf_drake/safety no test notices (hours)"
+	@echo "make mutation    MODULE=FILE TESTS=DIR: small faults that no test notices (hours)"
+	@echo "make results     the pages of docs/results made anew (hours)"
 	@echo "make bench       CPU times, beside the peers that are installed"
 	@echo "make audit       known vulnerabilities of what is installed, from PyPI's advisories"
 	@echo "make lint        format, lint and type checks"
@@ -54,9 +58,27 @@ coverage: $(STAMP)
 properties: $(STAMP)
 	$(BIN)/python -m tests.properties
 
+# Files are changed in place, so in a copy; a run that was stopped goes on.
 mutation: $(STAMP)
 	$(BIN)/python -m pip install --quiet cosmic-ray
-	$(BIN)/python -m tests.mutation
+	mkdir -p out/mutation
+	test -f out/mutation/session.sqlite || git archive HEAD | tar -x -C out/mutation
+	cd out/mutation && sed 's|MODULE|$(MODULE)|; s|TESTS|$(TESTS)|' tests/mutation.toml > session.toml
+	cd out/mutation && export PATH=$(CURDIR)/$(BIN):$$PATH && \
+		(test -f session.sqlite || cosmic-ray init session.toml session.sqlite) && \
+		cosmic-ray exec session.toml session.sqlite && \
+		cr-report session.sqlite --surviving-only --show-diff
+
+# The pages of docs/results, but for feasibility_measures.md, which has words.
+results: $(STAMP)
+	$(BIN)/python -m tests.properties && cp out/properties/properties.md docs/results/
+	$(BIN)/vcbf-drake faults blimp-multiple-obstacles car-avoidance --trials 50 \
+		--out out/reliability && cp out/reliability/faults.md docs/results/reliability.md
+	$(BIN)/python -m examples.paper.rates > out/between_ticks.md
+	cp out/between_ticks.md docs/results/
+	$(BIN)/python -m examples.paper && cp out/reproduction/reproduction.md docs/results/
+	$(BIN)/python -m tests.benchmarks > out/performance.md
+	cp out/performance.md docs/results/
 
 bench: $(STAMP)
 	$(BIN)/python -m tests.benchmarks

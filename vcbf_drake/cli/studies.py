@@ -36,15 +36,16 @@ def monte_carlo(
     scenario: ScenarioArgument,
     trials: Annotated[int, typer.Option(min=1, help="How many draws.")],
     vary: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="VARIATION",
+            show_default="every state of the start, by up to 0.05",
             help="What is drawn for each trial: YAML like 'observer.alpha: !Uniform"
             " [4.6, 6.0]' (also !Normal, !Choice; !Add and !Scale change the"
             " scenario's own value), a YAML file of it, or a Python file with a"
             " function draw(scenario, generator).",
         ),
-    ],
+    ] = None,
     methods: Annotated[
         str,
         typer.Option(
@@ -74,9 +75,10 @@ def monte_carlo(
 
     if scheduler is not None and workers is not None:
         raise typer.BadParameter("--scheduler and --workers exclude each other")
-    names, variation = method_names(methods), load_variation(vary)
+    names = method_names(methods)
     chosen = [load(scenario, override, each, scenario_name) for each in names]
     directory = out or Path("out") / f"{chosen[0].name}-monte-carlo"
+    variation = load_variation(vary or _random_start(len(chosen[0].initial_state)))
     plan = [
         Trial(
             scenario,
@@ -153,6 +155,11 @@ def faults(
     for sentence in headline(summaries):
         typer.echo(sentence)
     typer.echo(f"written to {out}")
+
+
+def _random_start(num_states: int) -> str:
+    entries = [f"initial_state.{i}: !Add [-0.05, 0.05]" for i in range(num_states)]
+    return "{" + ", ".join(entries) + "}"
 
 
 @contextmanager
