@@ -100,7 +100,10 @@ def below(*path: str | int) -> Iterator[None]:
     try:
         yield
     except InvalidValueError as error:
-        raise InvalidValueError((*path, *error.path), error.problem) from None
+        first, *others = error.path or ("",)
+        first = first.rpartition(": ")[2] if isinstance(first, str) else first
+        own = (first, *others) if error.path else ()
+        raise InvalidValueError((*path, *own), error.problem) from None
     except (ValueError, VcbfError) as error:
         raise InvalidValueError(path, str(error)) from None
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from vcbf_drake.plants import BlimpVehicle, CarVehicle
+from vcbf_drake.simulation import InputLimits, Obstacle, Scenario
 from vcbf_drake.simulation.result import Result
-from vcbf_drake.simulation.scenario import InputLimits, Obstacle, Scenario
 
 OBSTACLES = [
     ([3.08, 0.19, 0.96], 0.67),

@@ -28,8 +28,7 @@ from vcbf_drake.hil import (
 from vcbf_drake.hil.timing import Timeline
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.simulation import barriers
-from vcbf_drake.simulation.loop import add_simulated_plant
-from vcbf_drake.simulation.parts import make_observer
+from vcbf_drake.simulation.loop import add_simulated_plant, make_observer
 from vcbf_drake.simulation.run import make_simulator
 
 CASES = [("blimp-multiple-obstacles", 6.0), ("car-avoidance", 4.0)]

@@ -13,13 +13,13 @@ import pytest
 
 from vcbf_drake.errors import InvalidValueError, ScenarioError
 from vcbf_drake.plants import BlimpVehicle, TurnLimit
+from vcbf_drake.simulation import InputLimits, Obstacle, Scenario, validate
 from vcbf_drake.simulation.loading import (
     dump_scenario,
     load_scenario,
     merge_overrides,
     shipped_scenarios,
 )
-from vcbf_drake.simulation.scenario import InputLimits, Obstacle, Scenario, validate
 
 SHIPPED = (
     "blimp-multiple-obstacles",

@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 
 from tests.helpers.synthetic_results import blimp_result, blimp_results, car_result
 from vcbf_drake.safety.methods import METHODS
-from vcbf_drake.simulation.scenario import InputLimits, Obstacle
+from vcbf_drake.simulation import InputLimits, Obstacle
 from vcbf_drake.viz import write_figures
 from vcbf_drake.viz.feasible_set import (
     feasible_set_at,

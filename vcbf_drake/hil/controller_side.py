@@ -41,12 +41,12 @@ from vcbf_drake.safety import (
     unpack_feasible_set,
 )
 from vcbf_drake.simulation.fault_systems import lose_answers
-from vcbf_drake.simulation.loop import add_controller_and_filter
-from vcbf_drake.simulation.parts import (
+from vcbf_drake.simulation.loop import (
+    add_controller_and_filter,
     make_observer,
     make_source,
-    perceived_spheres,
 )
+from vcbf_drake.simulation.obstacles import perceived_spheres
 from vcbf_drake.simulation.scenario import Hardware, Scenario
 
 

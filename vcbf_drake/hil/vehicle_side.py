@@ -38,7 +38,7 @@ from vcbf_drake.simulation.loop import (
     add_collision_monitor,
     add_simulated_plant,
 )
-from vcbf_drake.simulation.parts import barriers
+from vcbf_drake.simulation.obstacles import barriers
 from vcbf_drake.simulation.scenario import Hardware, Scenario
 
 
@@ -291,7 +291,7 @@ class ObstacleSender(LeafSystem):
 
     def __init__(self, bus: Bus, scenario: Scenario) -> None:
         super().__init__()
-        self._obstacles, dimensions = scenario.obstacles, len(scenario.target)
+        self._obstacles, dimensions = scenario.spheres, len(scenario.target)
         self._outbox = Outbox(
             bus, obstacles_format(len(self._obstacles), dimensions).channel
         )

@@ -84,8 +84,8 @@ class ObstacleWatch:
 
     def __init__(self, bus: Bus, scenario: Scenario) -> None:
         self._difference = ""
-        self._obstacles = scenario.obstacles
-        self._shape = len(scenario.obstacles), len(scenario.target)
+        self._obstacles = scenario.spheres
+        self._shape = len(scenario.spheres), len(scenario.target)
         self.inbox = Inbox(
             bus,
             obstacles_format(*self._shape),

@@ -7,12 +7,11 @@ from vcbf_drake.simulation.loading import (
 )
 from vcbf_drake.simulation.log import read_log_files
 from vcbf_drake.simulation.loop import make_loop
-from vcbf_drake.simulation.parts import barriers
+from vcbf_drake.simulation.obstacles import Obstacle, StateRange, barriers
 from vcbf_drake.simulation.result import Result, load_result
 from vcbf_drake.simulation.run import check_assumptions, simulate
 from vcbf_drake.simulation.scenario import (
     InputLimits,
-    Obstacle,
     Scenario,
     validate,
 )
@@ -24,6 +23,7 @@ __all__ = [
     "Obstacle",
     "Result",
     "Scenario",
+    "StateRange",
     "barriers",
     "check_assumptions",
     "dump_scenario",

@@ -8,13 +8,14 @@ and a key at the top level that begins with an underscore is a template.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 import difflib
 from functools import reduce
 import inspect
 import math
 from pathlib import Path
+import re
 import types
 from typing import (
     Any,
@@ -276,13 +277,20 @@ def allowed_types(hint: Any) -> tuple[Any, ...]:
     if inspect.isabstract(hint):
         return tuple(hint.__subclasses__())
     is_union = get_origin(hint) in (types.UnionType, Union)
-    return get_args(hint) if is_union else (hint,)
+    members = get_args(hint) if is_union else (hint,)
+    return tuple(each for each in members if get_origin(each) is not np.ndarray)
 
 
 def tagged_types(hint: Any) -> dict[str, Any]:
     """Returns the dataclasses that a hint allows, by their tags."""
     found = (each for each in allowed_types(hint) if is_dataclass(each))
-    return {f"!{each.__name__.removesuffix('Vehicle')}": each for each in found}  # type: ignore[union-attr]
+    return {tag_of(each): each for each in found}
+
+
+def tag_of(schema: Any) -> str:
+    """Returns a class's tag: ``!Car`` for a CarVehicle, ``!Box`` for a BoxObstacle."""
+    name = re.sub("(Vehicle|Obstacle)$", "", schema.__name__)
+    return str(getattr(schema, "TAG", f"!{name}"))
 
 
 def _build(node: Node, hint: Any, path: KeyPath) -> Any:
@@ -295,7 +303,7 @@ def _build(node: Node, hint: Any, path: KeyPath) -> Any:
         return _build_object(node, classes, path, needs_tag)
     if node.tag.startswith("!"):
         _fail(node, path, f"tag {node.tag}; no tag is expected here")
-    if get_origin(first) is list:
+    if get_origin(first) in (list, Sequence):
         if not isinstance(node, yaml.SequenceNode):
             _fail(node, path, f"expected a list, got {_shown(node)}")
         (item,) = get_args(first)
@@ -368,5 +376,6 @@ def plain(value: Any, hint: Any) -> Any:
         is_one_of = len(tags) > 1 or inspect.isabstract(hint)
         return {"_tag": names[0], **data} if is_one_of else data
     if isinstance(value, list | tuple | np.ndarray):
-        return [plain(each, *get_args(hint)) for each in value]
+        (item,) = get_args(allowed_types(hint)[0])
+        return [plain(each, item) for each in value]
     return value.item() if isinstance(value, np.generic) else value

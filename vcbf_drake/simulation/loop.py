@@ -24,7 +24,9 @@ from vcbf_drake.disturbances import (
     DisturbanceObserver,
     DisturbanceSource,
 )
+from vcbf_drake.errors import below
 from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.safety import (
     SafetyFilter,
 )
@@ -36,10 +38,8 @@ from vcbf_drake.simulation.fault_systems import (
     lose_answers,
     true_disturbance,
 )
-from vcbf_drake.simulation.parts import (
+from vcbf_drake.simulation.obstacles import (
     barriers,
-    make_observer,
-    make_source,
     perceived_spheres,
     seen_barriers,
 )
@@ -182,17 +182,62 @@ def add_controller_and_filter(
     return controller, loop
 
 
+def make_source(scenario: Scenario) -> DisturbanceSource:
+    """Returns a scenario's disturbance."""
+    return DisturbanceSource(
+        scenario.disturbance,
+        horizon=scenario.duration,
+        num_disturbances=len(channels_of(scenario.vehicle.make_plant()).disturbances),
+    )
+
+
+def measurement_noise(scenario: Scenario, model: ControlAffineModel) -> float:
+    """Returns the largest deviation of a disturbed channel E^+ x; 0 without noise."""
+    if not any(scenario.noise.std):
+        return 0.0
+    channels = np.linalg.pinv(model.disturbance_matrix)
+    deviations = np.linalg.norm(channels * scenario.noise.std, axis=1)
+    return float(np.max(deviations, initial=0.0))
+
+
+def make_observer(
+    scenario: Scenario,
+    model: ControlAffineModel,
+    bounds: DisturbanceBounds,
+    *,
+    period: float,
+    longest_interval: float | None = None,
+) -> DisturbanceObserver:
+    """Returns a scenario's observer.
+
+    Args:
+        scenario: A validated scenario.
+        model: The plant's.
+        bounds: Of the disturbance.
+        period: Time between measurements [s].
+        longest_interval: See `DisturbanceObserver`.
+    """
+    with below("observer"):
+        return scenario.make_observer(
+            model,
+            bounds,
+            noise=measurement_noise(scenario, model),
+            period=period,
+            longest_interval=longest_interval,
+        )
+
+
 def obstacles_in_sight(
     builder: DiagramBuilder, scenario: Scenario, plant: LeafSystem
 ) -> OutputPort | None:
     """Returns the port of what is seen; None where all obstacles are known."""
-    if scenario.faults.sight == 0.0 or not scenario.obstacles:
+    if scenario.faults.sight == 0.0 or not scenario.spheres:
         return None
     state = plant.GetOutputPort("state")
     seeing = builder.AddNamedSystem(
         "obstacles_in_sight",
         ObstaclesInSight(
-            scenario.obstacles,
+            scenario.spheres,
             perceived_spheres(scenario),
             state.size(),
             scenario.vehicle.positions,

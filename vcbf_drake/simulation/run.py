@@ -37,8 +37,7 @@ from vcbf_drake.simulation.audit import (
 from vcbf_drake.simulation.faults import fault_assumptions
 from vcbf_drake.simulation.loading import load_scenario
 from vcbf_drake.simulation.log import RunLog
-from vcbf_drake.simulation.loop import make_loop
-from vcbf_drake.simulation.parts import measurement_noise
+from vcbf_drake.simulation.loop import make_loop, measurement_noise
 from vcbf_drake.simulation.result import Result
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.step_time import step_cpu_time

@@ -6,7 +6,6 @@ Each class checks itself when it is made. A value that is not allowed is answere
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 import math
 import re
@@ -31,6 +30,12 @@ from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.settings import FilterSettings
 from vcbf_drake.simulation.faults import Faults
+from vcbf_drake.simulation.obstacles import (
+    AnyObstacle,
+    Obstacle,
+    check_fits,
+    check_place,
+)
 
 Fallback = Literal["zero", "brake"]
 AuditPolicy = Literal["fallback", "report"]
@@ -82,30 +87,6 @@ class InputLimits:
             np.vstack([identity, -identity, self.A]),
             np.concatenate([self.upper, np.negative(self.lower), self.b]),
         )
-
-
-@dataclass
-class Obstacle:
-    """A sphere (for the car, a disc) to keep out of, standing or moving.
-
-    Attributes:
-        center: Centre at time zero [m], one number a dimension.
-        radius: Radius [m].
-        velocity: Velocity of the centre [m/s]; empty for an obstacle that stands.
-        margin: Distance to keep from the surface [m].
-    """
-
-    center: list[float]
-    radius: float
-    velocity: list[float] = field(default_factory=list)
-    margin: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_finite("center", self.center, size=len(self.center))
-        check_parameter("radius", self.radius)
-        if len(self.velocity):
-            check_finite("velocity", self.velocity, size=len(self.center))
-        check_parameter("margin", self.margin, zero_allowed=True)
 
 
 @dataclass
@@ -264,7 +245,7 @@ class Scenario(FilterSettings):
     disturbance: list[
         Constant | Sinusoid | SmoothStep | BandLimitedNoise | Recorded
     ] = field(default_factory=list)
-    obstacles: list[Obstacle] = field(default_factory=list)
+    obstacles: list[AnyObstacle] = field(default_factory=list)
     barrier: BarrierGains = field(default_factory=BarrierGains)
     initial_state: list[float]
     target: list[float]
@@ -313,7 +294,7 @@ class Scenario(FilterSettings):
         axes = range(size) if callable(at) else [[*states][i] for i in at]
         check_finite("target", self.target, names=[*map(str, axes)])
         for i, obstacle in enumerate(self.obstacles):
-            check_finite(("obstacles", i, "center"), obstacle.center, size=size)
+            check_fits(obstacle, ("obstacles", i), [*states], size)
         for path, numbers in (
             (("noise", "std"), self.noise.std),
             (("faults", "measurement_bias"), self.faults.measurement_bias),
@@ -347,9 +328,19 @@ class Scenario(FilterSettings):
         with below("faults"):
             self.vehicle.altered(self.faults.mass, self.faults.drag)
         for i, obstacle in enumerate(self.obstacles):
-            _check_outside("initial_state", self.start, i, obstacle)
-            if not any(obstacle.velocity):
-                _check_outside("target", self.target, i, obstacle)
+            what = f"obstacles[{i}]"
+            check_place(obstacle, "initial_state", self.start, what, target=False)
+            check_place(obstacle, "target", self.target, what, target=True)
+
+    @property
+    def spheres(self) -> list[Obstacle]:
+        """The obstacles that are spheres: those that can be seen and told of."""
+        return [each for each in self.obstacles if isinstance(each, Obstacle)]
+
+    @property
+    def state_names(self) -> list[str]:
+        """What the vehicle's states are called."""
+        return [*channels_of(self.vehicle.make_plant()).states]
 
 
 def validate(value: Any, path: Path = ()) -> None:
@@ -367,11 +358,3 @@ def validate(value: Any, path: Path = ()) -> None:
         if hasattr(value, "__post_init__"):
             with below(*path):
                 value.__post_init__()
-
-
-def _check_outside(
-    name: str, position: Sequence[float], index: int, obstacle: Obstacle
-) -> None:
-    distance = math.dist(position, obstacle.center) - obstacle.radius - obstacle.margin
-    rule = f"outside obstacles[{index}], margin included; its signed distance is"
-    require(distance > 0.0, name, list(position), f"{rule} {distance:.3g} m")

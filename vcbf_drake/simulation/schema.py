@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import MISSING, Field, fields, is_dataclass
 import inspect
 import math
@@ -16,6 +16,7 @@ from vcbf_drake.simulation.loading import (
     allowed_types,
     field_types,
     plain,
+    tag_of,
     tagged_types,
 )
 from vcbf_drake.simulation.scenario import Scenario
@@ -119,7 +120,7 @@ def _type_schema(hint: Any) -> dict[str, Any]:
 def _member_schema(hint: Any) -> dict[str, Any]:
     if is_dataclass(hint):
         return {"$ref": f"#/$defs/{hint.__name__}"}  # type: ignore[union-attr]
-    if get_origin(hint) is list:
+    if get_origin(hint) in (list, Sequence):
         return {"type": "array", "items": _type_schema(*get_args(hint))}
     if get_origin(hint) is Literal:
         return {"enum": [*get_args(hint)]}
@@ -173,18 +174,13 @@ def _kind(hint: Any) -> str:
 
 def _member_kind(hint: Any) -> str:
     if is_dataclass(hint):
-        name = hint.__name__  # type: ignore[union-attr]
-        (tag,) = tagged_types(hint)
-        return f"[{tag.removeprefix('!')}](#{_anchor(name)})"
-    if get_origin(hint) is list:
+        tag = tag_of(hint).removeprefix("!")
+        return f"[{tag}](#{tag.lower()})"
+    if get_origin(hint) in (list, Sequence):
         return f"list of {_kind(*get_args(hint))}"
     if get_origin(hint) is Literal:
         return ", ".join(f"`{word}`" for word in get_args(hint))
     return _KINDS[hint]
-
-
-def _anchor(name: str) -> str:
-    return name.removesuffix("Vehicle").lower()
 
 
 def _shown(each: Field[Any], hint: Any) -> str:

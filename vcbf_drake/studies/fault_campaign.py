@@ -10,7 +10,7 @@ import numpy as np
 
 from vcbf_drake.safety import FilterStatus
 from vcbf_drake.simulation.audit import CONDITIONS
-from vcbf_drake.simulation.parts import make_source
+from vcbf_drake.simulation.loop import make_source
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.studies.trial import Record, Trial
 

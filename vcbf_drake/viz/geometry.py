@@ -102,7 +102,7 @@ def spheres_of(result: Result) -> list[Sphere]:
             radius=float(obstacle.radius),
             reach=float(obstacle.radius + obstacle.margin),
         )
-        for obstacle in result.scenario.obstacles
+        for obstacle in result.scenario.spheres
     ]
 
 
