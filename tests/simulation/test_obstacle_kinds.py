@@ -5,20 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.helpers.obstacle_kinds import EVERY_KIND
 from vcbf_drake import ScenarioError, load_scenario, simulate
 from vcbf_drake.simulation import barriers, dump_scenario
 from vcbf_drake.simulation.loading import parse_scenario
-
-EVERY_KIND = """{obstacles: [
-  {center: [3.4, 0.15], radius: 0.4},
-  !Sphere {center: [9.0, 3.0], radius: 0.4, velocity: [0.0, -0.1]},
-  !Ellipsoid {center: [1.6, -1.2], semi_axes: [0.5, 0.3]},
-  !Capsule {start: [0.0, 2.0], end: [4.0, 2.5], radius: 0.2, velocity: [0.0, 0.01]},
-  !Box {center: [2.5, -2.0], half_widths: [0.4, 0.2], rotation: [[0, -1], [1, 0]]},
-  !HalfSpace {normal: [0.0, 1.0], offset: -3.0},
-  !Geofence {lower: [-1.0, -.inf], upper: [20.0, 4.0], margin: 0.1},
-  !StateLimit {state: speed, lower: -0.5, upper: 0.6, gains: [4.0]},
-]}"""
 
 
 def test_every_kind_loads_dumps_and_has_its_barriers() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from vcbf_drake.checks import Array
 from vcbf_drake.viz.geometry import Sphere, geometry_of, spheres_of
 from vcbf_drake.viz.runs import Run
+from vcbf_drake.viz.solids import Solid, solids_of, walls_of
 from vcbf_drake.viz.space_figure import draw_space
 from vcbf_drake.viz.style import (
     MUTED,
@@ -68,13 +69,21 @@ def draw_plane(axes: Any, runs: Sequence[Run], plane: tuple[int, int]) -> None:
     end = max(float(run.time[-1]) for run in runs)
     for sphere in spheres_of(runs[-1].result):
         _draw_disc(axes, sphere, pair, end)
+    for solid in solids_of(scenario, 0.1):
+        _draw_solid(axes, solid, pair, end)
+    for wall in walls_of(scenario):
+        across = wall.normal[pair]
+        if np.any(across):
+            foot = wall.offset * across / (across @ across)
+            along = foot + np.array([-across[1], across[0]])
+            axes.axline(foot, along, color=MUTED, lw=1.2, zorder=2)
     for run in runs:
         path = geometry.position(run.result.log["state"])
         axes.plot(*path[:, pair].T, **run.line(), zorder=3)
         if run.failure_tick is not None:
             style: Style = dict(ms=8, mfc=run.color, mec="white", zorder=5)
             axes.plot(*path[run.failure_tick, pair], "X", **style)
-    start = geometry.point(scenario.initial_state)[pair]
+    start = geometry.point(scenario.start)[pair]
     target = geometry.point(scenario.target)[pair]
     axes.plot(*start, "o", ms=5, color=START, zorder=4)
     axes.plot(*target, "*", ms=11, mfc=TARGET, mec="white", zorder=4)
@@ -95,6 +104,7 @@ def path_extent(runs: Sequence[Run]) -> tuple[Array, Array]:
     for sphere in spheres_of(runs[-1].result):
         reach = np.array([[-sphere.reach], [sphere.reach]])
         points.append(sphere.center + reach)
+    points += [solid.surface for solid in solids_of(scenario, 0.1)]
     low, high = np.vstack(points).min(axis=0), np.vstack(points).max(axis=0)
     room = 0.03 * float((high - low).max())
     return low - room, high + room
@@ -121,6 +131,14 @@ def _draw_disc(axes: Any, sphere: Sphere, pair: list[int], end: float) -> None:
         add_circle(axes, center, sphere.reach, fc=OBSTACLE, alpha=0.3, lw=0)
     style: Style = dict(fc=OBSTACLE, alpha=0.75, ec=MUTED, lw=0.6, zorder=2)
     add_circle(axes, center, sphere.radius, **style)
+
+
+def _draw_solid(axes: Any, solid: Solid, pair: list[int], end: float) -> None:
+    if solid.velocity.any():
+        later = solid.outline(pair, end)
+        axes.fill(*later.T, fill=False, ec=MUTED, lw=0.6, ls=(0, (3, 2)))
+    style: Style = dict(fc=OBSTACLE, alpha=0.75, ec=MUTED, lw=0.6, zorder=2)
+    axes.fill(*solid.outline(pair, 0.0).T, **style)
 
 
 def _legend_above(axes: Any) -> None:

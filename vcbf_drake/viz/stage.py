@@ -18,6 +18,7 @@ from vcbf_drake.viz.geometry import (
     spheres_of,
 )
 from vcbf_drake.viz.runs import Run, label_runs
+from vcbf_drake.viz.solids import Solid, solids_of
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.result import Result
@@ -131,7 +132,8 @@ def set_stage(results: Sequence[Result]) -> Stage:
     duration = max(float(run.time[-1]) for run in runs)
     motions = [_motion(run, geometry, duration) for run in runs]
     fraction = drawn_fraction(geometry, spheres)
-    low, high = _extent(motions, spheres, target, geometry)
+    solids = solids_of(results[-1].scenario, 0.1)
+    low, high = _extent(motions, spheres, solids, target, geometry)
     return Stage(runs, motions, geometry, spheres, target, low, high, fraction)
 
 
@@ -157,6 +159,7 @@ def _motion(run: Run, geometry: Geometry, duration: float) -> Motion:
 def _extent(
     motions: Sequence[Motion],
     spheres: Sequence[Sphere],
+    solids: Sequence[Solid],
     target: Array,
     geometry: Geometry,
 ) -> tuple[Array, Array]:
@@ -166,6 +169,9 @@ def _extent(
     for sphere in spheres:
         for center in map(sphere.center_at, ends):
             points = np.vstack([points, center - sphere.reach, center + sphere.reach])
+    for solid in solids:
+        moved = [solid.surface + time * solid.velocity for time in ends]
+        points = np.vstack([points, *moved])
     low, high = points.min(axis=0), points.max(axis=0)
     border = 0.06 * float(np.linalg.norm(high - low))
     if geometry.dimensions == 2:

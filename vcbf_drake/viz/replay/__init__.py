@@ -84,6 +84,7 @@ def _draw(meshcat: Meshcat, stage: Stage) -> None:
     scene.add_light(meshcat, stage)
     scene.add_ground(meshcat, stage)
     scene.add_obstacles(meshcat, stage)
+    scene.add_solids(meshcat, stage)
     scene.add_markers(meshcat, stage)
     for index in range(len(stage.runs)):
         _draw_run(meshcat, stage, index)

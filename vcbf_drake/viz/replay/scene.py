@@ -12,6 +12,7 @@ from vcbf_drake.checks import Array
 from vcbf_drake.plants.shapes import Part
 from vcbf_drake.viz.replay.tubes import Mesh, merge, ring, tube
 from vcbf_drake.viz.scene_graph import rgba
+from vcbf_drake.viz.solids import solids_of, walls_of
 from vcbf_drake.viz.stage import Stage, multiples
 from vcbf_drake.viz.style import OBSTACLE, START, TARGET
 
@@ -98,6 +99,23 @@ def add_obstacles(meshcat: Meshcat, stage: Stage) -> None:
             if stage.geometry.dimensions == 2:
                 edge = ring(obstacle.reach, 0.0015 * stage.span).moved(turn=UPRIGHT)
                 add_mesh(meshcat, f"{path}/edge", edge, SHELL)
+
+
+def add_solids(meshcat: Meshcat, stage: Stage) -> None:
+    """The obstacles that are no spheres, and the walls."""
+    scenario = stage.runs[-1].result.scenario
+    middle, size = 0.5 * (stage.low + stage.high), 1.2 * stage.span
+    for index, solid in enumerate(solids_of(scenario, 0.04 * stage.span)):
+        path = f"solids/{index}"
+        meshcat.SetObject(f"{path}/body", solid.shape, rgba(OBSTACLE))
+        meshcat.SetTransform(path, solid.pose)
+        # Straight and steady: the page fills in between two poses.
+        for time in (0.0, stage.duration) if solid.velocity.any() else ():
+            meshcat.SetTransform(path, solid.pose_at(time), time)
+    for index, wall in enumerate(walls_of(scenario)):
+        slab, matrix = wall.slab(middle, size, 0.06 * stage.span)
+        meshcat.SetObject(f"walls/{index}", slab, rgba(SHELL, 0.35))
+        meshcat.SetTransform(f"walls/{index}", RigidTransform(matrix))
 
 
 def add_markers(meshcat: Meshcat, stage: Stage) -> None:
