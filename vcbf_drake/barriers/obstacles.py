@@ -283,7 +283,7 @@ class CapsuleObstacle(Obstacle):
     Attributes:
         start: One end of the segment at t = 0, shape (k,) with k = 2 or 3 [m].
         end: The other end at t = 0, shape (k,) [m].
-        radius: [m].
+        radius: The distance of the surface from the segment [m].
         velocity: The segment's velocity, shape (k,) [m/s]; None or empty: it stands.
         margin: The distance to keep from the surface [m].
         smoothing: The length e [m].
