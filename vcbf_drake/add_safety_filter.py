@@ -145,7 +145,7 @@ def AddSafetyFilter(
             observer.GetOutputPort("estimate"), safety_filter.GetInputPort("estimate")
         )
     if settings.warn or settings.infeasible == "stop":
-        monitor = LoopMonitor(safety_filter)
+        monitor = LoopMonitor(safety_filter, observer)
         builder.AddNamedSystem(f"{name}_{LOOP_MONITOR}", monitor)
         for i in range(monitor.num_input_ports()):
             port = monitor.get_input_port(i)

@@ -7,9 +7,7 @@ from pathlib import Path
 import numpy as np
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.symbolic import if_then_else
-from pydrake.symbolic import max as symbolic_max
-from pydrake.symbolic import sqrt as symbolic_sqrt
+from pydrake.symbolic import if_then_else, max as symbolic_max, sqrt as symbolic_sqrt
 from pydrake.systems.primitives import LinearSystem
 import pytest
 

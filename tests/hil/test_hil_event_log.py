@@ -8,8 +8,7 @@ from pathlib import Path
 import struct
 import time
 
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from pydrake.lcm import DrakeLcm
 import pytest
 

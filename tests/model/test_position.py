@@ -87,7 +87,7 @@ def test_effort_limits_belong_into_the_input_set(arm, model):
     assert model.drift(x) + model.input_matrix(x) @ u == pytest.approx(expected)
     speed = StateLimit(2, upper=1.0).barriers([5.0])
     SafetyFilter(model, speed, InputSet.box([-80.0, -40.0], [80.0, 40.0]))
-    with pytest.raises(ValueError, match=r"input 1 reaches 41, .* clamps it .* 40"):
+    with pytest.raises(ValueError, match=r"input 1: 41; .* at most 40, the eff"):
         SafetyFilter(model, speed, InputSet.box([-80.0, -40.0], [80.0, 41.0]))
 
 

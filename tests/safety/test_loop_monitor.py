@@ -152,13 +152,30 @@ def test_a_scenario_that_stops_at_a_failed_tick_is_not_called_infeasible():
     assert summary["failed_ticks"] == 1 and summary["running_time"] < 1.0
 
 
-def test_uncertified_gains_are_nothing_new_at_the_start(caplog):
-    """They have to be asked for by name, and then cost the bound alone."""
-    model = ControlAffineModel.from_system(Car())
+def test_uncertified_gains_are_said_at_the_start(caplog):
+    """Beta > delta2 + (1 + lambda_V T) delta3 / max(1, alpha - gamma): 1 > 9 + .."""
+    builder = DiagramBuilder()
+    car = builder.AddSystem(Car())
+    model = ControlAffineModel.from_system(car)
     bounds = DisturbanceBounds(1.0, 9.0, 9.0)
-    gains = ObserverSettings(beta=1.0)
     with pytest.raises(ValueError, match="uncertified"):
-        RiseObserver(model, 0.02, bounds, gains)
+        RiseObserver(model, 0.02, bounds, ObserverSettings(beta=1.0))
+    weak = ObserverSettings(beta=1.0, uncertified=True)
+    idle = builder.AddSystem(ConstantVectorSource([0.0, 0.0]))
+    calm = builder.AddSystem(ConstantVectorSource([0.0]))
+    builder.Connect(calm.get_output_port(), car.GetInputPort("disturbance"))
+    AddSafetyFilter(
+        builder,
+        plant=car,
+        reference=idle.get_output_port(),
+        barriers=[AHEAD],
+        input_set=LIMITS,
+        bounds=bounds,
+        observer=RiseObserver(model, 0.02, bounds, weak),
+    )
+    lines, _ = warned(caplog, Simulator(builder.Build()))
+    (line,) = [line for line in lines if "observer gain: beta >" in line]
+    assert "left = 1, right = 18.7" in line and "leave the gains out" in line
 
 
 def test_a_scenarios_log_is_its_summary(caplog):

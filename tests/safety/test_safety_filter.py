@@ -19,8 +19,14 @@ from vcbf_drake import (
 )
 from vcbf_drake.disturbances import DisturbanceBounds, Sinusoid
 from vcbf_drake.errors import SolverError
-from vcbf_drake.safety import METHODS, FilterSettings, FilterStatus, unpack_feasible_set
-from vcbf_drake.safety import safety_filter as safety_filter_module
+from vcbf_drake.safety import (
+    METHODS,
+    FilterSettings,
+    FilterStatus,
+    row_names,
+    safety_filter as safety_filter_module,
+    unpack_feasible_set,
+)
 from vcbf_drake.safety.volume import VolumeBarrier, VolumeMeasure, volume_row
 
 LIMITS = InputSet.box([-0.05, -0.2, -0.02], [0.25, 0.2, 0.02])
@@ -168,7 +174,7 @@ def test_an_empty_set_is_reported_with_its_rows(model):
     context = fixed(safety_filter, fast)
     decision = safety_filter.decision(context)
     assert decision.status == FilterStatus.INFEASIBLE
-    assert "near" in [safety_filter.row_name(row) for row in decision.conflict]
+    assert "near" in [safety_filter.row_names[row] for row in decision.conflict]
     assert LIMITS.contains(decision.input)
     assert evaluate(safety_filter, context, "volume")[0] == pytest.approx(-0.02)
     assert decision.input[0] == pytest.approx(-0.05)  # It brakes as hard as it can.
@@ -257,11 +263,14 @@ def test_rows_that_exclude_each_other_are_named(model):
     near = np.array([[1.0, 0.0, 0.0]])
     A = np.vstack([LIMITS.A, near, -near])
     b = np.append(LIMITS.b, [0.1, -0.05])
-    assert safety_filter.conflicting_rows(A, b) == ()
+    assert safety_filter.row_names.in_conflict(A, b) == ()
     b[-2] = -0.2  # Below the lower limit -0.05; "far" asks for 0.05 at least.
-    assert safety_filter.conflicting_rows(A, b) == ("near", "far")
+    assert safety_filter.row_names.in_conflict(A, b) == ("near", "far")
     b[-1] = 0.3
-    assert safety_filter.conflicting_rows(A, b) == ("lower limit of input 0", "near")
+    assert safety_filter.row_names.in_conflict(A, b) == (
+        "lower limit of input 0",
+        "near",
+    )
 
 
 def test_naming_a_conflict_stops_nobody(model, monkeypatch):
@@ -270,15 +279,15 @@ def test_naming_a_conflict_stops_nobody(model, monkeypatch):
     def unsure(A, b, *_):
         raise SolverError("neither a point nor a proof", A, b)
 
-    monkeypatch.setattr(safety_filter_module, "nearest_point", unsure)
+    monkeypatch.setattr(row_names, "nearest_point", unsure)
     safety_filter = make_filter(model)
     A = np.zeros((safety_filter.num_rows, 3))
-    assert safety_filter.conflicting_rows(A, np.ones(len(A))) == ()
+    assert safety_filter.row_names.in_conflict(A, np.ones(len(A))) == ()
 
 
 def test_rows_are_named_after_what_they_limit(model):
     box = make_filter(model)
-    assert [box.row_name(row) for row in range(8)] == [
+    assert [*box.row_names] == [
         *(f"upper limit of input {j}" for j in range(3)),
         *(f"lower limit of input {j}" for j in range(3)),
         "near",
@@ -286,7 +295,7 @@ def test_rows_are_named_after_what_they_limit(model):
     ]
     rows = np.vstack([np.eye(3), [[-1.0, -1.0, -1.0]]])
     wedge = SafetyFilter(model, box.barriers, InputSet(rows, np.full(4, 0.1)))
-    names = [wedge.row_name(row) for row in range(6)]
+    names = [*wedge.row_names]
     assert names == [*(f"input limit {i}" for i in range(4)), "near", "far"]
 
 
@@ -303,7 +312,7 @@ def test_rows_are_named_after_what_they_limit(model):
         ),
         (
             {"violation_weights": [1.0]},
-            "violation_weights: 1 numbers; there are 2 barriers",
+            r"violation_weights: \[1.0\]; it must be 2 numbers",
         ),
         (
             {"infeasible": "pray"},
@@ -317,7 +326,7 @@ def test_unknown_choices_are_refused_with_what_is_allowed(model, options, messag
 
 
 def test_input_set_of_another_size_is_refused(model):
-    with pytest.raises(ValueError, match="input_set: has 2 inputs; the model has 3"):
+    with pytest.raises(ValueError, match="input_set: 2; it must be 3 inputs"):
         SafetyFilter(model, [], InputSet.box([-1, -1], [1, 1]))
 
 

@@ -72,10 +72,13 @@ class BarrierSet:
             if isinstance(barrier, PerceivedBarrier)
         ]
         self.obstacles_size = _obstacles_size([each for _, each in self._perceived])
-        degrees = [functions.relative_degree for functions in self._functions]
+        # Of a row that limits the input itself, 0.
+        self.degrees = tuple(each.relative_degree for each in self._functions)
         start = self.num_entries
-        self._chains = [(i, slice(start, start + r)) for i, r in enumerate(degrees)]
-        self._width = start + max(degrees, default=0) + 1
+        self._chains = [
+            (i, slice(start, start + r)) for i, r in enumerate(self.degrees)
+        ]
+        self._width = start + max(self.degrees, default=0) + 1
 
     @property
     def size(self) -> int:

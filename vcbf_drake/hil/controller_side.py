@@ -188,7 +188,7 @@ class CommandSender(LeafSystem):
         packed = unpack_feasible_set(
             sample["feasible_set"], self._filter.num_rows, self._filter.model.num_inputs
         )
-        return self._filter.conflicting_rows(packed.A, packed.b)
+        return self._filter.row_names.in_conflict(packed.A, packed.b)
 
     def _sample(self, context: Context, discrete: DiscreteValues) -> None:
         discrete.set_value(np.concatenate([p.Eval(context) for p in self._sampled]))

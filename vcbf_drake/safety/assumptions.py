@@ -98,7 +98,7 @@ def start_assumptions(
         threshold: xi, which is in it.
     """
     names = safety_filter.barrier_set.names
-    phi = safety_filter.levels_of_barriers(levels)
+    phi = np.split(levels, np.cumsum(safety_filter.barrier_set.degrees)[:-1])
     # A slot without an obstacle has no level and says nothing.
     empty = np.array([len(p) > 0 and np.isnan(p).all() for p in phi], dtype=bool)
     empty &= authority == 0.0
@@ -107,6 +107,23 @@ def start_assumptions(
             yield _start_inside(name, chain)
     yield _input_authority(names, np.where(empty, np.inf, authority))
     yield _volume_at_start(safety_filter, volume, threshold)
+
+
+def gain_assumptions(observer: DisturbanceObserver) -> Iterator[Assumption]:
+    """Yields the conditions that an observer's error bound puts on its gains.
+
+    Args:
+        observer: The observer.
+    """
+    for condition in observer.gain_conditions():
+        yield Assumption(
+            f"observer gain: {condition.name}",
+            "Lemma 2 (E13) in sampled time",
+            condition.holds,
+            {"left": condition.left, "right": condition.right},
+            "the error bound is the worst case, 2 delta1 (E94): the volume row is not"
+            " certified; leave the gains out to have them computed",
+        )
 
 
 def _start_inside(name: str, chain: Array) -> Assumption:
@@ -176,7 +193,14 @@ def _standing(
             "a barrier may become negative",
         )
     if method.disturbance == "estimated":
-        yield from _observer_conditions(observer)
+        yield from gain_assumptions(observer)
+        if observer.basis == "calibrated":
+            yield Assumption(
+                "proven error bound",
+                "the error bound is proven, not calibrated by simulations (E39)",
+                False,
+                consequence="an estimate may be off by more than its bound says",
+            )
         yield Assumption(
             "known start",
             "the observer starts at the true state: xtil(0) = 0 (R8)",
@@ -205,25 +229,6 @@ def _standing(
         {"barriers": float(safety_filter.barrier_set.size)},
         "h' and phi_1 would be unknown (checked when the filter is built)",
     )
-
-
-def _observer_conditions(observer: DisturbanceObserver) -> Iterator[Assumption]:
-    for condition in observer.gain_conditions():
-        yield Assumption(
-            f"observer gain: {condition.name}",
-            "Lemma 2 (E13) in sampled time",
-            condition.holds,
-            {"left": condition.left, "right": condition.right},
-            "the error bound is the worst case, 2 delta1 (E94): the volume row is not"
-            " certified",
-        )
-    if observer.basis == "calibrated":
-        yield Assumption(
-            "proven error bound",
-            "the error bound is proven, not calibrated by simulations (E39)",
-            False,
-            consequence="an estimate may be off by more than its bound says",
-        )
 
 
 def _information(

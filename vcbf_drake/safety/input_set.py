@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vcbf_drake.checks import Array
+from vcbf_drake.checks import Array, require
 from vcbf_drake.errors import EmptySetError, UnboundedSetError, VcbfError
 from vcbf_drake.safety.polytope import UnitRows, chebyshev_ball, recession_direction
 from vcbf_drake.safety.projection import minimise_linear, nearest_point
@@ -233,6 +233,26 @@ class _Box(InputSet):
             return self.interior.copy()
         inside: Array = np.minimum(np.maximum(u, self._lower), self._upper)
         return inside
+
+
+def check_inputs(input_set: InputSet, num_inputs: int, effort_limits: Array) -> None:
+    """Checks that a plant can follow all inputs of a set.
+
+    Args:
+        input_set: The set.
+        num_inputs: The plant's.
+        effort_limits: Where the plant clamps each input, shape (m,).
+
+    Raises:
+        InvalidValueError: It cannot.
+    """
+    size = input_set.num_inputs
+    is_open = np.isinf(input_set.farthest(np.eye(size)))
+    reach = np.abs(input_set.center) + np.where(is_open, np.inf, input_set.scale)
+    require(size == num_inputs, "input_set", size, f"{num_inputs} inputs")
+    for j, (most, limit) in enumerate(zip(reach, effort_limits, strict=True)):
+        rule = f"at most {limit:g}, the effort limit that clamps it"
+        require(bool(most <= limit), ("input_set", f"input {j}"), float(most), rule)
 
 
 def _fixed_inputs(A: Array, b: Array) -> tuple[NDArray[np.bool_], Array]:

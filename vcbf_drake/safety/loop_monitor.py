@@ -15,7 +15,8 @@ from pydrake.systems.framework import (
 )
 
 from vcbf_drake.checks import Array
-from vcbf_drake.safety.assumptions import start_assumptions
+from vcbf_drake.disturbances import DisturbanceObserver
+from vcbf_drake.safety.assumptions import gain_assumptions, start_assumptions
 from vcbf_drake.safety.packed_feasible_set import unpack_feasible_set
 from vcbf_drake.safety.qp import FilterStatus
 from vcbf_drake.safety.safety_filter import SafetyFilter
@@ -44,14 +45,18 @@ class LoopMonitor(LeafSystem):
     setting `warn` is off. With the policy ``stop`` that tick ends the simulation.
     """
 
-    def __init__(self, safety_filter: SafetyFilter) -> None:
+    def __init__(
+        self, safety_filter: SafetyFilter, observer: DisturbanceObserver
+    ) -> None:
         """Declares ports and events.
 
         Args:
             safety_filter: The filter whose ports are connected.
+            observer: The observer that feeds it.
         """
         super().__init__()
         self._filter, self._settings = safety_filter, safety_filter.settings
+        self._observer = observer
         self._ports = {
             name: self.DeclareVectorInputPort(
                 name, safety_filter.GetOutputPort(name).size()
@@ -74,21 +79,24 @@ class LoopMonitor(LeafSystem):
         return value
 
     def _check_start(self, context: Context, state: State) -> EventStatus:
-        levels, authority = (
-            self._read(context, "levels"),
-            self._read(context, "authority"),
-        )
+        levels = self._read(context, "levels")
+        authority = self._read(context, "authority")
         has_volume = self._filter.method.volume
         volume = self._read(context, "volume")[0] if has_volume else np.nan
         # Without a threshold of its own V_v starts above 0, or at the least one.
         threshold = self._settings.volume.threshold or LEAST_THRESHOLD
-        found = start_assumptions(self._filter, levels, authority, volume, threshold)
+        found = tuple(
+            start_assumptions(self._filter, levels, authority, volume, threshold)
+        )
+        if self._filter.method.disturbance == "estimated":
+            found = (*found, *gain_assumptions(self._observer))
         failed = [each for each in found if each.holds is False]
         first = failed[0].verdict if failed else ""
         state.get_mutable_abstract_state(0).set_value((first,))
         for each in failed:
             self._warn(f"{each.verdict}: {each.consequence}")
-        if self._read(context, "row_margin")[0] == -np.inf:
+        is_certified = self._filter.certified_hold > 0.0
+        if is_certified and self._read(context, "row_margin")[0] == -np.inf:
             self._warn(
                 "between_ticks: certified does nothing at the start: the motion over a"
                 " period cannot be enclosed there; take a shorter one"
@@ -127,7 +135,7 @@ class LoopMonitor(LeafSystem):
                 self._filter.num_rows,
                 self._filter.model.num_inputs,
             )
-            rows = self._filter.conflicting_rows(packed.A[0], packed.b[0])
+            rows = self._filter.row_names.in_conflict(packed.A[0], packed.b[0])
             reason = f"no feasible input {at}"
             reason += f": {' against '.join(rows)}" if rows else ""
         (failed,) = context.get_abstract_state(0).get_value()

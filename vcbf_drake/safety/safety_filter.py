@@ -23,17 +23,15 @@ from pydrake.systems.framework import (
 from vcbf_drake.barriers import Barrier, BarrierSet, StateInputLimit
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
-from vcbf_drake.errors import EmptySetError, SolverError
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.feasible_set import (
     DisturbanceKnowledge,
     FeasibleSet,
     feasible_set,
 )
-from vcbf_drake.safety.input_set import InputSet
+from vcbf_drake.safety.input_set import InputSet, check_inputs
 from vcbf_drake.safety.methods import METHODS
 from vcbf_drake.safety.packed_feasible_set import pack_feasible_set
-from vcbf_drake.safety.projection import nearest_point
 from vcbf_drake.safety.qp import (
     FilterDecision,
     FilterStatus,
@@ -41,6 +39,7 @@ from vcbf_drake.safety.qp import (
     failed_decision,
 )
 from vcbf_drake.safety.row_holder import RowHolder, Tick
+from vcbf_drake.safety.row_names import RowNames
 from vcbf_drake.safety.settings import FilterSettings
 from vcbf_drake.safety.tick_programs import TickPrograms, state_programs
 from vcbf_drake.safety.tick_qp import Frame, VolumeRow
@@ -151,18 +150,12 @@ class SafetyFilter(LeafSystem):
         self.settings = deepcopy(settings or FilterSettings())
         self.method = METHODS[self.settings.method]
         self.bounds = bounds or DisturbanceBounds(0.0, 0.0, 0.0)
-        if input_set.num_inputs != model.num_inputs:
-            raise ValueError(
-                f"input_set: has {input_set.num_inputs} inputs;"
-                f" the model has {model.num_inputs}"
-            )
-        _check_effort_limits(model, input_set)
+        check_inputs(input_set, model.num_inputs, model.effort_limits)
         self.model = model
         self.barriers = tuple(barriers)
         self.barrier_set = BarrierSet(model, barriers)
-        # A limit of the input has no level; it is an inequality of the input itself.
-        self._num_levels = [len(getattr(b, "gains", ())) for b in self.barriers]
         self.input_set = input_set
+        self.row_names = RowNames.of(input_set, self.barrier_set.names)
         self._estimate_gain = estimate_gain
         hold = max(self.settings.period, longest_hold)
         covers_hold = self.settings.corrections.error_floor
@@ -180,13 +173,10 @@ class SafetyFilter(LeafSystem):
             self.row_holder = make_row_holder(
                 model, self.barrier_set, self.certified_hold, self.bounds.delta1
             )
-        self._weights = _one_a_barrier(
-            "violation_weights", self.settings.violation_weights, self.barriers, 1.0
-        )
-        self._penalties = _one_a_barrier(
-            "soft_penalties", self.settings.soft_penalties, self.barriers, np.inf
-        )
-        self._frame = Frame.of(input_set, self.settings.input_weights)
+        settings, count = self.settings, len(self.barriers)
+        self._weights = settings.one_a_barrier("violation_weights", count, 1.0)
+        self._penalties = settings.one_a_barrier("soft_penalties", count, np.inf)
+        self._frame = Frame.of(input_set, settings.input_weights)
         self._volume_rows = VolumeRows(model, input_set, self.settings)
         self._declare_inputs()
         self._declare_cache_entries()
@@ -272,7 +262,7 @@ class SafetyFilter(LeafSystem):
         self._output("barriers", N, feasible, lambda found: found.rows.value)
         self._output(
             "levels",
-            sum(self._num_levels),
+            sum(self.barrier_set.degrees),
             feasible,
             lambda found: np.concatenate([np.zeros(0), *found.rows.chain]),
         )
@@ -293,14 +283,6 @@ class SafetyFilter(LeafSystem):
             output.SetFromVector(read(_found(entry, context)))
 
         return self.DeclareVectorOutputPort(name, size, calc, {entry.ticket()})
-
-    def levels_of_barriers(self, levels: Array) -> list[Array]:
-        """Returns the value of the port ``levels`` barrier by barrier.
-
-        Args:
-            levels: What the port puts out.
-        """
-        return np.split(levels, np.cumsum(self._num_levels)[:-1])
 
     @property
     def num_rows(self) -> int:
@@ -347,35 +329,9 @@ class SafetyFilter(LeafSystem):
         decision, feasible = self.decision(context), self.feasible_set(context)
         if decision.qp is None:
             return None
-        names = tuple(map(self.row_name, range(self.num_rows)))
+        names = self.row_names
         widening = self.settings.volume.widening
         return state_programs(decision.qp, feasible, names, widening)
-
-    def row_name(self, row: int) -> str:
-        """Returns what a row of the feasible set stands for."""
-        k, m = len(self.input_set.b), self.model.num_inputs
-        if row >= k:
-            return self.barrier_set.names[row - k]
-        if not self.input_set.is_box:
-            return f"input limit {row}"
-        return f"{'upper' if row < m else 'lower'} limit of input {row % m}"
-
-    def conflicting_rows(self, A: Array, b: Array) -> tuple[str, ...]:
-        """Returns the names of rows that exclude each other; none where none surely do.
-
-        Args:
-            A: The rows of a feasible set, shape (rows, m).
-            b: Their right-hand sides, shape (rows,).
-        """
-        center, scale = self.input_set.center, self.input_set.scale
-        num_limits, anywhere = len(self.input_set.b), np.zeros(len(center))
-        try:
-            nearest_point(A * scale, b - A @ center, anywhere, num_limits)
-        except EmptySetError as error:
-            return tuple(self.row_name(row) for row in error.conflict)
-        except SolverError:
-            pass  # Neither could be verified: whoever asks for names goes on.
-        return ()
 
     def _calc_feasible_set(self, context: Context) -> FeasibleSet:
         seen = None if self._obstacles is None else self._obstacles.Eval(context)
@@ -400,15 +356,13 @@ class SafetyFilter(LeafSystem):
         if given is not None:
             return given, given
         kept = context.get_discrete_state_vector().CopyToVector()
-        if np.isnan(kept).any():
+        if np.isnan(kept[0]):
             found = _found(self._determinants_entry, context)
-            kept = [threshold_of(v.value if v else 0.0) for v in found]
+            kept = [threshold_of(v.value if v else np.nan) for v in found]
         return float(kept[0]), float(kept[1])
 
     def _keep_thresholds(self, context: Context, discrete: DiscreteValues) -> None:
-        is_measured = _found(self._determinants_entry, context)[0] is not None
-        if is_measured:
-            discrete.set_value(self.thresholds(context))
+        discrete.set_value(self.thresholds(context))
 
     def _calc_determinants(self, context: Context) -> _Volumes:
         feasible, rows = self.feasible_set(context), self._volume_rows
@@ -473,16 +427,8 @@ class SafetyFilter(LeafSystem):
         return failed_decision(feasible, reference, held, inputs).input
 
     def _calc_packed_feasible_set(self, context: Context, output: BasicVector) -> None:
-        feasible = self.feasible_set(context)
-        m, volumes = self.model.num_inputs, self._volumes(context)
-        ellipsoid = next((v.ellipsoid for v in volumes if v and v.ellipsoid), None)
-        ellipsoid = ellipsoid or self._volume_rows.ellipsoid(feasible)
-        if ellipsoid is None:
-            frame, center = np.full((m, m), np.nan), np.full(m, np.nan)
-        else:
-            scale = self.input_set.scale
-            frame = scale[:, None] * ellipsoid.shape
-            center = self.input_set.center + scale * ellipsoid.center
+        feasible, volumes = self.feasible_set(context), self._volumes(context)
+        frame, center = self._volume_rows.ellipsoid(feasible, volumes)
         output.SetFromVector(pack_feasible_set(feasible.A, feasible.b, frame, center))
 
 
@@ -494,24 +440,3 @@ def _found(entry: CacheEntry, context: Context) -> Any:
 
 def _volume_value(volumes: _Volumes) -> list[float]:
     return [np.nan if volumes[0] is None else volumes[0].value]
-
-
-def _check_effort_limits(model: ControlAffineModel, input_set: InputSet) -> None:
-    is_open = np.isinf(input_set.farthest(np.eye(input_set.num_inputs)))
-    reach = np.abs(input_set.center) + np.where(is_open, np.inf, input_set.scale)
-    for j, (most, limit) in enumerate(zip(reach, model.effort_limits, strict=True)):
-        if most > limit:
-            raise ValueError(
-                f"input_set: input {j} reaches {most:g}, but {model.name} clamps it at"
-                f" its effort limit {limit:g}"
-            )
-
-
-def _one_a_barrier(
-    name: str, given: Sequence[float], barriers: Sequence[object], default: float
-) -> Array:
-    if len(given) not in (0, len(barriers)):
-        raise ValueError(
-            f"{name}: {len(given)} numbers; there are {len(barriers)} barriers"
-        )
-    return np.array(given if len(given) else [default] * len(barriers), dtype=float)

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
-from vcbf_drake.checks import check_parameter, require, require_choice
+import numpy as np
+
+from vcbf_drake.checks import Array, check_parameter, require, require_choice
 from vcbf_drake.disturbances import (
     DisturbanceBounds,
     DisturbanceObserver,
@@ -100,6 +102,21 @@ class FilterSettings:
             "none without the correction error_floor, for the printed error bound does"
             " not hold between ticks",
         )
+
+    def one_a_barrier(self, name: str, count: int, default: float) -> Array:
+        """Returns a setting that has a number for every barrier, shape (N,).
+
+        Args:
+            name: The setting's.
+            count: N.
+            default: The number where the setting has none.
+
+        Raises:
+            InvalidValueError: There are numbers, but not one each.
+        """
+        given = getattr(self, name) or [default] * count
+        require(len(given) == count, name, given, f"{count} numbers, one a barrier")
+        return np.array(given, dtype=float)
 
     @property
     def corrections(self) -> Corrections:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import SolverError, VcbfError
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety.ellipsoid import Ellipsoid, InscribedEllipsoidSolver
+from vcbf_drake.safety.ellipsoid import InscribedEllipsoidSolver
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.methods import METHODS
@@ -74,19 +75,29 @@ class VolumeRows:
             return None
         return volume(measured, feasible, self._input_set)
 
-    def ellipsoid(self, feasible: FeasibleSet) -> Ellipsoid | None:
-        """Returns the largest ellipsoid of the set as it is; None where there is none.
+    def ellipsoid(
+        self, feasible: FeasibleSet, known: Iterable[Volume | None]
+    ) -> tuple[Array, Array]:
+        """Returns frame (m, m) and center (m,) of the largest ellipsoid of inputs.
+
+        Of the set as it is, whatever the widening; nan where the set is empty.
 
         Args:
             feasible: The feasible set.
+            known: Volumes that may have found it already.
         """
+        inputs, k = self._input_set, feasible.num_input_rows
+        m = inputs.num_inputs
+        nothing = np.full((m, m), np.nan), np.full(m, np.nan)
         if not self._is_bounded:
-            return None
-        k = feasible.num_input_rows
+            return nothing
+        found = next((v.ellipsoid for v in known if v and v.ellipsoid), None)
         try:
-            return self._ellipsoids.solve(feasible.A_v[k:], feasible.b_v[k:])
+            found = found or self._ellipsoids.solve(feasible.A_v[k:], feasible.b_v[k:])
         except (VcbfError, ValueError, np.linalg.LinAlgError):
-            return None  # Empty, or not finite.
+            return nothing
+        frame = inputs.scale[:, None] * found.shape
+        return frame, inputs.center + inputs.scale * found.center
 
     def rows(
         self,

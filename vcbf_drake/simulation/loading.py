@@ -32,8 +32,13 @@ import numpy as np
 from pydrake.common.yaml import yaml_dump
 import yaml
 
-from vcbf_drake.errors import InvalidValueError, ScenarioError, below, written
-from vcbf_drake.errors import Path as KeyPath
+from vcbf_drake.errors import (
+    InvalidValueError,
+    Path as KeyPath,
+    ScenarioError,
+    below,
+    written,
+)
 from vcbf_drake.simulation.python_file import scenario_of
 from vcbf_drake.simulation.scenario import Scenario
 

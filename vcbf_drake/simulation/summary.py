@@ -129,7 +129,7 @@ def _conflict(
     if not infeasible.any():
         return None
     tick = int(np.argmax(infeasible))
-    rows = safety_filter.conflicting_rows(
+    rows = safety_filter.row_names.in_conflict(
         log["polytope_A"][tick], log["polytope_b"][tick]
     )
     return list(rows) or None
