@@ -100,7 +100,9 @@ def _object_schema(schema: type) -> dict[str, Any]:
             **_type_schema(types[each.name]),
         }
         default = plain(_default(each), types[each.name])
-        if default not in (MISSING, math.inf) and not isinstance(default, dict):
+        if default not in (MISSING, math.inf, -math.inf) and not isinstance(
+            default, dict
+        ):
             properties[each.name]["default"] = default
     return {
         "title": schema.__name__,
