@@ -1,3 +1,4 @@
+import copy
 import dataclasses
 from itertools import combinations
 import struct
@@ -284,8 +285,10 @@ def crowd(count, dims=2):
 
 def test_infinite_limits_are_no_rows(tmp_path):
     result = car_result(end=3.0)
-    limits = InputLimits([-0.8, -np.inf], [0.8, np.inf], [[0.0, 1.0]], [2.0])
-    scenario = dataclasses.replace(result.scenario, input_set=limits)
+    limits = InputLimits([-0.8, -0.7], [0.8, 0.7], [[0.0, 1.0]], [2.0])
+    limits.lower[1], limits.upper[1] = -np.inf, np.inf
+    scenario = copy.copy(result.scenario)
+    scenario.input_set = limits
     log = result.log | {"polytope_b": result.log["polytope_b"].copy()}
     log["polytope_b"][:, [1, 3]] = np.inf
     result = dataclasses.replace(result, scenario=scenario, log=log)

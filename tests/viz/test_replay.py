@@ -1,13 +1,13 @@
 import base64
 import dataclasses
 import html
-import json
 import re
 
 import numpy as np
 import pytest
 
 from tests.helpers.browser import browser, served
+from tests.helpers.pages import page_data
 from tests.helpers.synthetic_results import blimp_result, blimp_results, car_result
 from vcbf_drake.safety.methods import METHODS
 from vcbf_drake.simulation.obstacles import Obstacle
@@ -15,15 +15,6 @@ from vcbf_drake.viz import write_replay
 from vcbf_drake.viz.replay.tubes import merge, ring, tube
 from vcbf_drake.viz.runs import label_runs
 from vcbf_drake.viz.stage import MAX_FRAMES, set_stage
-
-
-def refuse_constant(name):
-    raise AssertionError(f"the page's data holds {name}")
-
-
-def page_data(page):
-    text = re.search(r'id="replay-data">(.*?)</script>', page, re.DOTALL)[1]
-    return json.loads(text, parse_constant=refuse_constant)
 
 
 def commands(page):

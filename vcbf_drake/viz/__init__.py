@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from vcbf_drake.viz.figures import write_figures
     from vcbf_drake.viz.replay import write_replay
+    from vcbf_drake.viz.replay.recording import write_diagram_replay
     from vcbf_drake.viz.scene_graph import ObstacleGeometry, VehicleGeometry
 
 _HOME = {
     "VehicleGeometry": "scene_graph",
     "ObstacleGeometry": "scene_graph",
+    "write_diagram_replay": "replay.recording",
     "write_figures": "figures",
     "write_replay": "replay",
 }
@@ -23,6 +25,7 @@ _HOME = {
 __all__ = [
     "ObstacleGeometry",
     "VehicleGeometry",
+    "write_diagram_replay",
     "write_figures",
     "write_replay",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ from vcbf_drake.safety.polytope import emptiness_certificate
 from vcbf_drake.viz.runs import Run
 
 if TYPE_CHECKING:
-    from vcbf_drake.simulation.result import Result
+    from vcbf_drake.simulation.scenario import InputLimits
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class FeasibleSet:
 def feasible_set_at(run: Run, time: float) -> FeasibleSet:
     """The feasible set at the last tick that is not after a time [s]."""
     tick = max(int(np.searchsorted(run.time, time + 1e-9)) - 1, 0)
-    return feasible_set_of_tick(run.result, tick)
+    return feasible_set_of_tick(run.result.log, run.result.scenario.input_set, tick)
 
 
 def moment(runs: Sequence[Run], time: float) -> str:
@@ -80,13 +80,14 @@ def _is_last_feasible(run: Run, time: float) -> bool:
     return len(before) > 0 and abs(before[-1] - time) < 1e-9
 
 
-def feasible_set_of_tick(result: Result, tick: int) -> FeasibleSet:
-    """The feasible set of a result's tick, counted from 0."""
-    log, limits = result.log, result.scenario.input_set
+def feasible_set_of_tick(
+    log: Mapping[str, Array], limits: InputLimits, tick: int
+) -> FeasibleSet:
+    """The feasible set of a log's tick, counted from 0."""
     A, b = log["polytope_A"][tick], log["polytope_b"][tick]
     # At an obstacle's very centre its row is not finite; an infinite limit is none.
     finite = np.isfinite(A).all(axis=1) & np.isfinite(b)
-    low, high = shown_inputs(result)
+    low, high = shown_inputs(log, limits)
     return FeasibleSet(
         A=A[finite],
         b=b[finite],
@@ -102,15 +103,14 @@ def feasible_set_of_tick(result: Result, tick: int) -> FeasibleSet:
     )
 
 
-def shown_inputs(result: Result) -> tuple[Array, Array]:
+def shown_inputs(log: Mapping[str, Array], limits: InputLimits) -> tuple[Array, Array]:
     """The least and the greatest inputs to show, shape (m,) each.
 
     They are the input's limits; where these are infinite, what the run asked for and
     got, with as much again on either side.
     """
-    limits = result.scenario.input_set
     low, high = np.array(limits.lower, float), np.array(limits.upper, float)
-    seen = np.vstack([result.log["reference"], result.log["input"]])
+    seen = np.vstack([log["reference"], log["input"]])
     least, most = np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)
     room = np.maximum(most - least, 1e-3 + 0.1 * np.abs(most))
     return (

@@ -56,9 +56,7 @@ class Run:
     @property
     def least_barrier(self) -> Array:
         """The least barrier at every tick, shape (T,); nan where there is none."""
-        values = np.asarray(self.result.log["barriers"], dtype=float)
-        least = np.min(values, axis=1, initial=np.inf, where=np.isfinite(values))
-        return np.where(np.isfinite(least), least, np.nan)
+        return least_barrier(self.result.log)
 
     @property
     def events(self) -> list[Event]:
@@ -92,6 +90,13 @@ class Run:
         if self.dashes:
             style["dashes"] = self.dashes
         return style | options
+
+
+def least_barrier(log: Mapping[str, Array]) -> Array:
+    """The least barrier at every tick of a log, shape (T,); nan where there is none."""
+    values = np.asarray(log["barriers"], dtype=float)
+    least = np.min(values, axis=1, initial=np.inf, where=np.isfinite(values))
+    return np.where(np.isfinite(least), least, np.nan)
 
 
 def barrier_unit(scenario: Scenario) -> str:

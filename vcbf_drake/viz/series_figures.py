@@ -127,8 +127,8 @@ def input_figure(runs: Sequence[Run]) -> Any:
         The ``matplotlib.figure.Figure``.
     """
     last = runs[-1].result
-    names, (lower, upper) = geometry_of(last).inputs, shown_inputs(last)
-    limits = last.scenario.input_set
+    names, limits = geometry_of(last).inputs, last.scenario.input_set
+    lower, upper = shown_inputs(last.log, limits)
     figure = new_figure(PAGE_WIDTH, 0.6 + 1.35 * len(names))
     panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
     for channel, (axes, name) in enumerate(zip(panels, names, strict=True)):

@@ -114,7 +114,7 @@ class Stage:
     @property
     def cell(self) -> float:
         """The distance between the floor's lines [m]."""
-        return 1.0 if self.span > 4.0 else 0.5 if self.span > 2.0 else 0.1
+        return cell_size(self.span)
 
 
 def set_stage(results: Sequence[Result]) -> Stage:
@@ -135,6 +135,11 @@ def set_stage(results: Sequence[Result]) -> Stage:
     solids = solids_of(results[-1].scenario, 0.1)
     low, high = _extent(motions, spheres, solids, target, geometry)
     return Stage(runs, motions, geometry, spheres, target, low, high, fraction)
+
+
+def cell_size(span: float) -> float:
+    """The distance between the floor's lines for a way of a length [m]."""
+    return 1.0 if span > 4.0 else 0.5 if span > 2.0 else 0.1
 
 
 def multiples(low: float, high: float, step: float) -> Array:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vcbf_drake.checks import Array
-from vcbf_drake.viz.replay.page_data import overlay_html, page_title
+from vcbf_drake.viz.replay.page_data import stage_data, stage_words
+from vcbf_drake.viz.replay.pages import private_meshcat, write_page
 from vcbf_drake.viz.replay.tubes import merge, ring, tube
 from vcbf_drake.viz.stage import Stage, set_stage
 from vcbf_drake.viz.style import ALARM
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from vcbf_drake.simulation.result import Result
 
 MAX_TRAIL_POINTS = 1000
-MESHCAT_TITLE = "<title>Drake MeshCat</title>"
-PHONES = '<meta name="viewport" content="width=device-width, initial-scale=1">'
 
 
 def write_replay(results: Sequence[Result], path: Path) -> Path:
@@ -40,19 +38,13 @@ def write_replay(results: Sequence[Result], path: Path) -> Path:
         ValueError: There is no result, or its plant cannot be drawn.
     """
     stage = set_stage(results)
-    title = f"{PHONES}<title>{page_title(stage)}</title>"
-    page = _meshcat_page(stage).replace(MESHCAT_TITLE, title)
-    head, tail = page.rsplit("</body>", 1)
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    content = f"{head}{overlay_html(stage)}</body>{tail}"
-    path.write_bytes(content.encode("utf-8"))
-    return path
+    page = _meshcat_page(stage)
+    return write_page(page, stage_words(stage), stage_data(stage), path)
 
 
 def _meshcat_page(stage: Stage) -> str:
     """Meshcat's own page with the scene and its recording."""
-    meshcat = _private_meshcat()
+    meshcat = private_meshcat()
     _draw(meshcat, stage)
     rate = stage.frames_per_second
     meshcat.StartRecording(rate, set_visualizations_while_recording=False)
@@ -62,27 +54,11 @@ def _meshcat_page(stage: Stage) -> str:
     return str(meshcat.StaticHtml())
 
 
-def _private_meshcat() -> Meshcat:
-    """A Meshcat that no other machine can see, on any free port, without a word."""
-    # Importing Drake takes time that programs without a replay need not spend.
-    from pydrake.geometry import Meshcat, MeshcatParams
-
-    params = MeshcatParams()
-    params.host, params.port = "127.0.0.1", 0
-    logger = logging.getLogger("drake")
-    level = logger.level
-    logger.setLevel(logging.WARNING)  # Its address would help nobody.
-    try:
-        return Meshcat(params)
-    finally:
-        logger.setLevel(level)
-
-
 def _draw(meshcat: Meshcat, stage: Stage) -> None:
     from vcbf_drake.viz.replay import scene
 
-    scene.add_light(meshcat, stage)
-    scene.add_ground(meshcat, stage)
+    scene.add_light(meshcat, stage.outline)
+    scene.add_ground(meshcat, stage.low, stage.high, stage.cell)
     scene.add_obstacles(meshcat, stage)
     scene.add_solids(meshcat, stage)
     scene.add_markers(meshcat, stage)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 import html
 from importlib.resources import files
 import json
 from string import Template
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,53 +20,107 @@ from vcbf_drake.viz.feasible_set import (
     polygon,
     shown_inputs,
 )
-from vcbf_drake.viz.runs import Run, barrier_unit
-from vcbf_drake.viz.stage import Motion, Stage, multiples
+from vcbf_drake.viz.runs import Event, Run, barrier_unit, least_barrier
+from vcbf_drake.viz.stage import Stage, multiples
+
+if TYPE_CHECKING:
+    from vcbf_drake.simulation.scenario import InputLimits
 
 MAX_SAMPLES = 800  # A plot is a few hundred pixels wide.
 MAX_SETS = 400
 SCRIPTS = "plots.js", "choice.js", "scene.js", "player.js"
-_LETTERS = {r"\omega": "ω", r"\tau": "τ", r"\psi": "ψ"}
 
 
-def overlay_html(stage: Stage) -> str:
+@dataclass(frozen=True)
+class Shown:
+    """A run as the page shows it.
+
+    Attributes:
+        label: Its name.
+        color: Its hexadecimal colour.
+        dashes: On and off lengths [pixels]; empty for a solid line.
+        events: What happened.
+        path: Where the label is at every frame, shape (F, 3) [m].
+        time: The times of what its log holds, shape (T,) [s].
+        log: The arrays of a `Result`'s log that the plots show; empty without a filter.
+        limits: The input's limits.
+    """
+
+    label: str
+    color: str
+    dashes: tuple[float, ...]
+    events: Sequence[Event]
+    path: Array
+    time: Array
+    log: Mapping[str, Array]
+    limits: InputLimits | None
+
+
+@dataclass(frozen=True)
+class Words:
+    """What the card says.
+
+    Attributes:
+        title: The first line, and the page's title.
+        description: What is shown.
+        remark: What has to be said for the picture to be read rightly.
+    """
+
+    title: str
+    description: str = ""
+    remark: str = ""
+
+
+def overlay_html(words: Words, data: Mapping[str, Any]) -> str:
     """What goes before ``</body>`` of Meshcat's page.
 
     Args:
-        stage: What the replay shows.
+        words: What the card says.
+        data: What the page's scripts show, JSON values only.
 
     Returns:
         HTML with its style, its data and its scripts.
     """
-    title, description = _words(stage)
     # In JSON inside HTML only "<" could end the element early.
-    data = json.dumps(overlay_data(stage), allow_nan=False, separators=(",", ":"))
+    text = json.dumps(data, allow_nan=False, separators=(",", ":"))
     return Template(_text("page.html")).substitute(
-        title=html.escape(title),
-        description=html.escape(description),
-        remark=html.escape(_remark(stage)),
+        title=html.escape(words.title),
+        description=html.escape(words.description),
+        remark=html.escape(words.remark),
         style=_text("page.css"),
-        data=data.replace("<", "\\u003c"),
+        data=text.replace("<", "\\u003c"),
         script="\n".join(map(_text, SCRIPTS)),
     )
 
 
-def page_title(stage: Stage) -> str:
-    """The page's title, as HTML."""
-    return html.escape(f"{_words(stage)[0]} - vcbf_drake")
+def stage_words(stage: Stage) -> Words:
+    """The card of a stage: the scenario's title, which its description starts with."""
+    scenario = stage.runs[-1].result.scenario
+    title, _, rest = scenario.description.strip().partition("\n")
+    title = title.strip().rstrip(".") or scenario.name
+    return Words(title, " ".join(rest.split()), _remark(stage))
 
 
-def overlay_data(stage: Stage) -> dict[str, Any]:
-    """The data of the page: JSON values only, ``None`` where a number is missing."""
+def stage_data(stage: Stage) -> dict[str, Any]:
+    """The page's data of a stage."""
+    shown = [
+        Shown(
+            run.label,
+            run.color,
+            run.dashes,
+            run.events,
+            motion.position,
+            run.time,
+            run.result.log,
+            run.result.scenario.input_set,
+        )
+        for run, motion in zip(stage.runs, stage.motions, strict=True)
+    ]
+    unit = barrier_unit(stage.runs[-1].result.scenario)
     return {
         "duration": stage.duration,
         "frames_per_second": stage.frames_per_second,
-        "runs": [
-            _run_data(run, motion)
-            for run, motion in zip(stage.runs, stage.motions, strict=True)
-        ],
-        "plots": _plots(stage),
-        "choice": _choice_axes(stage),
+        **series_data(shown, stage.geometry.inputs, unit),
         "camera": _camera(stage),
         "sizes": {
             "vehicle": stage.geometry.rise / stage.fraction,
@@ -76,18 +131,39 @@ def overlay_data(stage: Stage) -> dict[str, Any]:
     }
 
 
-def _plots(stage: Stage) -> list[dict[str, Any]]:
+def series_data(
+    shown: Sequence[Shown], inputs: Sequence[str], unit: str
+) -> dict[str, Any]:
+    """The page's runs, plots and feasible sets; ``None`` where a number is missing.
+
+    Args:
+        shown: The runs, the one to bring out last.
+        inputs: The inputs' names with units.
+        unit: The barriers' unit; empty where they have several.
+    """
+    has_filter = bool(shown[-1].log)
+    return {
+        "runs": [_run_data(run) for run in shown],
+        "plots": _plots(shown, inputs, unit) if has_filter else [],
+        "choice": _choice_axes(shown[-1], inputs) if has_filter else None,
+    }
+
+
+def _plots(
+    shown: Sequence[Shown], inputs: Sequence[str], unit: str
+) -> list[dict[str, Any]]:
     """The plots: barrier, volume, and the slack, or the inputs where it is nothing."""
-    unit = barrier_unit(stage.runs[-1].result.scenario)
+    barrier = f"Barrier min h [{unit}]" if unit else "Barrier min h"
     plots = [
-        _plot(f"Barrier min h [{unit}]", "unsafe below 0", "barrier"),
+        _plot(barrier, "unsafe below 0", "barrier"),
         _plot("Volume barrier Vᵥ [-]", "room left for inputs", "volume"),
     ]
-    slack = [np.asarray(run.result.log["slack"], float) for run in stage.runs]
+    slack = [np.asarray(run.log["slack"], float) for run in shown]
     if any(np.any(np.abs(each[np.isfinite(each)]) > 1e-9) for each in slack):
         note = "how far the volume row gave way"
         return [*plots, _plot("Slack δ [-]", note, "slack", below=False)]
-    limits = stage.runs[-1].result.scenario.input_set
+    limits = shown[-1].limits
+    assert limits is not None  # Of a run with a filter.
     lanes = [
         {
             "key": f"input{channel}",
@@ -95,7 +171,7 @@ def _plots(stage: Stage) -> list[dict[str, Any]]:
             "limits": [low, high] if np.isfinite([low, high]).all() else None,
         }
         for channel, (name, low, high) in enumerate(
-            zip(_plain(stage.geometry.inputs), limits.lower, limits.upper, strict=True)
+            zip(inputs, limits.lower, limits.upper, strict=True)
         )
     ]
     note = "and limits; the slack is 0 throughout"
@@ -108,17 +184,21 @@ def _plot(title: str, note: str, key: str, below: bool = True) -> dict[str, Any]
     return {"title": title, "note": note, "below": below, "lanes": lanes}
 
 
-def _run_data(run: Run, motion: Motion) -> dict[str, Any]:
-    kept, log = _kept(len(run.time), MAX_SAMPLES), run.result.log
-    inputs = np.asarray(log["input"], dtype=float)[kept]
-    return {
+def _run_data(run: Shown) -> dict[str, Any]:
+    kept, log = _kept(len(run.time), MAX_SAMPLES), run.log
+    data: dict[str, Any] = {
         "label": run.label,
         "color": run.color,
         "dashes": " ".join(map(str, run.dashes)),
         "events": [vars(event) for event in run.events],
-        "path": motion.position.round(3).tolist(),
+        "path": run.path.round(3).tolist(),
         "time": _finite(run.time[kept]),
-        "barrier": _finite(run.least_barrier[kept]),
+    }
+    if not log:
+        return data
+    inputs = np.asarray(log["input"], dtype=float)[kept]
+    return data | {
+        "barrier": _finite(least_barrier(log)[kept]),
         "volume": _finite(np.asarray(log["volume"], dtype=float)[kept]),
         "slack": _finite(np.asarray(log["slack"], dtype=float)[kept]),
         **{f"input{k}": _finite(each) for k, each in enumerate(inputs.T)},
@@ -126,10 +206,10 @@ def _run_data(run: Run, motion: Motion) -> dict[str, Any]:
     }
 
 
-def _choice_axes(stage: Stage) -> dict[str, Any]:
+def _choice_axes(run: Shown, inputs: Sequence[str]) -> dict[str, Any]:
     """The plane of the first two inputs, in which the feasible sets are shown."""
-    result, names = stage.runs[-1].result, _plain(stage.geometry.inputs)
-    low, high = shown_inputs(result)
+    assert run.limits is not None  # Of a run with a filter.
+    names, (low, high) = list(inputs), shown_inputs(run.log, run.limits)
     if len(names) == 1:  # A band, for the eye.
         low, high, names = np.append(low, -1.0), np.append(high, 1.0), [*names, ""]
     others = f"; the other {len(names) - 2} not shown" if len(names) > 3 else ""
@@ -141,13 +221,14 @@ def _choice_axes(stage: Stage) -> dict[str, Any]:
     }
 
 
-def _sets(run: Run) -> dict[str, list[Any]]:
+def _sets(run: Shown) -> dict[str, list[Any]]:
     """The feasible sets of a run over time, as shadows on the first two inputs.
 
     An ellipse is its centre and the lower triangle that takes the unit circle to it.
     """
+    assert run.limits is not None  # Of a run with a filter.
     kept = _kept(len(run.time), MAX_SETS)
-    sets = [feasible_set_of_tick(run.result, int(tick)) for tick in kept]
+    sets = [feasible_set_of_tick(run.log, run.limits, int(tick)) for tick in kept]
     return {
         "time": _finite(run.time[kept]),
         "outline": [_outline(each) for each in sets],
@@ -189,16 +270,6 @@ def _kept(ticks: int, most: int) -> NDArray[np.int_]:
     return kept
 
 
-def _plain(names: Sequence[str]) -> list[str]:
-    """Names of inputs without TeX; what follows ``_`` is an index."""
-    plain = []
-    for name in names:
-        for tex, letter in _LETTERS.items():
-            name = name.replace(tex, letter)
-        plain.append(name.replace("$", ""))
-    return plain
-
-
 def _camera(stage: Stage) -> dict[str, Any]:
     """The points to show and the side to see them from: the target on the right."""
     way = stage.target - stage.start
@@ -216,11 +287,17 @@ def _labels(stage: Stage) -> list[dict[str, Any]]:
     labels: list[dict[str, Any]] = []
     for text, place in (("start", stage.start), ("target", stage.target)):
         labels.append(_label(text, place, "place", 1))
-    low, high = stage.low, stage.high
-    for x in multiples(low[0], high[0], 5.0 * stage.cell):
-        place = np.array([x, low[1] - 0.25 * stage.cell, low[2]])
-        labels.append(_label(f"{x:g} m", place, "tick", 0))
-    return labels
+    return labels + tick_labels(stage.low, stage.high, stage.cell)
+
+
+def tick_labels(low: Array, high: Array, cell: float) -> list[dict[str, Any]]:
+    """Numbers along the floor's near edge."""
+    marks = multiples(low[0], high[0], 5.0 * cell)
+    places = [np.array([x, low[1] - 0.25 * cell, low[2]]) for x in marks]
+    return [
+        _label(f"{x:g} m", place, "tick", 0)
+        for x, place in zip(marks, places, strict=True)
+    ]
 
 
 def _label(text: str, place: Array, kind: str, side: int) -> dict[str, Any]:
@@ -247,13 +324,6 @@ def _verdict(run: Run) -> str:
         return f" {run.label} (whole run): guaranteed, every promise kept."
     more = f" and {len(reasons) - 1} more" if len(reasons) > 1 else ""
     return f" {run.label} (whole run): not guaranteed ({reasons[0]}{more})."
-
-
-def _words(stage: Stage) -> tuple[str, str]:
-    """The scenario's title, which its description starts with, and the rest of it."""
-    scenario = stage.runs[-1].result.scenario
-    title, _, rest = scenario.description.strip().partition("\n")
-    return title.strip().rstrip(".") or scenario.name, " ".join(rest.split())
 
 
 def _finite(values: Array) -> list[float | None]:

@@ -47,8 +47,15 @@ def add_part(meshcat: Meshcat, path: str, part: Part) -> None:
     meshcat.SetTransform(path, part.pose)
 
 
-def add_light(meshcat: Meshcat, stage: Stage) -> None:
-    """A bright room with one sun that throws soft shadows."""
+def add_trail(
+    meshcat: Meshcat, path: str, places: Array, thickness: float, color: str
+) -> None:
+    """The way along places (n, 3); the page lets it grow."""
+    add_mesh(meshcat, path, tube(places, thickness), color)
+
+
+def add_light(meshcat: Meshcat, points: Array) -> None:
+    """A bright room with one sun; the shadows of all points (k, 3) are in it."""
     properties: dict[str, dict[str, Any]] = {
         "/Background": {"top_color": _rgb(SKY), "bottom_color": _rgb(HORIZON)},
         "/Grid": {"visible": False},
@@ -56,7 +63,7 @@ def add_light(meshcat: Meshcat, stage: Stage) -> None:
         "/Lights/PointLightNegativeX": {"visible": False},
         "/Lights/PointLightPositiveX": {"visible": False},
         "/Lights/AmbientLight/<object>": {"intensity": 1.9},
-        "/Lights/FillLight/<object>": _sun(stage),
+        "/Lights/FillLight/<object>": _sun(points),
         "/Cameras/default/rotated/<object>": {"fov": 32.0, "far": 400.0},
     }
     for path, values in properties.items():
@@ -64,22 +71,21 @@ def add_light(meshcat: Meshcat, stage: Stage) -> None:
             meshcat.SetProperty(path, name, value)
 
 
-def add_ground(meshcat: Meshcat, stage: Stage) -> None:
-    """A pale floor with lines at round coordinates."""
-    low, high = stage.low, stage.high
+def add_ground(meshcat: Meshcat, low: Array, high: Array, cell: float) -> None:
+    """A pale floor between two corners with lines at multiples of a length."""
     corners = [low, [high[0], low[1], low[2]], [*high[:2], low[2]]]
     corners.append([low[0], high[1], low[2]])
     faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
     add_mesh(meshcat, "ground/floor", Mesh(np.array(corners), faces), GROUND)
     lines = [
         ([x, low[1], low[2]], [x, high[1], low[2]])
-        for x in multiples(low[0], high[0], stage.cell)
+        for x in multiples(low[0], high[0], cell)
     ] + [
         ([low[0], y, low[2]], [high[0], y, low[2]])
-        for y in multiples(low[1], high[1], stage.cell)
+        for y in multiples(low[1], high[1], cell)
     ]
     ends = np.array(lines)
-    ends[..., 2] += 0.004 * stage.cell  # Above the floor, not in it.
+    ends[..., 2] += 0.004 * cell  # Above the floor, not in it.
     meshcat.SetLineSegments(
         "ground/lines", ends[:, 0].T, ends[:, 1].T, 1.0, rgba(GROUND_LINES)
     )
@@ -163,9 +169,9 @@ def _dashes(start: Array, end: Array, radius: float) -> Mesh:
     return merge([tube(np.array(pair), radius, sides=6) for pair in pairs])
 
 
-def _sun(stage: Stage) -> dict[str, Any]:
+def _sun(points: Array) -> dict[str, Any]:
     """The light's properties; it shines at the origin and its shadow reaches far."""
-    reach = 1.1 * float(np.linalg.norm(stage.outline, axis=1).max())
+    reach = 1.1 * float(np.linalg.norm(points, axis=1).max())
     camera = dict(left=-reach, right=reach, bottom=-reach, top=reach)
     camera |= dict(near=0.1, far=6.0 * reach)
     return {

@@ -1,16 +1,6 @@
 // The feasible set of the present tick in the plane of two inputs: what the filter may
 // choose from, the largest ellipsoid inside, the reference, and the choice.
 
-/** Puts a name such as f_x [N] into a text node, with its index below the line. */
-function writeName(node, name) {
-  const [, before, index, after] = /^([^_]*)(?:_(\S+))?(.*)$/.exec(name);
-  node.textContent = before;
-  if (index) {
-    element("tspan", { class: "index", dy: 3 }, node).textContent = index;
-    element("tspan", { dy: -3 }, node).textContent = after;
-  }
-}
-
 class Choice {
   constructor(container, data) {
     this.data = data;
@@ -46,17 +36,15 @@ class Choice {
       const place = { x: this.x(value), y: bottom + 13, "text-anchor": "middle" };
       element("text", place, this.svg).textContent = short(value);
     }
-    writeName(element("text", {
-      x: (left + right) / 2, y: bottom + 24, "text-anchor": "middle",
-    }, this.svg), names[0]);
+    const below = { x: (left + right) / 2, y: bottom + 24, "text-anchor": "middle" };
+    element("text", below, this.svg).textContent = names[0];
     for (const value of names[1] ? [low[1], high[1]] : []) {
       const place = { x: left - 4, y: this.y(value) + 4, "text-anchor": "end" };
       element("text", place, this.svg).textContent = short(value);
     }
-    writeName(element("text", {
-      transform: `translate(${left - 32} ${(top + bottom) / 2}) rotate(-90)`,
-      "text-anchor": "middle",
-    }, this.svg), names[1]);
+    const beside = `translate(${left - 32} ${(top + bottom) / 2}) rotate(-90)`;
+    element("text", { transform: beside, "text-anchor": "middle" }, this.svg)
+      .textContent = names[1];
     this.pane = element("g", { "clip-path": "url(#choice-pane)" }, this.svg);
     this.shown = null;
   }

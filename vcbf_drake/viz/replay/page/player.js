@@ -6,7 +6,7 @@ const pane = byId("meshcat-pane");
 const scene = new ReplayScene(data, pane, byId("labels"));
 const plots = [
   ...data.plots.map((plot) => new Plot(byId("plots"), plot, data, seek)),
-  new Choice(byId("plots"), data),
+  ...(data.choice ? [new Choice(byId("plots"), data)] : []),
 ];
 const icons = {
   play: '<svg width="12" height="14"><path d="M0 0L12 7L0 14Z" fill="currentColor"/></svg>',
@@ -40,8 +40,8 @@ function tellStates() {
   const tight = data.runs.map((run) => {
     const past = run.events.filter((event) => event.time <= time + 1e-9);
     const over = time > run.time.at(-1) + 1e-9;
-    const volume = run.volume[lastIndexUpTo(run.time, time)];
-    const tight = !past.length && !over && volume !== null && volume < 0;
+    const volume = run.volume?.[lastIndexUpTo(run.time, time)] ?? 0;
+    const tight = !past.length && !over && volume < 0;
     const event = past.at(-1)
       ?? { kind: tight ? "tight" : "", text: tight ? "hardly any room: Vᵥ < 0" : "under way" };
     run.stateCell.textContent = event.text;

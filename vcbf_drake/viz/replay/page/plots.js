@@ -128,7 +128,7 @@ class Plot {
     this.drawCurves(lane, y);
     if (lane.name) {
       const place = { class: "lane", x: this.right - 2, y: top + 11, "text-anchor": "end" };
-      writeName(element("text", place, this.svg), lane.name);
+      element("text", place, this.svg).textContent = lane.name;
     }
     return this.data.runs.map((run) => ({
       run, y, values: run[lane.key],
