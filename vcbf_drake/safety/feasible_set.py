@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.checks import Array
+from vcbf_drake.disturbances import DisturbanceEstimate
 from vcbf_drake.safety.input_set import InputSet
 
 
@@ -32,6 +33,25 @@ class DisturbanceKnowledge:
     bound: float
     bound_rate: float
     gain: float
+
+    @staticmethod
+    def of(
+        estimate: DisturbanceEstimate, margin: float, gain: float
+    ) -> DisturbanceKnowledge:
+        """Returns what an observer's estimate says while an input is held.
+
+        Args:
+            estimate: At the tick.
+            margin: What the error can grow by until the next one [m/s^2].
+            gain: The observer's `estimate_gain` [1/s].
+        """
+        return DisturbanceKnowledge(
+            estimate.disturbance,
+            estimate.rate,
+            float(estimate.error_bound) + margin,
+            float(estimate.error_bound_rate),
+            gain,
+        )
 
     @staticmethod
     def constant(num_disturbances: int, bound: float) -> DisturbanceKnowledge:

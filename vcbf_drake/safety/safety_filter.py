@@ -4,26 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
-from pydrake.common.value import Value
-from pydrake.systems.framework import (
-    BasicVector,
-    CacheEntry,
-    Context,
-    DependencyTicket,
-    DiscreteValues,
-    InputPort,
-    LeafSystem,
-    OutputPort,
-    ValueProducer,
-)
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, InputPort
 
 from vcbf_drake.barriers import Barrier, BarrierSet, StateInputLimit
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
 from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.safety.cached_system import CachedSystem, held_by
 from vcbf_drake.safety.feasible_set import (
     DisturbanceKnowledge,
     FeasibleSet,
@@ -50,7 +40,7 @@ from vcbf_drake.safety.volume_rows import VolumeRows, above
 _Volumes: TypeAlias = tuple[Volume | None, Volume | None]
 
 
-class SafetyFilter(LeafSystem):
+class SafetyFilter(CachedSystem):
     r"""Changes a reference input as little as possible so that every barrier holds.
 
     .. pydrake_system::
@@ -223,19 +213,6 @@ class SafetyFilter(LeafSystem):
             needs.add(self._volumes_entry.ticket())
         self._decision_entry = self._entry("decision", self._calc_decision, needs)
 
-    def _entry(
-        self,
-        name: str,
-        calc: Callable[[Context], object],
-        needs: set[DependencyTicket],
-    ) -> CacheEntry:
-        producer = ValueProducer(
-            allocate=lambda: Value[object](),
-            # In a tuple, for newer pydrake takes no None.
-            calc=lambda context, value: value.set_value((calc(context),)),
-        )
-        return self.DeclareCacheEntry(name, producer, needs)
-
     def _declare_outputs(self) -> None:
         m, n_rows = self.model.num_inputs, self.num_rows
         N, scale = self.barrier_set.size, self.input_set.scale
@@ -258,7 +235,9 @@ class SafetyFilter(LeafSystem):
             )
         self._output("status", 1, decision, lambda decided: [decided.status])
         self._output("row_margin", 1, decision, lambda decided: [decided.row_margin])
-        self._output("volume", 1, self._volumes_entry, _volume_value)
+        self._output(
+            "volume", 1, self._volumes_entry, lambda v: [v[0].value if v[0] else np.nan]
+        )
         self._output("barriers", N, feasible, lambda found: found.rows.value)
         self._output(
             "levels",
@@ -276,14 +255,6 @@ class SafetyFilter(LeafSystem):
             {self._volumes_entry.ticket()},
         )
 
-    def _output(
-        self, name: str, size: int, entry: CacheEntry, read: Callable[[Any], object]
-    ) -> OutputPort:
-        def calc(context: Context, output: BasicVector) -> None:
-            output.SetFromVector(read(_found(entry, context)))
-
-        return self.DeclareVectorOutputPort(name, size, calc, {entry.ticket()})
-
     @property
     def num_rows(self) -> int:
         """How many rows the feasible set has: input limits, then barriers."""
@@ -296,17 +267,11 @@ class SafetyFilter(LeafSystem):
             bound = self.bounds.delta1 if is_worst else 0.0
             return DisturbanceKnowledge.constant(self.model.num_disturbances, bound)
         known = DisturbanceEstimate.unpack(self._estimate.Eval(context))
-        return DisturbanceKnowledge(
-            known.disturbance,
-            known.rate,
-            float(known.error_bound) + self.hold_margin,
-            float(known.error_bound_rate),
-            self._estimate_gain,
-        )
+        return DisturbanceKnowledge.of(known, self.hold_margin, self._estimate_gain)
 
     def feasible_set(self, context: Context) -> FeasibleSet:
         """Returns the feasible set at the context's state and time."""
-        value: FeasibleSet = _found(self._feasible_entry, context)
+        value: FeasibleSet = held_by(self._feasible_entry, context)
         return value
 
     def volume(self, context: Context) -> Volume | None:
@@ -316,7 +281,7 @@ class SafetyFilter(LeafSystem):
 
     def decision(self, context: Context) -> FilterDecision:
         """Returns the chosen input and how it was found."""
-        value: FilterDecision = _found(self._decision_entry, context)
+        value: FilterDecision = held_by(self._decision_entry, context)
         return value
 
     def programs(self, context: Context) -> TickPrograms | None:
@@ -357,7 +322,7 @@ class SafetyFilter(LeafSystem):
             return given, given
         kept = context.get_discrete_state_vector().CopyToVector()
         if np.isnan(kept[0]):
-            found = _found(self._determinants_entry, context)
+            found = held_by(self._determinants_entry, context)
             kept = [threshold_of(v.value if v else np.nan) for v in found]
         return float(kept[0]), float(kept[1])
 
@@ -370,13 +335,13 @@ class SafetyFilter(LeafSystem):
         return rows.determinant(feasible), guard
 
     def _calc_volumes(self, context: Context) -> _Volumes:
-        volume, guard = _found(self._determinants_entry, context)
+        volume, guard = held_by(self._determinants_entry, context)
         thresholds = self.thresholds(context)
         return above(thresholds[0], volume), above(thresholds[1], guard)
 
     def _volumes(self, context: Context) -> _Volumes:
         """V_v, and the guard's where there is one."""
-        found: _Volumes = _found(self._volumes_entry, context)
+        found: _Volumes = held_by(self._volumes_entry, context)
         return found
 
     def _calc_decision(self, context: Context) -> FilterDecision:
@@ -430,13 +395,3 @@ class SafetyFilter(LeafSystem):
         feasible, volumes = self.feasible_set(context), self._volumes(context)
         frame, center = self._volume_rows.ellipsoid(feasible, volumes)
         output.SetFromVector(pack_feasible_set(feasible.A, feasible.b, frame, center))
-
-
-def _found(entry: CacheEntry, context: Context) -> Any:
-    """What an entry's calculation returned."""
-    (found,) = entry.Eval(context)
-    return found
-
-
-def _volume_value(volumes: _Volumes) -> list[float]:
-    return [np.nan if volumes[0] is None else volumes[0].value]

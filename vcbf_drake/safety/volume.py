@@ -70,7 +70,7 @@ class VolumeBarrier:
 
 
 def threshold_of(determinant: float) -> float:
-    """Returns the threshold of a barrier without one, from det B at its start."""
+    """Returns xi of a barrier that has none, from det B at its start (E90)."""
     return float(np.clip(determinant / 10.0, LEAST_THRESHOLD, MOST_THRESHOLD))
 
 
