@@ -6,7 +6,14 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+from pydrake.common.value import Value
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    DiscreteValues,
+    LeafSystem,
+    ValueProducer,
+)
 
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
@@ -224,15 +231,23 @@ class LiveAudit(LeafSystem):
         self.DeclareDiscreteState(np.array(_Memory()))
         # The last state and the last input.
         self.DeclareDiscreteState(np.full(n + m, np.nan))
+        self._judged = self.DeclareCacheEntry(
+            "judged",
+            ValueProducer(
+                lambda: Value[object](),
+                lambda context, judged: judged.set_value(self._judge(context)),
+            ),
+            {self.all_input_ports_ticket(), self.xd_ticket()},
+        )
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
         self.DeclareVectorOutputPort("finding", 1, self._calc_finding)
 
     def _calc_finding(self, context: Context, output: BasicVector) -> None:
-        output[0] = self._judge(context).finding
+        output[0] = self._judged.Eval(context).finding
 
     def _update(self, context: Context, discrete: DiscreteValues) -> None:
         state, applied, *_ = (port.Eval(context) for port in self._ports)
-        discrete.set_value(0, np.array(self._judge(context)))
+        discrete.set_value(0, np.array(self._judged.Eval(context)))
         discrete.set_value(1, np.concatenate([state, applied]))
 
     def _judge(self, context: Context) -> _Memory:
