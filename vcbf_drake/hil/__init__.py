@@ -16,13 +16,9 @@ from vcbf_drake.hil.bus import (
     read_key,
     vehicle_name,
 )
-from vcbf_drake.hil.controller_side import (
-    CommandSender,
-    VehicleLink,
-    Watchdog,
-    command_message,
-    make_hardware_loop,
-)
+from vcbf_drake.hil.command_sender import CommandSender, Watchdog, command_message
+from vcbf_drake.hil.controller_process import ControllerProcess, controller_of
+from vcbf_drake.hil.controller_side import VehicleLink, make_hardware_loop
 from vcbf_drake.hil.decoding import (
     CommandMode,
     MessageFormat,
@@ -43,15 +39,9 @@ from vcbf_drake.hil.event_log import (
 )
 from vcbf_drake.hil.log_replay import LoggedController, LogReplay, replay_log, start_log
 from vcbf_drake.hil.mailbox import Inbox, Outbox
-from vcbf_drake.hil.processes import (
-    EXIT_STATUSES,
-    ControllerProcess,
-    InProcess,
-    PlantProcess,
-    controller_of,
-    say_farewell,
-)
+from vcbf_drake.hil.processes import EXIT_STATUSES, HardwareProcess, say_farewell
 from vcbf_drake.hil.state_receiver import ObstacleReceiver, StateReceiver
+from vcbf_drake.hil.vehicle_process import InProcess, PlantProcess
 from vcbf_drake.hil.vehicle_side import make_vehicle
 from vcbf_drake.hil.watchdogs import LiveAudit, StateWatchdog, Verdict
 
@@ -67,6 +57,7 @@ __all__ = [
     "EventLog",
     "EventLogError",
     "EventLogWriter",
+    "HardwareProcess",
     "InProcess",
     "Inbox",
     "LinkFaults",

@@ -16,6 +16,7 @@ from pydrake.systems.framework import Context
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceObserver
 from vcbf_drake.hil.bus import Bus, SimulatedClock
+from vcbf_drake.hil.controller_process import ControllerProcess, controller_of
 from vcbf_drake.hil.decoding import (
     CommandMode,
     Rejection,
@@ -31,7 +32,6 @@ from vcbf_drake.hil.event_log import (
 )
 from vcbf_drake.hil.mailbox import Inbox
 from vcbf_drake.hil.messages import vcbf_command, vcbf_state, vcbf_status
-from vcbf_drake.hil.processes import ControllerProcess, controller_of
 from vcbf_drake.safety import Assumption, SafetyFilter
 from vcbf_drake.simulation.loading import dump_scenario, parse_scenario
 from vcbf_drake.simulation.log import finish_log

@@ -1,0 +1,277 @@
+"""CommandSender: what the vehicle is to apply, and beside it what the filter did."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+from typing import Protocol
+
+import numpy as np
+from pydrake.systems.framework import (
+    Context,
+    DiscreteValues,
+    LeafSystem,
+)
+
+from vcbf_drake.checks import Array
+from vcbf_drake.disturbances import DisturbanceEstimate
+from vcbf_drake.hil.bus import Bus
+from vcbf_drake.hil.decoding import CommandMode, command_format, status_format
+from vcbf_drake.hil.mailbox import Outbox
+from vcbf_drake.hil.messages import vcbf_command, vcbf_state, vcbf_status
+from vcbf_drake.hil.state_receiver import StateReceiver, StateStamp
+from vcbf_drake.hil.watchdogs import (
+    FINDINGS,
+    StateWatchdog,
+    Verdict,
+)
+from vcbf_drake.safety import (
+    METHODS,
+    FilterStatus,
+    SafetyFilter,
+    unpack_feasible_set,
+)
+from vcbf_drake.simulation.scenario import Hardware
+
+
+class Watchdog(Protocol):
+    """What may ask for a vehicle's fallback."""
+
+    def verdict(self) -> Verdict:
+        """Returns what to ask of the vehicle now, and why."""
+
+
+class CommandSender(LeafSystem):
+    """Publishes what the vehicle is to apply, and beside it what the filter did.
+
+    .. pydrake_system::
+
+        name: CommandSender
+        input_ports:
+        - input
+        - reference
+        - slack
+        - volume
+        - barriers
+        - status
+        - feasible_set
+        - estimate
+        - stamp
+        - finding
+
+    `input` is the held input; everything else is sampled at the ticks. It sends
+    periodically and at forced events: a status from the start on, commands from the
+    first tick on. Watchdogs say whether the input may be applied. An infeasible tick
+    whose policy is ``stop`` asks for the vehicle's fallback, too, and so does, with the
+    setting `Hardware.audit` ``fallback``, what the measurements refute.
+
+    Args:
+        bus: Where to.
+        safety_filter: The filter whose ports are connected.
+        delta1: What is declared of the disturbance (E8).
+        period: The control period [s].
+        receiver: Where states arrive, for the status.
+        settings: How old a state may be, and what a finding of the audit leads to.
+        watchdogs: Asked before the one of the state's age.
+
+    Attributes:
+        ending: Whether the controller is about to end.
+        takes_over: Whether its vehicle is asked to leave another controller.
+        period: The control period [s].
+        last_status: The status that was sent last, None before the first.
+        deadlines_missed: Control periods that had no tick of their own, for the status;
+            whoever drives the diagram counts them.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        safety_filter: SafetyFilter,
+        delta1: float,
+        period: float,
+        receiver: StateReceiver,
+        settings: Hardware,
+        watchdogs: Sequence[Watchdog] = (),
+    ) -> None:
+        super().__init__()
+        self.ending = self.takes_over = False
+        self.period = period
+        self.last_status: vcbf_status | None = None
+        self.deadlines_missed = 0
+        self._bus, self._filter, self._receiver = bus, safety_filter, receiver
+        self._delta1, self._settings = delta1, settings
+        self._watchdogs = tuple(watchdogs)
+        self._method = next(
+            name for name, each in METHODS.items() if each is safety_filter.method
+        )
+        self._state_watchdog = StateWatchdog(receiver.inbox, bus.clock, settings)
+        m, n_barriers = safety_filter.model.num_inputs, safety_filter.barrier_set.size
+        q = safety_filter.model.num_disturbances
+        self._commands = Outbox(bus, command_format(m).channel)
+        self._statuses = Outbox(bus, status_format(m, n_barriers, q).channel)
+        self._input = self.DeclareVectorInputPort("input", m)
+        sizes = {
+            "reference": m,
+            "slack": 1,
+            "volume": 1,
+            "barriers": n_barriers,
+            "status": 1,
+            "feasible_set": safety_filter.GetOutputPort("feasible_set").size(),
+            "estimate": DisturbanceEstimate.packed_size(q),
+            "stamp": len(StateStamp._fields),
+            "finding": 1,
+        }
+        self._sampled = [
+            self.DeclareVectorInputPort(name, size) for name, size in sizes.items()
+        ]
+        self._ends = dict(zip(sizes, np.cumsum(list(sizes.values())), strict=True))
+        self._sizes = sizes
+        self.DeclareDiscreteState(np.full(sum(sizes.values()), np.nan))
+        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._sample)
+        self.DeclarePeriodicPublishEvent(period, 0.0, self._send)
+        self.DeclareForcedPublishEvent(self._send)
+
+    def states_are_old(self) -> bool:
+        """Returns whether the newest state is too old to act on."""
+        return self._state_watchdog.verdict().mode is not CommandMode.APPLY
+
+    def verdict(self, context: Context) -> Verdict:
+        """Returns what is asked of the vehicle now, and why."""
+        if self.ending:
+            return Verdict(CommandMode.END, "the controller ends")
+        verdict = self._state_watchdog.verdict()
+        if verdict.mode is CommandMode.FALLBACK:
+            return verdict
+        for watchdog in self._watchdogs:
+            theirs = watchdog.verdict()
+            if theirs.mode is not CommandMode.APPLY:
+                return theirs
+        findings = self.findings(context)
+        if findings and self._settings.audit == "fallback":
+            return Verdict(CommandMode.FALLBACK, f"refuted: {findings[0]}")
+        stops = self._filter.settings.infeasible == "stop"
+        if verdict.mode is CommandMode.APPLY and stops:
+            if self._sample_of(context)["status"][0] == FilterStatus.FAILED:
+                return Verdict(CommandMode.FALLBACK, "the filter's tick FAILED")
+            conflicts = self.conflicts(context)
+            if conflicts:
+                reason = f"no input satisfies {', '.join(conflicts)}"
+                return Verdict(CommandMode.FALLBACK, reason)
+        return verdict
+
+    def findings(self, context: Context) -> tuple[str, ...]:
+        """Returns what the measurements refuted at the last tick, in words."""
+        finding = self._sample_of(context)["finding"][0]
+        return (FINDINGS[int(finding)],) if finding >= 0.0 else ()
+
+    def conflicts(self, context: Context) -> tuple[str, ...]:
+        """Returns the rows that excluded each other at the last tick, by name."""
+        sample = self._sample_of(context)
+        if sample["status"][0] != FilterStatus.INFEASIBLE:
+            return ()
+        packed = unpack_feasible_set(
+            sample["feasible_set"], self._filter.num_rows, self._filter.model.num_inputs
+        )
+        return self._filter.row_names.in_conflict(packed.A, packed.b)
+
+    def _sample(self, context: Context, discrete: DiscreteValues) -> None:
+        discrete.set_value(np.concatenate([p.Eval(context) for p in self._sampled]))
+
+    def _sample_of(self, context: Context) -> dict[str, Array]:
+        values = context.get_discrete_state_vector().CopyToVector()
+        return {
+            name: values[end - self._sizes[name] : end]
+            for name, end in self._ends.items()
+        }
+
+    def _send(self, context: Context) -> None:
+        sample = self._sample_of(context)
+        stamp = StateStamp(*sample["stamp"].tolist())
+        verdict, u = self.verdict(context), self._input.Eval(context)
+        is_ticking = not math.isnan(stamp.sequence)
+        if is_ticking:
+            command = command_message(u, verdict.mode, stamp)
+            command.state_age = self._held_for(stamp)
+            command.takes_over = self.takes_over
+            self._commands.send(command)
+        status = self._status(sample, u if is_ticking else np.zeros_like(u), stamp)
+        status.mode = int(verdict.mode)
+        status.reason = self._reason(verdict, is_ticking)
+        status.conflicts = list(self.conflicts(context))
+        status.num_conflicts = len(status.conflicts)
+        status.findings = list(self.findings(context))
+        status.num_findings = len(status.findings)
+        self._statuses.send(status)
+        self.last_status = status
+
+    def _held_for(self, stamp: StateStamp) -> int:
+        """How long ago the state that is answered came [us]."""
+        newest, inbox = self._receiver.inbox.newest, self._receiver.inbox
+        came = inbox.utime(int(stamp.utime))
+        if newest is not None and newest.sequence == stamp.sequence:
+            came = inbox.received_at
+        return max(0, self._bus.clock.utime() - came)
+
+    def _reason(self, verdict: Verdict, is_ticking: bool) -> str:
+        """Why, who else speaks, and what was wrong with states that came."""
+        notices = [verdict.reason, self._receiver.notice() if is_ticking else ""]
+        if verdict.mode is CommandMode.FALLBACK:
+            now = self._bus.clock.utime()
+            notices.append(self._receiver.inbox.complaint(now))
+        return "; ".join(each for each in notices if each)
+
+    def _status(
+        self, sample: dict[str, Array], u: Array, stamp: StateStamp
+    ) -> vcbf_status:
+        message, inbox = vcbf_status(), self._receiver.inbox
+        message.method = self._method
+        is_ticking = not math.isnan(stamp.sequence)
+        message.state_sequence = int(stamp.sequence) if is_ticking else -1
+        message.time = stamp.time if is_ticking else 0.0
+        age = self._state_watchdog.state_age()
+        message.state_age = age if math.isfinite(age) else math.nan
+        message.followed = self._receiver.is_followed
+        message.filter_status = int(np.nan_to_num(sample["status"][0]))
+        message.num_inputs, message.input = len(u), u.tolist()
+        message.reference = sample["reference"].tolist()
+        message.slack = float(sample["slack"][0])
+        message.volume = float(sample["volume"][0])
+        message.barriers = sample["barriers"].tolist()
+        message.num_barriers = len(message.barriers)
+        estimate = DisturbanceEstimate.unpack(sample["estimate"])
+        message.disturbance_estimate = estimate.disturbance.tolist()
+        message.num_disturbances = len(message.disturbance_estimate)
+        message.error_bound = float(estimate.error_bound)
+        message.disturbance_bound = self._delta1
+        message.states_accepted = inbox.accepted
+        message.states_lost = inbox.lost
+        message.states_late = inbox.late
+        message.states_rejected = inbox.rejected
+        message.deadlines_missed = self.deadlines_missed
+        message.clock_offset = message.clock_uncertainty = math.nan
+        if inbox.peer_clock is not None:
+            message.clock_offset = 1e-6 * inbox.peer_clock.offset
+            if math.isfinite(inbox.peer_clock.uncertainty):
+                message.clock_uncertainty = 1e-6 * inbox.peer_clock.uncertainty
+        return message
+
+
+def command_message(
+    u: Sequence[float] | Array, mode: CommandMode, state: StateStamp | vcbf_state
+) -> vcbf_command:
+    """Returns the command to apply an input, or zeros with a mode that applies none.
+
+    Args:
+        u: The input, shape (m,).
+        mode: What the vehicle is to do.
+        state: The state that it answers: its stamp, or its message.
+    """
+    message = vcbf_command()
+    message.state_session = int(state.session)
+    message.state_sequence = int(state.sequence)
+    message.state_utime = int(state.utime)
+    message.mode = int(mode)
+    applies = mode in (CommandMode.APPLY, CommandMode.HOLD)
+    message.num_inputs = len(u)
+    message.input = [float(each) if applies else 0.0 for each in u]
+    return message
