@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 from pydrake.lcm import DrakeLcm
 import pytest
 
 from tests.helpers.relayed_loop import RelayedLoop
-from vcbf_drake import load_scenario
+from vcbf_drake import load_scenario, simulate
 from vcbf_drake.hil import (
     Bus,
     CommandMode,
@@ -18,6 +21,7 @@ from vcbf_drake.hil import (
 )
 from vcbf_drake.hil.messages import vcbf_command, vcbf_state, vcbf_status
 
+ROOT = Path(__file__).parents[2]
 CAR, BLIMP = "car-avoidance", "blimp-multiple-obstacles"
 
 
@@ -334,3 +338,22 @@ def test_the_count_of_obstacles_may_change_and_old_ones_are_not_acted_on() -> No
     assert run.controller.mode is CommandMode.FALLBACK
     last = run.controller.report()["changes"][-1]
     assert "no obstacles have been perceived for 1.0" in last["reason"]
+
+
+# A robot of one's own --------------------------------------------------------------
+
+
+def test_a_vehicle_of_one_s_own_is_controlled_as_it_is_simulated() -> None:
+    """The puck of the example: its own plant and controller, over the bus."""
+    loaded = load_scenario(ROOT / "examples" / "own_robot.py")
+    loaded.hardware.longest_interval = loaded.period
+    loaded.hardware.predict = True
+    run = InProcess(loaded)
+    run.advance_to(4.0)
+    assert not run.controller.report()["findings"]
+    expected = simulate(load_scenario(ROOT / "examples" / "own_robot.py")).log
+    log = run.plant.diagram.GetSubsystemByName("log_path").FindLog(run.plant.context)
+    ticks = expected["time"] <= 4.0
+    for k, state in enumerate(log.data()):
+        found = np.interp(expected["time"][ticks], log.sample_times(), state)
+        np.testing.assert_allclose(found, expected["state"][ticks, k], atol=1e-9)
