@@ -19,6 +19,7 @@ from vcbf_drake.plants import BlimpVehicle, CarVehicle, StateFeedback, Vehicle
 from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.simulation import check_assumptions, dump_scenario
 from vcbf_drake.simulation.loading import parse_scenario
+from vcbf_drake.viz import write_figures, write_replay
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 OWN = EXAMPLES / "own_robot.py"
@@ -92,6 +93,22 @@ def test_a_file_that_makes_no_scenario_says_where(
     message = refusal(path)
     assert message.startswith(f"{path}{place}: ")
     assert problem in message
+
+
+def test_a_robot_that_nothing_disturbs_needs_no_port_for_it(tmp_path: Path) -> None:
+    text = OWN.read_text().replace(
+        'self.draught = self.DeclareVectorInputPort("disturbance", 2)', "pass"
+    )
+    text = text.replace("self.draught.Eval(context)", "0.0")
+    kept = [line for line in text.splitlines() if "disturbance=[" not in line]
+    path = tmp_path / "calm.py"
+    path.write_text("\n".join(kept))
+    result = simulate(load_scenario(path, {"duration": 1.0}), step_time=False)
+    assert result.summary["guaranteed"]
+    assert result.log["disturbance_estimate"].shape == (51, 0)
+    write_figures([result], tmp_path)
+    assert not (tmp_path / "disturbance.png").exists()
+    write_replay([result], tmp_path / "replay.html")
 
 
 def test_faults_scale_what_a_vehicle_has() -> None:

@@ -12,7 +12,13 @@ from typing import Protocol
 import numpy as np
 from pydrake.polynomial import Polynomial
 from pydrake.systems.framework import DiagramBuilder, System
-from pydrake.systems.primitives import Adder, MatrixGain, Sine, TrajectorySource
+from pydrake.systems.primitives import (
+    Adder,
+    ConstantVectorSource,
+    MatrixGain,
+    Sine,
+    TrajectorySource,
+)
 from pydrake.trajectories import PiecewisePolynomial
 
 from vcbf_drake.checks import Array
@@ -77,6 +83,8 @@ class Tones:
 
     def system(self) -> System:
         """Returns unit sines behind the matrix of amplitudes; see `Curve`."""
+        if self.size == 0:
+            return ConstantVectorSource([])
         builder = DiagramBuilder()
         unit = np.ones_like(self.phase)
         tones = builder.AddSystem(Sine(unit, self.frequency, self.phase, True))

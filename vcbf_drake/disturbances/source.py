@@ -244,7 +244,8 @@ def _sum(
     if not signals:
         if num_disturbances is None:
             raise ModelError("a disturbance needs one signal at least; none was given")
-        signals = [Constant([0.0] * num_disturbances)]
+        zero = np.zeros((1, num_disturbances))
+        return Tones(zero, np.zeros(1), np.zeros(1))
     curves = [_curve(i, signal, horizon) for i, signal in enumerate(signals)]
     size = num_disturbances or curves[0].size
     for i, curve in enumerate(curves):

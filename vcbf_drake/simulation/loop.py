@@ -123,8 +123,10 @@ def add_simulated_plant(builder: DiagramBuilder, scenario: Scenario) -> Simulate
     )
     source = builder.AddNamedSystem("disturbance", make_source(scenario))
     disturbance = true_disturbance(builder, faults, source.get_output_port())
-    builder.Connect(disturbance, plant.GetInputPort("disturbance"))
-    plant_input = faulty_actuator(builder, scenario, plant.GetInputPort("input"))
+    if plant.HasInputPort("disturbance"):
+        builder.Connect(disturbance, plant.GetInputPort("disturbance"))
+    actuators = "input" if plant.HasInputPort("input") else "actuation"
+    plant_input = faulty_actuator(builder, scenario, plant.GetInputPort(actuators))
     state = _measured_state(builder, scenario, plant)
     state = faulty_measurement(builder, scenario, state)
     return SimulatedPlant(plant, plant_input, source, disturbance, state)

@@ -61,7 +61,8 @@ def write_figures(
         write("barriers", barrier_figure(runs))
         write("volume", volume_figure(runs))
         write("slack", slack_figure(runs))
-        write("disturbance", disturbance_figure(runs))
+        if geometry_of(results[-1]).disturbances:
+            write("disturbance", disturbance_figure(runs))
         write("inputs", input_figure(runs))
         write("feasible_sets", feasible_set_figure(runs, when))
         if len(geometry_of(results[-1]).inputs) == 3:
