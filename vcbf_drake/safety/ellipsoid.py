@@ -33,8 +33,9 @@ from vcbf_drake.safety.polytope import (
 from vcbf_drake.safety.programs import DEFAULT_SOLVER, EllipsoidProgram
 
 # Of a set of unit size the cone program reaches this tolerance; one Newton step is then
-# enough.
+# enough. With more inputs than a few, another step costs less than the solver's.
 _FAST_TOLERANCE = 1e-10
+_FEW_INPUTS = 6
 # Cut input sets thinner than this, in normalised inputs, may count as empty: there the
 # rounding of their rows alone can exceed the accepted gap.
 THINNEST = 1e-7
@@ -262,7 +263,7 @@ class InscribedEllipsoidSolver:
             [self._A[own[:, None], cut], normals / length[:, None]]
         )
         block_b = np.concatenate([self._b[own], distance / length])
-        found = _of_rows(block_A, block_b, self._solver)
+        found = _of_rows(block_A, block_b, self._solver, self._is_box)
         center, shape = self._free.center.copy(), self._free.shape.copy()
         center[cut], shape[cut[:, None], cut] = found.center, found.shape
         multipliers = np.zeros(len(rows))
@@ -274,12 +275,17 @@ class InscribedEllipsoidSolver:
         )
 
 
-def _of_rows(A: Array, b: Array, solver: str) -> CertifiedEllipsoid | Ellipsoid:
+def _of_rows(
+    A: Array, b: Array, solver: str, is_box: bool
+) -> CertifiedEllipsoid | Ellipsoid:
     """The largest ellipsoid of unit rows, of a set of about unit size."""
     if A.shape[1] == 1:
         found = interval(A, b)
     else:
-        guess = EllipsoidProgram.of_size(*A.shape, _FAST_TOLERANCE, solver).solve(A, b)
+        few = A.shape[1] <= _FEW_INPUTS
+        tolerance = _FAST_TOLERANCE if few else _CAREFUL_TOLERANCE
+        program = EllipsoidProgram.of_size(*A.shape, tolerance, solver, is_box)
+        guess = program.solve(A, b)
         found = guess and polish(A, b, *guess)
     if found and found.certified_gap <= ACCEPTED_GAP:
         return found

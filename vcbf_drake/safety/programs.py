@@ -197,13 +197,16 @@ class NearestPointProgram(FixedProgram):
 class EllipsoidProgram(FixedProgram):
     """max (det L)^(1/P) subject to |L'a_i| + a_i d <= b_i, L lower triangular (E20).
 
-    The variables are L's entries, row by row, and then d.
+    The variables are L's entries, row by row, and then d. Of a box, whose first rows
+    are v_j <= 1 and then -v_j <= 1, the rows of L have half the cones, and small ones:
+    |L'e_j| <= t_j, t_j + d_j <= 1, t_j - d_j <= 1.
 
     Args:
         num_rows: n.
-        num_inputs: m, at least 2.
+        num_inputs: m.
         tolerance: The solver's, where it has one.
         solver: One of `CONE_SOLVERS`; `DEFAULT_SOLVER` stands in for others.
+        is_box: Whether the first 2 m rows are those of the box |v_j| <= 1.
     """
 
     def __init__(
@@ -212,6 +215,7 @@ class EllipsoidProgram(FixedProgram):
         num_inputs: int,
         tolerance: float,
         solver: str = DEFAULT_SOLVER,
+        is_box: bool = False,
     ) -> None:
         m = num_inputs
         self._row, self._column = np.tril_indices(m)
@@ -224,26 +228,49 @@ class EllipsoidProgram(FixedProgram):
         self._power = 2 ** math.ceil(math.log2(m))
         diagonal = x[: self._k][self._row == self._column]
         self.program.AddMaximizeGeometricMeanCost(diagonal, 1.0)
-        dense = np.ones((m + 1, self._k + m))
+        self._box: list[Any] = self._add_box() if is_box else []
+        self._first = 2 * m if is_box else 0
+        dense, count = np.ones((m + 1, self._k + m)), num_rows - self._first
         cones = [
             self.program.AddLorentzConeConstraint(dense, np.ones(m + 1), x)
-            for _ in range(num_rows)
+            for _ in range(count)
         ]
         self._cones = [cone.evaluator() for cone in cones]
         # Of this type a binding is read many times faster than of its own.
         self._bindings = [
             Binding[EvaluatorBase](cone.evaluator(), cone.variables()) for cone in cones
         ]
-        self._F = np.zeros((num_rows, m + 1, self._k + m))
-        self._g = np.zeros((num_rows, m + 1))
-        self._stated = np.full((num_rows, m + 1), np.nan)
+        self._F = np.zeros((count, m + 1, self._k + m))
+        self._g = np.zeros((count, m + 1))
+        self._stated = np.full((count, m + 1), np.nan)
+
+    def _add_box(self) -> list[Any]:
+        """Adds the rows |v_j| <= 1; returns the bindings of either side."""
+        L, d = self.variables[: self._k], self.variables[self._k :]
+        m = len(d)
+        reach = self.program.NewContinuousVariables(m, "t")
+        for j in range(m):
+            self.program.AddLorentzConeConstraint(
+                np.concatenate([reach[[j]], L[self._row == j]])
+            )
+        both, below = np.eye(m), np.full(m, -np.inf)
+        return [
+            self.program.AddLinearConstraint(
+                np.hstack([both, side * both]),
+                below,
+                np.ones(m),
+                np.concatenate([reach, d]),
+            )
+            for side in (1.0, -1.0)
+        ]
 
     def state(self, A: Array, b: Array) -> None:
         """Overwrites the program's data."""
+        A, b = A[self._first :], b[self._first :]
         self._F[:, 0, self._k :], self._g[:, 0] = -A, b
         self._F[:, self._slot, self._entry] = A[:, self._row]
         rows = np.column_stack([A, b])
-        # An update costs more than a comparison, and most rows are the box's.
+        # An update costs more than a comparison.
         for i in (rows != self._stated).any(axis=1).nonzero()[0]:
             self._cones[i].UpdateCoefficients(self._F[i], self._g[i])
         self._stated = rows
@@ -262,7 +289,9 @@ class EllipsoidProgram(FixedProgram):
         diagonal = L.diagonal().tolist()
         if not min(diagonal) > 0.0:
             return None
-        duals = [result.GetDualSolution(binding)[0] for binding in self._bindings]
+        duals = [-result.GetDualSolution(side) for side in self._box]
+        duals.append([result.GetDualSolution(cone)[0] for cone in self._bindings])
         # The cost's multipliers are those of (det L)^(1/P) = exp(log det L / P).
         mean = math.prod(diagonal) ** (1.0 / self._power)
-        return x[k : k + m], L, np.array(duals) * (self._power / mean)
+        multipliers = np.maximum(np.concatenate(duals), 0.0)
+        return x[k : k + m], L, multipliers * (self._power / mean)
