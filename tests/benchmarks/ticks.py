@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 import time
 from typing import Any
 
@@ -13,7 +14,8 @@ from vcbf_drake.barriers import Barrier
 from vcbf_drake.barriers.chain import as_expressions
 from vcbf_drake.checks import Array
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety import FilterSettings, InputSet, SafetyFilter
+from vcbf_drake.safety import FilterSettings, InputSet, SafetyFilter, VolumeBarrier
+from vcbf_drake.safety.programs import SOLVERS
 
 STAGES = ("rows", "feasible set", "volume", "QP", "tick")
 Times = Mapping[str, tuple[float, float]]
@@ -100,6 +102,28 @@ def tick_times(
     return dict(zip(STAGES, map(tuple, percentiles.T), strict=True))
 
 
+def solvers_alone(ticks: int = 200) -> float:
+    """Returns the median CPU time of a tick's two programs alone, solved anew [us].
+
+    Of the tick that `tick_times` measures by default: what the filter's solver takes
+    for its QP and its ellipsoid, as `SafetyFilter.programs` states them.
+
+    Args:
+        ticks: How many ticks are measured, after as many that are not.
+    """
+    system = filter_among_balls(3, 3, 2, None, 6, "dob-vcbf-qp")
+    solver = SOLVERS[system.settings.solver]()
+    generator = np.random.default_rng(0)
+    spent = []
+    for _ in range(2 * ticks):
+        state = np.append(_JITTER * generator.normal(size=3), np.zeros(3))
+        stated = system.programs(tick_context(system, state))
+        if stated is not None and stated.ellipsoid is not None:
+            both = (stated.qp, stated.ellipsoid)
+            spent.append(sum(_timed(partial(solver.Solve, each)) for each in both))
+    return float(1e6 * np.median(spent[ticks:]))
+
+
 def filter_among_balls(
     num_inputs: int,
     num_obstacles: int,
@@ -113,7 +137,7 @@ def filter_among_balls(
         point_mass(num_inputs, num_states),
         _balls(num_inputs, num_obstacles, num_cutting, room),
         InputSet.box(-np.ones(num_inputs), np.ones(num_inputs)),
-        FilterSettings(method=method),
+        FilterSettings(method=method, volume=VolumeBarrier(threshold=0.02)),
         estimate_gain=4.0,
     )
 
