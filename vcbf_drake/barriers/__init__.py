@@ -10,8 +10,10 @@ from vcbf_drake.barriers.obstacles import (
     SphereObstacle,
 )
 from vcbf_drake.barriers.perceived import PerceivedSpheres
+from vcbf_drake.barriers.polygons import PolygonObstacle
 from vcbf_drake.barriers.rows import BarrierRows
 from vcbf_drake.barriers.shapes import Geofence, HalfSpace, PairDistance
+from vcbf_drake.barriers.unions import all_of, any_of
 
 __all__ = [
     "Barrier",
@@ -24,8 +26,11 @@ __all__ = [
     "HalfSpace",
     "PairDistance",
     "PerceivedSpheres",
+    "PolygonObstacle",
     "SphereObstacle",
     "StateInputLimit",
     "StateLimit",
     "ackermann_limit",
+    "all_of",
+    "any_of",
 ]

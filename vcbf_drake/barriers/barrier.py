@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 import copy
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from pydrake.symbolic import Expression
@@ -13,6 +13,7 @@ from pydrake.symbolic import Expression
 from vcbf_drake.checks import Array, check_parameter, finite_vector
 from vcbf_drake.model.compiled import Expressions
 
+ClassK: TypeAlias = Callable[[Any], Any]
 BarrierFunction: TypeAlias = Callable[
     [Expressions, Expression, Expressions], Expression
 ]
@@ -50,6 +51,7 @@ class Barrier:
         of_position: None if `function` takes the state x; k if it takes, in its place,
             the first k coordinates of the position that the plant names.
         early_disturbance: What `robust_to` was given; None without it.
+        class_k: What `with_class_k` was given; None for lambda_r phi.
     """
 
     def __init__(
@@ -74,6 +76,7 @@ class Barrier:
         self.name = name
         self.of_position = of_position
         self.early_disturbance: EarlyDisturbance | None = None
+        self.class_k: ClassK | None = None
 
     def robust_to(self, bound: float, smoothing: float = 0.01) -> Barrier:
         """Returns this barrier, made for a disturbance that comes before the input.
@@ -94,10 +97,44 @@ class Barrier:
         robust.early_disturbance = EarlyDisturbance(bound, smoothing)
         return robust
 
+    def with_class_k(self, class_k: ClassK) -> Barrier:
+        """Returns this barrier with another function in place of lambda_r phi (E82).
+
+        Its row is d/dt phi^(r-1) >= -class_k(phi^(r-1)); the faster decay rates still
+        make the levels before. A cube lets the robot do as it likes far away and slows
+        it down near the boundary.
+
+        Args:
+            class_k: An extended class-K function, of a number or a symbol: 0 at 0, and
+                increasing. Write it with NumPy, smooth.
+
+        Raises:
+            ValueError: It is not 0 at 0, or does not increase.
+        """
+        _check_class_k(class_k, self.name)
+        changed = copy.copy(self)
+        changed.class_k = class_k
+        return changed
+
     @property
     def relative_degree(self) -> int:
         """The number r of derivatives of h after which the input appears."""
         return len(self.gains)
+
+
+def _check_class_k(class_k: ClassK, name: str) -> None:
+    positive = np.geomspace(1e-3, 1e3, 25)
+    points = np.concatenate([-positive[::-1], [0.0], positive])
+    with np.errstate(all="ignore"):
+        values = np.array([class_k(point) for point in points], dtype=float)
+    finite = np.isfinite(values)  # It may overflow far away, or level off.
+    steps, near = np.diff(values[finite]), np.abs(points[finite][1:]) < 1.0
+    rises = bool(np.all(steps >= 0.0) and np.all(steps[near] > 0.0))
+    if not (abs(values[len(positive)]) <= 1e-12 and rises):
+        raise ValueError(
+            f"barrier '{name}': class_k must be 0 at 0 and increase; at -1, 0 and 1 it"
+            f" is {class_k(-1.0):g}, {class_k(0.0):g} and {class_k(1.0):g}"
+        )
 
 
 def decay_rates(gains: Array, name: str) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 
 from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.compared import require_same_numbers
+from vcbf_drake.barriers.followed import TrajectoryBarrier
 from vcbf_drake.barriers.limits import StateInputLimit
 from vcbf_drake.barriers.perceived import PerceivedBarrier
 from vcbf_drake.barriers.rows import (
@@ -33,6 +34,7 @@ class BarrierSet:
     Attributes:
         names: Their names, N of them; those of one name have a number behind it.
         obstacles_size: How many numbers describe the perceived obstacles.
+        followed: The names of those that a trajectory carries along.
         num_entries: How many entries [A, b, w] a row has, m + 1 + q.
     """
 
@@ -71,6 +73,12 @@ class BarrierSet:
             for i, barrier in enumerate(barriers)
             if isinstance(barrier, PerceivedBarrier)
         ]
+        self._followed = [
+            (i, barrier)
+            for i, barrier in enumerate(barriers)
+            if isinstance(barrier, TrajectoryBarrier)
+        ]
+        self.followed = tuple(self.names[i] for i, _ in self._followed)
         self.obstacles_size = _obstacles_size([each for _, each in self._perceived])
         # Of a row that limits the input itself, 0.
         self.degrees = tuple(each.relative_degree for each in self._functions)
@@ -241,14 +249,18 @@ class BarrierSet:
         Raises:
             ValueError: obstacles has another shape.
         """
-        if not self._perceived:
+        if not self._perceived and not self._followed:
             return self._functions
+        functions = self._functions.copy()
+        for i, followed in self._followed:
+            functions[i] = functions[i].with_parameters(followed.parameters_at(t))
+        if not self._perceived:
+            return functions
         if obstacles is None or obstacles.shape != (self.obstacles_size,):
             raise ValueError(
                 f"obstacles: expected shape ({self.obstacles_size},), got"
                 f" {None if obstacles is None else obstacles.shape}"
             )
-        functions = self._functions.copy()
         for i, barrier in self._perceived:
             parameters = barrier.parameters_at(obstacles, t)
             functions[i] = (

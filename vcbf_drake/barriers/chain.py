@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 
 from vcbf_drake.errors import ModelError
+from vcbf_drake.model.agreement import require_agreement, sample_points
 from vcbf_drake.model.compiled import (
     CompiledFunction,
     Expressions,
@@ -20,9 +21,17 @@ from vcbf_drake.model.compiled import (
 )
 from vcbf_drake.model.control_affine import ControlAffineModel, Dynamics
 from vcbf_drake.model.explained import explained
-from vcbf_drake.model.graph import ZERO, Node, Nodes, Reader, gradients, variable
+from vcbf_drake.model.graph import (
+    ZERO,
+    Node,
+    Nodes,
+    Reader,
+    gradients,
+    substitute,
+    variable,
+)
 
-TIME = variable("t")
+TIME, LEVEL = variable("t"), variable("level")
 
 
 class Symbols:
@@ -101,6 +110,31 @@ def _nodes(prefix: str, size: int) -> tuple[Node, ...]:
     return tuple(variable(f"{prefix}{i}") for i in range(size))
 
 
+def class_k_formula(function: Callable[[Any], Any] | None) -> Node | None:
+    """Returns a barrier's class-K function as a formula of `LEVEL` (E82).
+
+    Raises:
+        ModelError: It does not work on symbols, or has other values there.
+    """
+    if function is None:
+        return None
+    level = Variable("level")
+    try:
+        written = function(Expression(level))
+        node: Node = Reader({level: LEVEL}).read(written).item()
+    except Exception as error:  # A user's own code may raise anything.
+        raise ModelError(f"class_k fails on symbols: {explained(error)}") from None
+    compiled = compile_nodes([LEVEL], [node], "class_k")
+    require_agreement(
+        lambda point: compiled(*point.tolist()),
+        lambda point: [function(point[0])],
+        sample_points(1),
+        lambda point: f"{point[0]:.6g}",
+        ["class_k"],
+    )
+    return node
+
+
 class Formula(NamedTuple):
     """All that a barrier's chain depends on; equal for barriers that read the same.
 
@@ -110,6 +144,7 @@ class Formula(NamedTuple):
         parameters: The parameters of h.
         order: The relative degree r.
         robust: Whether the disturbance may come before the input (E70).
+        class_k: What stands for lambda_r phi (E82), of `LEVEL`; None for that.
     """
 
     h: Node
@@ -117,6 +152,7 @@ class Formula(NamedTuple):
     parameters: tuple[Node, ...]
     order: int
     robust: bool
+    class_k: Node | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,9 +205,11 @@ class Chain:
             ValueError: The last level has no derivative.
         """
         dynamics, last = self.formula.dynamics, self.levels[-1]
-        rate = self.constants[self.formula.order - 1]
+        pull = self.constants[self.formula.order - 1] * last
+        if self.formula.class_k is not None:
+            (pull,) = substitute([self.formula.class_k], {LEVEL: last})
         A = -dynamics.input_rates(last)
-        b = dynamics.drift_rate(last, TIME) + rate * last
+        b = dynamics.drift_rate(last, TIME) + pull
         return np.array([*A, b, *dynamics.disturbance_rates(last)], dtype=object)
 
     def compiled(self, outputs: Any, name: str) -> CompiledFunction:

@@ -25,7 +25,13 @@ import numpy as np
 from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 
 from vcbf_drake.barriers.barrier import Barrier
-from vcbf_drake.barriers.chain import TIME, Chain, Formula, as_expressions
+from vcbf_drake.barriers.chain import (
+    TIME,
+    Chain,
+    Formula,
+    as_expressions,
+    class_k_formula,
+)
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.compiled import CompiledFunction, Expressions, compile_nodes
@@ -156,7 +162,8 @@ def _formula(
         raise ModelError(f"function(x, t, p) cannot be compiled: {error}") from None
     robust = barrier.early_disturbance is not None
     dynamics = _integrators(jet, model.num_inputs, order)
-    return Formula(node, dynamics, parameters, order, robust), outputs
+    class_k = class_k_formula(barrier.class_k)
+    return Formula(node, dynamics, parameters, order, robust, class_k), outputs
 
 
 def _jet(size: int, num_inputs: int, num_disturbances: int) -> Nodes:

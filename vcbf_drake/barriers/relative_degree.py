@@ -59,7 +59,8 @@ def _explain_higher_degree(
     """Returns the message for a barrier whose first r derivatives no input enters."""
     r, k = chain.formula.order, len(chain.formula.parameters)
     searched = max(r, min(r + _SEARCHED_BEYOND, model.num_states))
-    further = Chain.of(chain.formula._replace(order=searched, robust=False))
+    plain = chain.formula._replace(order=searched, robust=False, class_k=None)
+    further = Chain.of(plain)
     parameters = constants[len(constants) - k :]
     inputs, _ = _relative_degrees(model, further, [*np.ones(searched), *parameters])
     degree = inputs.min(initial=np.inf)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vcbf_drake.barriers.barrier import Barrier
-from vcbf_drake.barriers.chain import TIME, Chain, Formula, Symbols
+from vcbf_drake.barriers.chain import TIME, Chain, Formula, Symbols, class_k_formula
 from vcbf_drake.barriers.limits import StateInputLimit
 from vcbf_drake.barriers.multibody_rows import multibody_row
 from vcbf_drake.barriers.relative_degree import check_relative_degree
@@ -177,6 +177,7 @@ def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctio
         symbols.parameters,
         r,
         early is not None,
+        class_k_formula(barrier.class_k),
     )
     try:
         check_relative_degree(model, Chain.of(formula), constants)

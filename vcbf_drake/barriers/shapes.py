@@ -11,7 +11,8 @@ import numpy as np
 from pydrake.symbolic import Expression
 
 from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
-from vcbf_drake.checks import Array, check_parameter, finite_vector
+from vcbf_drake.barriers.followed import TrajectoryBarrier, carried
+from vcbf_drake.checks import Array, check_parameter, finite_vector, require
 from vcbf_drake.model.compiled import Expressions
 from vcbf_drake.model.position import Position, PositionFunction
 
@@ -53,20 +54,75 @@ class Shape(ABC):
         Raises:
             ValueError: `position` has not one index a dimension, or bad gains.
         """
+        return barrier_of_position(*self.formula(), gains, position, name or self.kind)
+
+    def barrier_along(
+        self,
+        trajectory: Any,
+        gains: Sequence[float] | Array,
+        position: Position | None = None,
+        name: str | None = None,
+    ) -> TrajectoryBarrier:
+        """Returns the barrier of the shape, carried along a Drake `Trajectory`.
+
+        The trajectory's value is added to the shape's own place. Between ticks its rows
+        cannot be certified.
+
+        Args:
+            trajectory: (k, 1), with as many derivatives as there are gains and one more
+                (PiecewisePolynomial, BsplineTrajectory, ...) [m]; the shape stands
+                before its start and after its end.
+            gains: K of (E4); their number is the relative degree.
+            position: As for `barrier`.
+            name: What error messages and logs call it; None for the kind of shape.
+
+        Raises:
+            ValueError: A trajectory of other dimensions or without derivatives,
+                `position` has not one index a dimension, or bad gains.
+        """
         size, formula, parameters = self.formula()
-        return _of_position(
-            formula, size, gains, parameters, position, name or self.kind
-        )
+        name = name or self.kind
+        shape = trajectory.rows(), trajectory.cols()
+        rule = f"({size}, 1), as {self.kind} is in {size} dimensions"
+        require(shape == (size, 1), f"{name}: shape of the trajectory", shape, rule)
+        known = trajectory.has_derivative()
+        require(known, f"{name}: trajectory", trajectory, "one that has derivatives")
+        h = carried(formula, size, len(gains) + 1)
+        if position is not None:
+            at = position_function(position, size, name)
+            return TrajectoryBarrier(
+                lambda x, t, p: h(at(x), t, p),
+                gains,
+                parameters,
+                trajectory,
+                name,
+                None,
+            )
+        return TrajectoryBarrier(h, gains, parameters, trajectory, name, size)
 
 
-def _of_position(
-    formula: ShapeFunction,
+def barrier_of_position(
     size: int,
-    gains: Sequence[float] | Array,
+    formula: ShapeFunction,
     parameters: Sequence[float],
+    gains: Sequence[float] | Array,
     position: Position | None,
     name: str,
 ) -> Barrier:
+    """Returns the barrier of a formula of the position.
+
+    Args:
+        size: How many dimensions the position has.
+        formula: ``h(position, t, p)``.
+        parameters: The values of p.
+        gains: K of (E4); their number is the relative degree.
+        position: Which states are the position, or a function from the symbolic state x
+            to it; None where the plant says it.
+        name: What error messages and logs call it.
+
+    Raises:
+        ValueError: `position` has not one index a dimension, or bad gains.
+    """
     if position is None:
         return Barrier(formula, gains, parameters, name, of_position=size)
     at = position_function(position, size, name)

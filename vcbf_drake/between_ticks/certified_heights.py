@@ -13,6 +13,7 @@ from vcbf_drake.between_ticks.enclosures import RowEnclosures
 from vcbf_drake.between_ticks.held_rows import HeldRows, least_height
 from vcbf_drake.between_ticks.interval import Interval
 from vcbf_drake.checks import Array
+from vcbf_drake.errors import ModelError
 from vcbf_drake.safety import (
     Assumption,
     DisturbanceKnowledge,
@@ -116,6 +117,11 @@ class _Holds:
     ) -> None:
         self._model = safety_filter.model
         self._barriers = safety_filter.barrier_set
+        for name, each in zip(
+            safety_filter.barrier_set.names, safety_filter.barriers, strict=True
+        ):
+            if isinstance(each, Barrier) and each.class_k is not None:
+                raise ModelError(f"'{name}': heights are certified for linear class_k")
         self._decay_rates = {
             row: each.decay_rates
             for row, each in enumerate(safety_filter.barriers)

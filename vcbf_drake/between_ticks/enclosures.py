@@ -61,6 +61,11 @@ class RowEnclosures:
             ModelError: A row has no enclosure on intervals; the message names it.
             ValueError: obstacles has another shape.
         """
+        if barriers.followed:
+            raise ModelError(
+                f"'{barriers.followed[0]}': no enclosure between ticks, for it moves"
+                " along a trajectory"
+            )
         functions = barriers.functions_at(t, obstacles)
         for name, each in zip(barriers.names, functions, strict=True):
             try:

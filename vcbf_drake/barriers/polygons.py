@@ -1,0 +1,233 @@
+"""Polygons in the plane to stay clear of, convex or not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import ClassVar
+
+import numpy as np
+from pydrake.symbolic import Expression
+
+from vcbf_drake.barriers.barrier import Barrier
+from vcbf_drake.barriers.shapes import Shape, ShapeFunction, barrier_of_position
+from vcbf_drake.barriers.unions import in_pairs, smooth_maximum, smooth_minimum
+from vcbf_drake.checks import Array, check_parameter, require
+from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.model.position import Position
+
+_Piece = list[int]  # Indices of vertices, anticlockwise.
+
+
+@dataclass(frozen=True)
+class PolygonObstacle(Shape):
+    """A polygon in the plane, or a pillar of that outline in space; convex or not.
+
+    A convex one is left where the position is beyond one of its sides: with the outward
+    unit normals n_i and the offsets o_i, the barrier is the smooth maximum (E84)::
+
+        h = smooth max_i (n_i . p - o_i) - margin    [m]
+
+    Any other is cut into convex pieces, whose smooth minimum (E83) is the barrier; or
+    each has its own, by `barriers`, which loses nothing where two of them meet. h is
+    smooth everywhere and conservative: outside it never exceeds the distance to the
+    polygon less the margin, and inside it is negative. Relative degree 2 for a position
+    that forces accelerate (`Car`). Source: ours.
+
+    Attributes:
+        vertices: In order, either way round, shape (n, 2) [m].
+        margin: The distance to keep from the sides [m].
+        smoothing: The length over which two sides, or two pieces, blend [m].
+    """
+
+    kind: ClassVar[str] = "polygon"
+    vertices: Sequence[Sequence[float]] | Array
+    margin: float = 0.0
+    smoothing: float = 0.05
+
+    def __post_init__(self) -> None:
+        """Checks the numbers.
+
+        Raises:
+            ValueError: Fewer than three corners, not in the plane, a number that is not
+                finite, sides that meet where they must not, a negative margin, or a
+                smoothing that is not positive.
+        """
+        corners = np.array(self.vertices, dtype=float)
+        flat = corners.ndim == 2 and corners.shape[1] == 2 and len(corners) >= 3
+        rule = "at least 3 corners of 2 finite numbers each"
+        require(
+            flat and bool(np.isfinite(corners).all()),
+            "polygon: vertices",
+            self.vertices,
+            rule,
+        )
+        crossing = _crossing_sides(corners)
+        if crossing:
+            raise ValueError(f"polygon: its sides {crossing[0]} and {crossing[1]} meet")
+        check_parameter("polygon: margin", self.margin, zero_allowed=True)
+        check_parameter("polygon: smoothing", self.smoothing)
+
+    @property
+    def pieces(self) -> list[Array]:
+        """Convex polygons that make it up, anticlockwise, shapes (n_i, 2)."""
+        corners = _anticlockwise(np.array(self.vertices, dtype=float))
+        return [corners[piece] for piece in _merged(corners, _triangles(corners))]
+
+    def formula(self) -> tuple[int, ShapeFunction, list[float]]:
+        """Returns 2, h(position, t, p) with p = (sides, smoothing, margin), and p."""
+        return _formula(self.pieces, self.smoothing, self.margin)
+
+    def barriers(
+        self,
+        gains: Sequence[float] | Array,
+        position: Position | None = None,
+        name: str | None = None,
+    ) -> list[Barrier]:
+        """Returns one barrier a convex piece.
+
+        Args:
+            gains: K of (E4); their number is the relative degree.
+            position: Which states are the position, or a function from the symbolic
+                state x to it; None where the plant says it.
+            name: What error messages and logs call it; None for "polygon".
+
+        Raises:
+            ValueError: `position` has not one index a dimension, or bad gains.
+        """
+        return [
+            barrier_of_position(
+                *_formula([piece], self.smoothing, self.margin),
+                gains,
+                position,
+                name or self.kind,
+            )
+            for piece in self.pieces
+        ]
+
+
+def _formula(
+    pieces: Sequence[Array], smoothing: float, margin: float
+) -> tuple[int, ShapeFunction, list[float]]:
+    sizes = [len(piece) for piece in pieces]
+
+    def h(position: Expressions, t: Expression, p: Expressions) -> Expression:
+        smoothing, margin = p[-2:]
+        sides = iter(p[:-2].reshape(-1, 3))
+        each = [
+            in_pairs(
+                [a * position[0] + b * position[1] - c for a, b, c in _next(sides, n)],
+                smoothing,
+                smooth_maximum,
+            )
+            for n in sizes
+        ]
+        return in_pairs(each, smoothing, smooth_minimum) - margin
+
+    sides = np.concatenate([_sides(piece) for piece in pieces])
+    return 2, h, [*sides.flat, smoothing, margin]
+
+
+def _next(sides: object, count: int) -> list[Expressions]:
+    return [next(sides) for _ in range(count)]  # type: ignore[call-overload]
+
+
+def _sides(piece: Array) -> Array:
+    """Returns n_x, n_y and n . p of every side, the normal outwards, shape (n, 3)."""
+    along = np.roll(piece, -1, axis=0) - piece
+    normals = np.column_stack([along[:, 1], -along[:, 0]])
+    normals /= np.linalg.norm(along, axis=1)[:, None]
+    return np.column_stack([normals, np.sum(normals * piece, axis=1)])
+
+
+def _turn(a: Array, b: Array, c: Array) -> float:
+    """Twice the area of a triangle; positive anticlockwise."""
+    (x, y), (u, v) = b - a, c - a
+    return float(x * v - y * u)
+
+
+def _anticlockwise(corners: Array) -> Array:
+    x, y = corners.T
+    area = np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
+    return corners if area > 0.0 else corners[::-1]
+
+
+def _crossing_sides(corners: Array) -> tuple[int, int] | None:
+    """Returns two sides that meet where they must not; None for a simple polygon."""
+    n = len(corners)
+    for i, j in combinations(range(n), 2):
+        a, b = corners[i], corners[(i + 1) % n]
+        c, d = corners[j], corners[(j + 1) % n]
+        if np.array_equal(a, b) or np.array_equal(c, d):
+            return i, j
+        if j == i + 1 or (i == 0 and j == n - 1):  # Neighbours: back on themselves?
+            shared, one, other = (b, a, d) if j == i + 1 else (a, b, c)
+            folded = _turn(one, shared, other) == 0.0
+            if folded and np.dot(one - shared, other - shared) > 0.0:
+                return i, j
+            continue
+        if (
+            _turn(a, b, c) * _turn(a, b, d) <= 0.0
+            and _turn(c, d, a) * _turn(c, d, b) <= 0.0
+            and np.all(
+                np.maximum(np.minimum(a, b), np.minimum(c, d))
+                <= np.minimum(np.maximum(a, b), np.maximum(c, d))
+            )
+        ):
+            return i, j
+    return None
+
+
+def _triangles(corners: Array) -> list[_Piece]:
+    """Cuts a simple, anticlockwise polygon into triangles, ear by ear."""
+    left, found = list(range(len(corners))), []
+    while len(left) > 3:
+        for k, ear in enumerate(left):
+            before, after = left[k - 1], left[(k + 1) % len(left)]
+            a, b, c = corners[[before, ear, after]]
+            others = [corners[i] for i in left if i not in (before, ear, after)]
+            if _turn(a, b, c) > 0.0 and not any(_holds(a, b, c, p) for p in others):
+                found.append([before, ear, after])
+                left.pop(k)
+                break
+            if _turn(a, b, c) == 0.0:  # A corner on a straight side.
+                left.pop(k)
+                break
+    return [*found, left]
+
+
+def _holds(a: Array, b: Array, c: Array, p: Array) -> bool:
+    return min(_turn(a, b, p), _turn(b, c, p), _turn(c, a, p)) >= 0.0
+
+
+def _merged(corners: Array, pieces: list[_Piece]) -> list[_Piece]:
+    """Joins neighbours as long as what they make is convex (Hertel and Mehlhorn)."""
+    pieces = list(pieces)
+    while True:
+        for first, second in combinations(pieces, 2):
+            joined = _joined(first, second)
+            if joined and _is_convex(corners[joined]):
+                pieces = [p for p in pieces if p is not first and p is not second]
+                pieces.append(joined)
+                break
+        else:
+            return pieces
+
+
+def _joined(first: _Piece, second: _Piece) -> _Piece | None:
+    """Two pieces without the side they share; None if they share none."""
+    for i, start in enumerate(first):
+        end = first[(i + 1) % len(first)]
+        for j, other in enumerate(second):
+            if other == end and second[(j + 1) % len(second)] == start:
+                around = second[j + 1 :] + second[: j + 1]  # From start to end.
+                return first[: i + 1] + around[1:-1] + first[i + 1 :]
+    return None
+
+
+def _is_convex(corners: Array) -> bool:
+    before, after = np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0)
+    return all(
+        _turn(a, b, c) >= 0.0 for a, b, c in zip(before, corners, after, strict=True)
+    )
