@@ -53,6 +53,8 @@ class Tick:
         policy: What is done where no input satisfies the barriers' rows.
         state: What the rows are of; empty where that is nothing in particular.
         rates: What the volume rows need beside it; empty where they are given.
+        slopes: By how much a row opens for each unit its decay rate grows by, in shares
+            of itself, shape (N,); empty where none may.
     """
 
     input_set: InputSet
@@ -66,6 +68,7 @@ class Tick:
     policy: InfeasiblePolicy
     state: Array = field(default_factory=lambda: np.zeros(0))
     rates: Array = field(default_factory=lambda: np.zeros(0))
+    slopes: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def is_finite(self) -> bool:
@@ -139,6 +142,11 @@ def _broken_when_infeasible(
     if tick.policy == "hold":
         if not _is_held(tick, limits, v):
             yield "fallback"
+    elif decision.decay > 1.0:
+        opened = tick.b + (decision.decay - 1.0) * tick.slopes
+        grown = _Rows.of(tick.input_set, tick.A, opened)
+        if tick.policy != "decay" or grown.live.violation(v) > FEASIBILITY:
+            yield "decay"
     elif not _is_least_violation(tick.weights, limits, rows, v):
         yield "least violation"
 

@@ -22,6 +22,7 @@ from vcbf_drake.safety import (
     InputSet,
     SafetyFilter,
 )
+from vcbf_drake.safety.decay import DecayRates
 from vcbf_drake.safety.qp import INFEASIBLE_POLICIES
 
 PLANTS = ("blimp", "car")
@@ -68,6 +69,7 @@ def random_decision(rng: Generator, plant: str) -> tuple[Tick, FilterDecision]:
         held_input=signals["held_input"],
         exact_slack=True,
         policy=policy,
+        slopes=DecayRates.at(feasible.rows, safety_filter.barriers, 0.02).slopes,
         state=signals["state"],
         rates=np.concatenate(
             [value for name, value in signals.items() if name.endswith("_rate")]

@@ -457,7 +457,7 @@ REFUSED = [
     # Choices.
     ("{method: dob}", "method", "'dob'; it must be one of cbf-qp, robust-cbf-qp"),
     ("{fidelity: exact}", "fidelity", "one of corrected, paper"),
-    ("{infeasible: go}", "infeasible", "one of stop, least_violation, hold"),
+    ("{infeasible: go}", "infeasible", "one of stop, least_violation, hold, decay"),
     ("{between_ticks: always}", "between_ticks", "one of none, certified"),
     ("{observer: {step: euler}}", "observer.step", "implicit, saturated, explicit"),
     ("{barrier: {form: cube}}", "barrier.form", "one of distance, squared"),

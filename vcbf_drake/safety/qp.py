@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 import math
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.linalg import LinAlgError
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import EmptySetError, SolverError
+from vcbf_drake.safety.decay import DecayRates, decayed_input
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.programs import DEFAULT_SOLVER
@@ -27,9 +28,9 @@ from vcbf_drake.safety.tick_qp import (
     state_qp,
 )
 
-InfeasiblePolicy = Literal["stop", "least_violation", "hold"]
+InfeasiblePolicy = Literal["stop", "least_violation", "hold", "decay"]
 
-INFEASIBLE_POLICIES: tuple[InfeasiblePolicy, ...] = ("stop", "least_violation", "hold")
+INFEASIBLE_POLICIES: tuple[InfeasiblePolicy, ...] = get_args(InfeasiblePolicy)
 
 
 class FilterStatus(IntEnum):
@@ -61,6 +62,8 @@ class FilterDecision:
             nan where no such input was sought.
         soft_slacks: How far each soft barrier row gave way, at most 0, where the input
             is a QP's solution.
+        decay: The largest factor omega on a barrier's last decay rate (E99), above 1
+            only where the rows have no input at their own rates.
         qp: The QP whose solution the input is, where it is one.
     """
 
@@ -70,6 +73,7 @@ class FilterDecision:
     conflict: tuple[int, ...] = ()
     row_margin: float = math.nan
     soft_slacks: tuple[float, ...] = ()
+    decay: float = 1.0
     qp: QP | None = field(default=None, compare=False, repr=False)
 
 
@@ -83,6 +87,7 @@ def choose_input(
     policy: InfeasiblePolicy,
     solver: str = DEFAULT_SOLVER,
     frame: Frame | None = None,
+    decay_rates: DecayRates | None = None,
 ) -> FilterDecision:
     """Returns the feasible input nearest to the reference, (E19) or (E24), (E25).
 
@@ -102,6 +107,7 @@ def choose_input(
         solver: The name of the solver that proposes, one of `SOLVERS`.
         frame: The coordinates of the normalised inputs, with the cost's weights; by
             default `Frame.of(input_set)`.
+        decay_rates: How much faster the barriers may fall, for the policy ``decay``.
     """
     if not (feasible.is_finite and np.isfinite(reference).all()):
         return FilterDecision(input_set.project(held_input), FilterStatus.FAILED)
@@ -130,11 +136,16 @@ def choose_input(
         # Of the feasible set's rows alone; a volume row that may give way has none.
         among = [i for i in error.conflict if i < len(feasible.cutting)]
         conflict = tuple(feasible.cutting[among].tolist())
+        decay = 1.0
         if policy == "hold":
             u = input_set.project(held_input)
+        elif policy == "decay" and decay_rates is not None:
+            u, decay = decayed_input(feasible, qp.hard, decay_rates, held_input, solver)
         else:
             u = least_violation(feasible, qp.hard, held_input, solver)
-        return FilterDecision(u, FilterStatus.INFEASIBLE, conflict=conflict)
+        return FilterDecision(
+            u, FilterStatus.INFEASIBLE, conflict=conflict, decay=decay
+        )
     except (SolverError, LinAlgError):
         u = least_violation(feasible, qp.hard, held_input, solver)
         return FilterDecision(u, FilterStatus.FAILED)

@@ -14,6 +14,7 @@ from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.cached_system import CachedSystem, held_by
+from vcbf_drake.safety.decay import DecayRates
 from vcbf_drake.safety.feasible_set import (
     DisturbanceKnowledge,
     FeasibleSet,
@@ -62,6 +63,7 @@ class SafetyFilter(CachedSystem):
         - levels
         - authority
         - row_margin
+        - decay
         - status
         - feasible_set
 
@@ -91,6 +93,7 @@ class SafetyFilter(CachedSystem):
     | ``levels`` | | phi_0, ..., phi_(r-1) of every barrier, one after the other (E3) |
     | ``authority`` | N | how far the inputs move each row; 0 when not at all (R33) |
     | ``row_margin`` | 1 | the rows' least until the next tick (E77); nan unless asked |
+    | ``decay`` | 1 | the largest factor on a decay rate (E99); 1 where none grew |
     | ``status`` | 1 | a `FilterStatus` |
     | ``feasible_set`` | | A, b, ellipsoid: see `unpack_feasible_set` |
 
@@ -234,6 +237,7 @@ class SafetyFilter(CachedSystem):
                 lambda decided: decided.soft_slacks or [np.nan] * num_soft,
             )
         self._output("status", 1, decision, lambda decided: [decided.status])
+        self._output("decay", 1, decision, lambda decided: [decided.decay])
         self._output("row_margin", 1, decision, lambda decided: [decided.row_margin])
         self._output(
             "volume", 1, self._volumes_entry, lambda v: [v[0].value if v[0] else np.nan]
@@ -355,6 +359,11 @@ class SafetyFilter(CachedSystem):
             volumes = self._volumes(context)
             rows, failed = self._volume_rows.rows(state, feasible, *volumes)
 
+        decay_rates = None
+        if self.settings.infeasible == "decay":
+            period = self.settings.period
+            decay_rates = DecayRates.at(feasible.rows, self.barriers, period)
+
         def choose(margin: Array | None = None) -> FilterDecision:
             return choose_input(
                 feasible if margin is None else feasible.tightened(margin),
@@ -366,6 +375,7 @@ class SafetyFilter(CachedSystem):
                 self.settings.infeasible,
                 self.settings.solver,
                 self._frame,
+                decay_rates,
             )
 
         decision = choose()

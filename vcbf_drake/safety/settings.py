@@ -39,7 +39,8 @@ class FilterSettings:
         fidelity: "corrected", or "paper" for the equations as published; or the errata
             to apply.
         infeasible: What to do when no input satisfies the barrier rows: apply the input
-            of "least_violation", "hold" the last one, or "stop" the simulation.
+            of "least_violation", "hold" the last one, "stop" the simulation, or let the
+            barriers "decay" faster than their gains say, by as little as helps (E99).
         volume: The volume barrier, for the methods that have one.
         between_ticks: "none" asks the rows to hold at the ticks alone, "certified" asks
             for inputs under which they hold until the next tick (E77), where there are

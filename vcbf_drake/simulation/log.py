@@ -18,7 +18,7 @@ from vcbf_drake.simulation.audit import audit_margins
 from vcbf_drake.simulation.loop import COLLISION_MONITOR, LOG_PREFIX
 
 _PATH = "path"
-_SCALARS = ("slack", "volume", "status", "least_chi")
+_SCALARS = ("slack", "volume", "status", "decay", "least_chi")
 
 
 class _Store(Protocol):

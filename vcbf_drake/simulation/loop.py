@@ -281,7 +281,7 @@ def logged_ports(
     controller: LeafSystem, safety_filter: SafetyFilter, observer: DisturbanceObserver
 ) -> dict[str, OutputPort]:
     """Returns the ports that a log of a run has, beside those of the plant, by name."""
-    names = ["slack", "volume", "barriers", "status", "feasible_set"]
+    names = ["slack", "volume", "barriers", "status", "decay", "feasible_set"]
     ports = {name: safety_filter.GetOutputPort(name) for name in names}
     ports["input"] = safety_filter.GetOutputPort("command")
     if safety_filter.certified_hold:

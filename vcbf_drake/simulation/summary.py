@@ -78,6 +78,7 @@ def summarise(
         "final_status": int(log["status"][-1]),
         "relaxed_ticks": int(np.sum(log["status"] == FilterStatus.RELAXED)),
         "infeasible_ticks": int(np.sum(infeasible)),
+        "decayed_ticks": int(np.sum(log["decay"] > 1.0)),
         "failed_ticks": int(np.sum(log["status"] == FilterStatus.FAILED)),
         "rows_without_authority": _without_authority(safety_filter, log),
         "final_distance": float(_distance(scenario, path[-1:])[0]),

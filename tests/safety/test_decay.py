@@ -1,0 +1,102 @@
+"""Barriers that decay faster where else no input is left."""
+
+import numpy as np
+import pytest
+
+from vcbf_drake import load_scenario, simulate
+from vcbf_drake.barriers import BarrierRows, HalfSpace
+from vcbf_drake.safety import DisturbanceKnowledge, FilterStatus, InputSet
+from vcbf_drake.safety.decay import DecayRates
+from vcbf_drake.safety.feasible_set import feasible_set
+from vcbf_drake.safety.qp import choose_input
+
+LINE = InputSet.box([-1.0], [1.0])
+
+
+def decide(b, slopes, reference, most=9.0, policy="decay"):
+    """Of u <= b_1, -u <= b_2, ... in turn, |u| <= 1, each with its lambda phi."""
+    A = np.array([[1.0], [-1.0]] * len(b))[: len(b)]
+    rows = BarrierRows(
+        value=np.ones(len(b)),
+        chain=tuple(np.ones(2) for _ in b),
+        A=A,
+        b=np.array(b, dtype=float),
+        w=np.zeros((len(b), 1)),
+        num_states=2,
+        gradients=lambda rows: np.zeros((len(rows), 3, 3)),
+    )
+    return choose_input(
+        feasible_set(LINE, rows, DisturbanceKnowledge.constant(1, 0.0)),
+        [],
+        np.array([reference]),
+        np.zeros(1),
+        LINE,
+        True,
+        policy,
+        decay_rates=DecayRates(np.array(slopes), np.full(len(b), most)),
+    )
+
+
+def test_the_rates_grow_by_as_little_as_helps():
+    """Min u^2 + 100 w_1^2 + 100 w_2^2, u <= -0.5 + w_1, u >= 0.5 - 2 w_2, by hand.
+
+    On both rows the cost is u^2 + 100 (u + 0.5)^2 + 25 (0.5 - u)^2: 252 u = -75.
+    """
+    found = decide([-0.5, -0.5], [1.0, 2.0], 0.0)
+    assert found.status == FilterStatus.INFEASIBLE
+    assert sorted(found.conflict) == [2, 3]
+    np.testing.assert_allclose(found.input, [-75.0 / 252.0], atol=1e-7)
+    assert found.decay == pytest.approx(1.0 + (0.5 + 75.0 / 252.0) / 2.0)
+
+
+def test_one_row_that_excludes_the_limits_grows_to_them():
+    """U <= -2 + 1.5 w and u >= -1: w = 2/3, whatever the reference."""
+    found = decide([-2.0], [1.5], 0.5)
+    np.testing.assert_allclose(found.input, [-1.0], atol=1e-9)
+    assert found.decay == pytest.approx(5.0 / 3.0)
+
+
+def test_where_rows_have_an_input_nothing_grows():
+    for policy in ("decay", "hold"):
+        found = decide([0.2], [1.5], 0.5, policy=policy)
+        assert found.status == FilterStatus.FILTERED and found.decay == 1.0
+        np.testing.assert_allclose(found.input, [0.2], atol=1e-9)
+
+
+@pytest.mark.parametrize(("slopes", "most"), [([0.0], 9.0), ([1.5], 1.5), ([0.5], 2.9)])
+def test_what_no_rate_can_mend_is_violated_least(slopes, most):
+    """A level that is not positive, and a factor beyond what a period allows."""
+    found = decide([-2.0], slopes, 0.5, most)
+    assert found.status == FilterStatus.INFEASIBLE and found.decay == 1.0
+    np.testing.assert_allclose(found.input, [-1.0], atol=1e-7)
+
+
+def test_rates_at_a_tick():
+    """Gains (4, 3) are rates of 3 and 1: the slope is phi_1, the most 0.9 / T."""
+    rows = BarrierRows(
+        value=np.ones(3),
+        chain=(np.array([2.0, 5.0]), np.array([2.0, -5.0]), np.zeros(0)),
+        A=np.ones((3, 1)),
+        b=np.ones(3),
+        w=np.zeros((3, 1)),
+        num_states=2,
+        gradients=lambda rows: np.zeros((len(rows), 3, 3)),
+    )
+    wall = HalfSpace([-1.0, 0.0], -5.0).barrier([4.0, 3.0], name="wall")
+    rates = DecayRates.at(rows, [wall, wall, object()], 0.02)
+    np.testing.assert_allclose(rates.slopes, [5.0, 0.0, 0.0])
+    np.testing.assert_allclose(rates.most[:2], [45.0, 45.0])
+
+
+def test_a_car_that_runs_out_of_inputs_goes_on_with_positive_levels():
+    """k_p = 0.2 of the car's sensitivity: infeasible at 3.02 s, by the paper."""
+    overrides = {"method": "dob-cbf-qp", "infeasible": "decay"}
+    result = simulate(load_scenario("car-sensitivity", overrides))
+    infeasible = result.log["status"] == FilterStatus.INFEASIBLE
+    assert result.summary["infeasible_at"] == pytest.approx(3.02)
+    assert result.summary["decayed_ticks"] == infeasible.sum() > 10
+    assert np.all((result.log["decay"] > 1.0) == infeasible)
+    assert result.summary["outcome"] == "reached"
+    for name in ("barrier", "chain", "barrier between ticks"):
+        assert result.summary["audit"][name]["held"]
+    assert not result.summary["guaranteed"]
