@@ -19,13 +19,6 @@ from tests.benchmarks.routes import CBF_QP, GRADIENT, TASKS, Cost, markdown, mea
 from tests.benchmarks.ticks import GROWTH, growth_markdown, solvers_alone, tick_times
 from vcbf_drake import load_scenario, simulate
 
-_CROWD = """\
-parent: car-avoidance
-duration: 60
-target: [100.0, 100.0]
-obstacles:
-"""
-
 
 def main() -> None:
     """Prints the tables, each as soon as it is measured."""
@@ -115,16 +108,15 @@ def _cpu(*arguments: str) -> str:
     return f"{min(spent):.2f} s"
 
 
-def _memory_among_discs() -> str:
+def _memory_among_discs(duration: float = 60.0) -> str:
     """The most memory that `vcbf-drake run` takes, with log, figures and replay."""
-    rows = [(4.0 + 3.0 * (i % 32), 3.0 * (i // 32)) for i in range(1000)]
-    discs = [f"  - !Sphere {{center: [{x}, {y}], radius: 0.3}}" for x, y in rows]
+    places = [(4.0 + 3.0 * (i % 32), 3.0 * (i // 32)) for i in range(1000)]
+    discs = ", ".join(f"{{center: [{x}, {y}], radius: 0.3}}" for x, y in places)
+    crowd = f"{{duration: {duration}, target: [100.0, 93.0], obstacles: [{discs}]}}"
+    command = [sys.executable, "-m", "vcbf_drake", "run", "car-avoidance"]
     with tempfile.TemporaryDirectory() as directory:
-        path = f"{directory}/crowd.yaml"
-        with open(path, "w", encoding="utf-8") as file:
-            file.write(_CROWD + "\n".join(discs) + "\n")
-        command = [sys.executable, "-m", "vcbf_drake", "run", path]
-        done = subprocess.run([*command, "--out", f"{directory}/out"], check=False)
+        command += ["--override", crowd, "--out", directory]
+        done = subprocess.run(command, check=False, stdout=subprocess.DEVNULL)
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
     return f"{peak:.0f} MiB" + (" (it failed)" if done.returncode else "")
 
