@@ -150,6 +150,7 @@ const KEYS = {
 };
 
 fillLegend();
+document.documentElement.classList.toggle("bare", !data.plots.length);
 const folded = withMemory((memory) => memory.getItem("vcbf_drake.folded"));
 const small = window.innerWidth < 1400 || window.innerHeight < 760;
 setFolded(folded === null ? small : folded === "true", false);
