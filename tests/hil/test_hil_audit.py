@@ -120,6 +120,37 @@ def test_a_single_jump_is_no_finding() -> None:
     assert run.controller.report()["findings"] == {}
 
 
+def test_a_jump_of_the_speed_is_told_and_the_estimate_does_not_follow() -> None:
+    """The observer passes over that interval, and status and report say so."""
+
+    def jumped(message):
+        if message.time >= 1.0:
+            x = list(message.state)
+            x[4] += 0.3
+            message.state = x
+        return message
+
+    run = RelayedLoop(scenario(), state_changed(jumped))
+    statuses, said = [], []
+    run.controller.tell = said.append
+    run.controller.bus.taps.append(
+        lambda utime, channel, data: (
+            statuses.append(vcbf_status.decode(data))
+            if channel == "VCBF_STATUS"
+            else None
+        )
+    )
+    run.advance_to(0.98)
+    assert statuses[-1].refused_intervals == 0
+    run.advance_to(1.01)
+    run.controller._say()
+    assert statuses[-1].refused_intervals >= 1
+    assert run.controller.report()["refused_intervals"] >= 1
+    assert any("the state jumped" in line for line in said)
+    bound = statuses[-1].disturbance_bound + statuses[-1].error_bound
+    assert np.linalg.norm(statuses[-1].disturbance_estimate) <= bound
+
+
 def test_with_report_alone_the_vehicle_is_not_stopped_but_status_says_so() -> None:
     loaded = scenario(hardware={"audit": "report"})
     run = RelayedLoop(loaded, state_changed(without_integral))

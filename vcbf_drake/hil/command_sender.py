@@ -243,6 +243,7 @@ class CommandSender(LeafSystem):
         message.num_disturbances = len(message.disturbance_estimate)
         message.error_bound = float(estimate.error_bound)
         message.disturbance_bound = self._delta1
+        message.refused_intervals = int(np.nan_to_num(estimate.refused_intervals))
         message.states_accepted = inbox.accepted
         message.states_lost = inbox.lost
         message.states_late = inbox.late

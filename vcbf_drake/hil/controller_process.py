@@ -220,6 +220,9 @@ class ControllerProcess(HardwareProcess):
         self._tell_change("notice", notice, f"{when}{notice or 'followed again'}")
         for finding in status.findings:
             self._tell_change(finding, finding, f"{when}refuted: {finding}")
+        if status.refused_intervals:
+            line = f"{when}the state jumped, by more than any declared disturbance does"
+            self._tell_change("jump", "jump", line)
         clock = inbox.peer_clock
         if clock is not None and clock.steps:
             step = 1e-6 * clock.last_step

@@ -47,6 +47,7 @@ class ControllerRecord:
         durations: How long the last ticks took, from state to command [s].
         method: The filter's.
         findings: What the measurements refuted, and at how many ticks.
+        refused_intervals: Those that the observer passed over.
         changes: What was asked of the vehicle, in time; the last 1000 changes.
         real_time_rate: How fast the vehicle's time goes, by the clock.
     """
@@ -55,6 +56,7 @@ class ControllerRecord:
         self.ticks: Counter[FilterStatus] = Counter()
         self.method = ""
         self.findings: Counter[str] = Counter()
+        self.refused_intervals = 0
         self.least_volume = np.inf
         self.greatest_slack = 0.0
         self.durations: deque[float] = deque(maxlen=_REMEMBERED)
@@ -73,6 +75,7 @@ class ControllerRecord:
         self.durations.append(duration)
         self.method = status.method
         self.findings.update(status.findings)
+        self.refused_intervals = max(self.refused_intervals, status.refused_intervals)
 
     def _add_time(self, time: float, utime: int) -> None:
         # The vehicle's time stands at 0 while it waits, and begins anew with it.
@@ -112,6 +115,7 @@ def controller_report(
         "tick_ms": median_and_p99(1e3 * np.array(record.durations)),
         "round_trip_ms": median_and_p99(receiver.round_trip.milliseconds),
         "arrived": _arrived(receiver.inbox),
+        "refused_intervals": record.refused_intervals,
         "findings": dict(record.findings),
         "changes": list(record.changes),
     }

@@ -31,6 +31,9 @@ from vcbf_drake.hil.timing import RoundTrip
 from vcbf_drake.hil.watchdogs import Verdict
 from vcbf_drake.simulation.scenario import Hardware
 
+# How long a vehicle may take to follow a controller that it hears first [us].
+_TO_SETTLE = 300_000
+
 
 class StateStamp(NamedTuple):
     """Which state it is.
@@ -109,6 +112,7 @@ class StateReceiver(LeafSystem):
         self._bus = bus
         self._sizes = num_states, num_inputs
         self._last_command = -1
+        self._heard, self._heard_since = 0, 0
         settings = settings or Hardware()
         self.inbox = Inbox(
             bus,
@@ -161,7 +165,9 @@ class StateReceiver(LeafSystem):
     def notice(self) -> str:
         """Returns who else speaks under this name; empty if nobody does."""
         newest, now = self.inbox.newest, self._bus.clock.utime()
-        if newest is not None and not self.is_followed and newest.command_session > 0:
+        is_settled = now - self._heard_since > _TO_SETTLE
+        is_lost = newest is not None and is_settled and not self.is_followed
+        if is_lost and newest.command_session > 0:
             return f"the vehicle follows another controller, {newest.command_session}"
         if self.inbox.last_rejection == Reason.SESSION.value:
             if now - self.inbox.last_rejected_at < 1_000_000:
@@ -229,6 +235,8 @@ class StateReceiver(LeafSystem):
 
     def _take_times(self, message: Any, now: int) -> None:
         """Notes the round trip of a command that the vehicle mentions first now."""
+        if message.session != self._heard:
+            self._heard, self._heard_since = message.session, now
         is_ours = message.command_session == self._bus.session
         if is_ours and message.command_sequence > self._last_command:
             self._last_command = message.command_sequence

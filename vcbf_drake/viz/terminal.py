@@ -48,6 +48,7 @@ _REPORTED_NUMBERS = (
     ("max |slack|", "max_abs_slack", ""),
     ("real-time rate", "real_time_rate", ""),
     ("periods missed", "deadlines_missed", ""),
+    ("refused intervals", "refused_intervals", ""),
 )
 
 

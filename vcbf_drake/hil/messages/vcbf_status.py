@@ -10,11 +10,11 @@ import struct
 class vcbf_status(object):
     """ What the safety filter did at one tick, and how the states arrive. """
 
-    __slots__ = ["version", "session", "sequence", "utime", "state_sequence", "time", "state_age", "mode", "reason", "followed", "method", "filter_status", "num_inputs", "input", "reference", "slack", "volume", "num_barriers", "barriers", "num_disturbances", "disturbance_estimate", "error_bound", "disturbance_bound", "num_findings", "findings", "num_conflicts", "conflicts", "states_accepted", "states_lost", "states_late", "states_rejected", "deadlines_missed", "clock_offset", "clock_uncertainty"]
+    __slots__ = ["version", "session", "sequence", "utime", "state_sequence", "time", "state_age", "mode", "reason", "followed", "method", "filter_status", "num_inputs", "input", "reference", "slack", "volume", "num_barriers", "barriers", "num_disturbances", "disturbance_estimate", "error_bound", "disturbance_bound", "refused_intervals", "num_findings", "findings", "num_conflicts", "conflicts", "states_accepted", "states_lost", "states_late", "states_rejected", "deadlines_missed", "clock_offset", "clock_uncertainty"]
 
-    __typenames__ = ["int32_t", "int64_t", "int64_t", "int64_t", "int64_t", "double", "double", "int8_t", "string", "boolean", "string", "int8_t", "int32_t", "double", "double", "double", "double", "int32_t", "double", "int32_t", "double", "double", "double", "int32_t", "string", "int32_t", "string", "int64_t", "int64_t", "int64_t", "int64_t", "int64_t", "double", "double"]
+    __typenames__ = ["int32_t", "int64_t", "int64_t", "int64_t", "int64_t", "double", "double", "int8_t", "string", "boolean", "string", "int8_t", "int32_t", "double", "double", "double", "double", "int32_t", "double", "int32_t", "double", "double", "double", "int64_t", "int32_t", "string", "int32_t", "string", "int64_t", "int64_t", "int64_t", "int64_t", "int64_t", "double", "double"]
 
-    __dimensions__ = [None, None, None, None, None, None, None, None, None, None, None, None, None, ["num_inputs"], ["num_inputs"], None, None, None, ["num_barriers"], None, ["num_disturbances"], None, None, None, ["num_findings"], None, ["num_conflicts"], None, None, None, None, None, None, None]
+    __dimensions__ = [None, None, None, None, None, None, None, None, None, None, None, None, None, ["num_inputs"], ["num_inputs"], None, None, None, ["num_barriers"], None, ["num_disturbances"], None, None, None, None, ["num_findings"], None, ["num_conflicts"], None, None, None, None, None, None, None]
 
     def __init__(self):
         self.version = 0
@@ -123,6 +123,13 @@ class vcbf_status(object):
 
         self.disturbance_bound = 0.0
         """ LCM Type: double """
+        self.refused_intervals = 0
+        """
+        Intervals between states that no declared disturbance explains, so far: the
+        observer passed over them.
+        LCM Type: int64_t
+        """
+
         self.num_findings = 0
         """
         What the measurements refute, in words; empty if nothing.
@@ -192,7 +199,7 @@ class vcbf_status(object):
         buf.write(struct.pack('>%dd' % self.num_barriers, *self.barriers[:self.num_barriers]))
         buf.write(struct.pack(">i", self.num_disturbances))
         buf.write(struct.pack('>%dd' % self.num_disturbances, *self.disturbance_estimate[:self.num_disturbances]))
-        buf.write(struct.pack(">ddi", self.error_bound, self.disturbance_bound, self.num_findings))
+        buf.write(struct.pack(">ddqi", self.error_bound, self.disturbance_bound, self.refused_intervals, self.num_findings))
         for i0 in range(self.num_findings):
             __findings_encoded = self.findings[i0].encode('utf-8')
             buf.write(struct.pack('>I', len(__findings_encoded)+1))
@@ -232,7 +239,7 @@ class vcbf_status(object):
         self.barriers = struct.unpack('>%dd' % self.num_barriers, buf.read(self.num_barriers * 8))
         self.num_disturbances = struct.unpack(">i", buf.read(4))[0]
         self.disturbance_estimate = struct.unpack('>%dd' % self.num_disturbances, buf.read(self.num_disturbances * 8))
-        self.error_bound, self.disturbance_bound, self.num_findings = struct.unpack(">ddi", buf.read(20))
+        self.error_bound, self.disturbance_bound, self.refused_intervals, self.num_findings = struct.unpack(">ddqi", buf.read(28))
         self.findings = []
         for i0 in range(self.num_findings):
             __findings_len = struct.unpack('>I', buf.read(4))[0]
@@ -248,7 +255,7 @@ class vcbf_status(object):
     @staticmethod
     def _get_hash_recursive(parents):
         if vcbf_status in parents: return 0
-        tmphash = (0xf081040ef24aebc7) & 0xffffffffffffffff
+        tmphash = (0x4ddc3e3882ed84f4) & 0xffffffffffffffff
         tmphash  = (((tmphash<<1)&0xffffffffffffffff) + (tmphash>>63)) & 0xffffffffffffffff
         return tmphash
     _packed_fingerprint = None
