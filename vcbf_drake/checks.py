@@ -130,12 +130,11 @@ def finite_vector(values: Sequence[float] | Array, name: str) -> Array:
         name: What they are, for the error message.
 
     Raises:
-        ValueError: Not one-dimensional, or not finite.
+        InvalidValueError: Not one-dimensional, or not finite.
     """
     vector = np.array(values, dtype=float)
-    if vector.ndim != 1:
-        raise ValueError(f"{name}: expected a flat list, got shape {vector.shape}")
-    if not np.isfinite(vector).all():
-        raise ValueError(f"{name}: every number must be finite, got {vector.tolist()}")
+    require(vector.ndim == 1, name, vector.shape, "a flat list of numbers")
+    finite = bool(np.isfinite(vector).all())
+    require(finite, name, vector.tolist(), "made of finite numbers")
     vector.flags.writeable = False
     return vector

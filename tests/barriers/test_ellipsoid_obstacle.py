@@ -98,7 +98,7 @@ def test_at_the_centre_the_row_is_nan(blimp) -> None:
     ("arguments", "message"),
     [
         ({"center": [1.0]}, "center must have 2 or 3 numbers, got 1"),
-        ({"center": [1.0, np.inf]}, "center: every number must be finite"),
+        ({"center": [1.0, np.inf]}, r"center: .*made of finite numbers"),
         ({"semi_axes": [1.0]}, r"semi_axes: \[1.0\]; it must be a list of 2"),
         ({"semi_axes": [1.0, 0.0]}, r"semi_axes\[1\]: .* finite and above 0"),
         ({"velocity": [1.0]}, "velocity must have 2 numbers like center, got 1"),

@@ -37,7 +37,6 @@ from vcbf_drake.model.compiled import compile_nodes
 from vcbf_drake.model.graph import (
     ONE,
     ZERO,
-    Reader,
     along,
     gradients,
     number,
@@ -45,6 +44,7 @@ from vcbf_drake.model.graph import (
     variable,
     variables_of,
 )
+from vcbf_drake.model.reading import Reader
 
 x, y = Variable("x"), Variable("y")
 A, B = variable("a"), variable("b")

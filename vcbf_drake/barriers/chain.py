@@ -25,11 +25,11 @@ from vcbf_drake.model.graph import (
     ZERO,
     Node,
     Nodes,
-    Reader,
     gradients,
     substitute,
     variable,
 )
+from vcbf_drake.model.reading import Reader
 
 TIME, LEVEL = variable("t"), variable("level")
 

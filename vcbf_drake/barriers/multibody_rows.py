@@ -37,7 +37,7 @@ from vcbf_drake.errors import ModelError
 from vcbf_drake.model.compiled import CompiledFunction, Expressions, compile_nodes
 from vcbf_drake.model.control_affine import Dynamics
 from vcbf_drake.model.explained import explained
-from vcbf_drake.model.graph import ZERO, Node, Nodes, Reader, gradients, variable
+from vcbf_drake.model.graph import ZERO, Node, Nodes, gradients, variable
 from vcbf_drake.model.multibody_model import MultibodyModel
 from vcbf_drake.model.outputs import (
     Output,
@@ -46,6 +46,7 @@ from vcbf_drake.model.outputs import (
     jets,
     jets_by_state,
 )
+from vcbf_drake.model.reading import Reader
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,13 @@ from typing import ClassVar, Literal, get_args
 import numpy as np
 from pydrake.symbolic import Expression
 
-from vcbf_drake.barriers.shapes import (
+from vcbf_drake.barriers.frames import (
     LocalFrame,
     MovingPoint,
-    Shape,
-    ShapeFunction,
     rotation_matrix,
     smooth_excess,
 )
+from vcbf_drake.barriers.shapes import Shape, ShapeFunction
 from vcbf_drake.checks import Array, check_parameter, finite_vector, require_choice
 from vcbf_drake.model.compiled import Expressions
 
@@ -88,12 +87,9 @@ class SphereObstacle(CentredObstacle):
                 that is not finite.
         """
         MovingPoint.of(self.center, self.velocity, "obstacle")
-        sizes = np.array([self.radius, self.margin], dtype=float)
-        if not (np.isfinite(sizes).all() and sizes.min() >= 0.0 < sizes.sum()):
-            raise ValueError(
-                "obstacle: radius and margin must be >= 0 and not both 0,"
-                f" got {self.radius} and {self.margin}"
-            )
+        check_parameter("obstacle: radius", self.radius, zero_allowed=True)
+        check_parameter("obstacle: margin", self.margin, zero_allowed=True)
+        check_parameter("obstacle: radius + margin", self.safety_distance)
         require_choice("obstacle: form", self.form, get_args(SphereForm))
 
     @property

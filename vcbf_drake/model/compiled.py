@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.symbolic import Expression, Variable
 
-from vcbf_drake.model.graph import COMPARISONS, Node, Reader, variable, variables_of
+from vcbf_drake.model.graph import COMPARISONS, Node, variable, variables_of
+from vcbf_drake.model.reading import Reader
 
 Expressions: TypeAlias = NDArray[np.object_]
 CompiledFunction: TypeAlias = Callable[..., list[float]]

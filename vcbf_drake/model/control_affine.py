@@ -17,7 +17,6 @@ from vcbf_drake.model.graph import (
     ZERO,
     Node,
     Nodes,
-    Reader,
     along,
     gradients,
     substitute,
@@ -26,6 +25,7 @@ from vcbf_drake.model.graph import (
 )
 from vcbf_drake.model.numeric_dynamics import has_plant_state, numeric_dynamics
 from vcbf_drake.model.position import Position, named_position
+from vcbf_drake.model.reading import Reader
 from vcbf_drake.model.symbolic_dynamics import (
     Context,
     PortChoice,
@@ -195,7 +195,7 @@ class ControlAffineModel:
                 the System tolerates it, and held at 0 if not.
             symbolic: Whether a MultibodyPlant is read off symbolically too, as
                 certificates between ticks, and barriers of other relative degrees than
-                1 and 2, need it. It takes long beyond three joints.
+                1 and 2, need it. It takes long beyond six joints.
 
         Raises:
             ModelError: The System is not symbolic, has a state that is not continuous

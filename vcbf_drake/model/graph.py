@@ -16,7 +16,6 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.symbolic import Expression, ExpressionKind, FormulaKind, Variable
 
 Nodes: TypeAlias = NDArray[np.object_]
 _Key: TypeAlias = tuple[Any, ...]
@@ -230,7 +229,7 @@ _DERIVATIVES: dict[str, _Derivatives] = {
     "/": lambda a, b: (1.0 / b, -(a / b) / b),
 }
 COMPARISONS = ("<", "<=", ">", ">=", "==", "!=")
-_LOGIC = ("and", "or", "not")
+LOGIC = ("and", "or", "not")
 
 
 def apply(operation: str, *arguments: Node) -> Node:
@@ -283,7 +282,7 @@ def along(nodes: Iterable[Node], rates: Mapping[Node, Node]) -> list[Node]:
             condition, a, b = node.arguments
             slope[node] = choose(condition, slope[a], slope[b])
             continue
-        if node.operation in COMPARISONS or node.operation in _LOGIC:
+        if node.operation in COMPARISONS or node.operation in LOGIC:
             continue
         moving = [i for i, p in enumerate(node.parents) if slope[p] is not ZERO]
         if moving:
@@ -328,7 +327,7 @@ def substitute(nodes: Iterable[Node], values: Mapping[Node, Node]) -> list[Node]
         elif all(new[p] is p for p in parents):
             new[node] = node
         else:
-            new[node] = _rebuilt(node.operation, *(new[p] for p in parents))
+            new[node] = rebuilt(node.operation, *(new[p] for p in parents))
     return [new[node] for node in nodes]
 
 
@@ -341,118 +340,7 @@ _OPERATORS: dict[str, Callable[..., Node]] = {
 }
 
 
-def _rebuilt(operation: str, *arguments: Node) -> Node:
+def rebuilt(operation: str, *arguments: Node) -> Node:
+    """Returns an operation's node, simplified where an argument is 0, 1 or a number."""
     operator = _OPERATORS.get(operation)
     return operator(*arguments) if operator else apply(operation, *arguments)
-
-
-class Reader:
-    """The nodes of pydrake's expressions, with a node for each variable.
-
-    Attributes:
-        variables: The node of each variable, by its identity.
-    """
-
-    def __init__(self, variables: Mapping[Variable, Node]) -> None:
-        """Takes the variables' nodes."""
-        self.variables = {v.get_id(): node for v, node in variables.items()}
-
-    def read(self, values: Any) -> Nodes:
-        """Returns expressions, variables and numbers as nodes, of the same shape.
-
-        Raises:
-            KeyError: A variable is not known; it has the name.
-            TypeError: A value is none of these.
-            NotImplementedError: An expression has no counterpart here.
-        """
-        given = np.asarray(values, dtype=object)
-        nodes = np.empty(given.shape, dtype=object)
-        for index in np.ndindex(given.shape):
-            nodes[index] = self._value(given[index])
-        return nodes
-
-    def _value(self, value: Any) -> Node:
-        if isinstance(value, Node):
-            return value
-        if isinstance(value, Variable):
-            return self._variable(value)
-        if isinstance(value, Expression):
-            return self._expression(value)
-        return number(float(value))
-
-    def _variable(self, variable: Variable) -> Node:
-        node = self.variables.get(variable.get_id())
-        if node is None:
-            raise KeyError(variable.get_name())
-        return node
-
-    def _expression(self, e: Expression) -> Node:
-        kind = e.get_kind()
-        if kind == ExpressionKind.Constant:
-            return number(e.Evaluate())
-        if kind == ExpressionKind.Var:
-            (variable,) = e.GetVariables()
-            return self._variable(variable)
-        _, arguments = e.Unapply()
-        if kind == ExpressionKind.Add:
-            return self._sum(arguments)
-        if kind == ExpressionKind.Mul:
-            return self._product(arguments)
-        if kind == ExpressionKind.IfThenElse:
-            condition, *values = arguments
-            nodes = [self._formula(condition), *map(self._value, values)]
-            return apply("if", *nodes)
-        operation = _KINDS.get(kind)
-        if operation is None:
-            raise NotImplementedError(f"{kind.name} has no counterpart in plain Python")
-        return _rebuilt(operation, *map(self._value, arguments))
-
-    def _sum(self, arguments: Sequence[Any]) -> Node:
-        total = ZERO
-        for term in arguments:
-            total = total + self._value(term)
-        return total
-
-    def _product(self, arguments: Sequence[Any]) -> Node:
-        product, below = ONE, ONE
-        for factor in arguments:
-            node = self._value(factor)
-            if node.operation == "/" and node.arguments[0] is ONE:
-                below = below * node.arguments[1]
-            else:
-                product = product * node
-        return product / below
-
-    def _formula(self, formula: Any) -> Node:
-        kind = formula.get_kind()
-        operation = _FORMULAS.get(kind)
-        if operation is None:
-            raise NotImplementedError(f"{kind.name} has no counterpart in plain Python")
-        _, arguments = formula.Unapply()
-        if operation in _LOGIC:
-            return Node.of(operation, *map(self._formula, arguments))
-        return Node.of(operation, *map(self._value, arguments))
-
-
-_KINDS = {
-    ExpressionKind.Div: "/",
-    ExpressionKind.Pow: "pow",
-    **{
-        getattr(ExpressionKind, name.capitalize()): name
-        for name in (
-            *("abs", "exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos"),
-            *("atan", "atan2", "sinh", "cosh", "tanh", "min", "max", "ceil", "floor"),
-        )
-    },
-}
-_FORMULAS = {
-    FormulaKind.And: "and",
-    FormulaKind.Or: "or",
-    FormulaKind.Not: "not",
-    FormulaKind.Lt: "<",
-    FormulaKind.Leq: "<=",
-    FormulaKind.Gt: ">",
-    FormulaKind.Geq: ">=",
-    FormulaKind.Eq: "==",
-    FormulaKind.Neq: "!=",
-}

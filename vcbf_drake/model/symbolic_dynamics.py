@@ -18,13 +18,13 @@ from vcbf_drake.model.explained import explained, first_line
 from vcbf_drake.model.graph import (
     ZERO,
     Nodes,
-    Reader,
     gradients,
     substitute,
     variable,
     variables_of,
 )
 from vcbf_drake.model.massless_bodies import give_mass
+from vcbf_drake.model.reading import Reader
 
 # pydrake's classes carry no types that a checker can use.
 System: TypeAlias = Any
