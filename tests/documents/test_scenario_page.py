@@ -60,7 +60,7 @@ def test_schema_refuses_what_the_loader_refuses() -> None:
     definitions = scenario_schema()["$defs"]
     scenario = definitions["Scenario"]
     assert not scenario["additionalProperties"]
-    assert scenario["required"] == ["vehicle", "input_set", "initial_state", "target"]
+    assert scenario["required"] == ["vehicle", "initial_state", "target"]
     assert set(scenario["properties"]) == {each.name for each in fields(Scenario)}
     assert scenario["properties"]["infeasible"]["enum"][0] == "stop"
     assert scenario["properties"]["duration"]["default"] == 20.0

@@ -211,7 +211,8 @@ def test_what_has_no_default_has_to_be_given(tmp_path: Path) -> None:
     assert refusal(path) == f"{path}:1: vehicle: missing"
     path.write_text("Tagless:\n  vehicle: {mass: 2}\n")
     message = refusal(path)
-    assert message == f"{path}:2: vehicle: its tag is missing; allowed: !Blimp, !Car"
+    expected = f"{path}:2: vehicle: its tag is missing; allowed: !Blimp, !Car"
+    assert message.startswith(expected)
 
 
 @pytest.mark.parametrize(

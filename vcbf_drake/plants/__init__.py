@@ -15,6 +15,7 @@ from vcbf_drake.plants.blimp_vehicle import BlimpVehicle
 from vcbf_drake.plants.car import Car, Car_, CarInput, CarParameters, CarState
 from vcbf_drake.plants.car_controller import CarController, CarControllerParameters
 from vcbf_drake.plants.car_vehicle import CarVehicle, TurnLimit
+from vcbf_drake.plants.multibody_vehicle import MultibodyVehicle
 from vcbf_drake.plants.vehicle import StateFeedback, Vehicle
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "CarState",
     "CarVehicle",
     "Car_",
+    "MultibodyVehicle",
     "StateFeedback",
     "TurnLimit",
     "Vehicle",

@@ -53,6 +53,10 @@ class Vehicle(ABC):
             target: The position to reach [m].
         """
 
+    def input_limits(self) -> tuple[list[float], list[float]] | None:
+        """Returns the least and greatest inputs; None where a scenario has to say."""
+        return None
+
     def barriers(self) -> list[Barrier | StateInputLimit]:
         """Returns the robot's own limits, obstacles apart: none by default."""
         return []

@@ -47,14 +47,15 @@ class InputLimits:
     """The inputs that the actuators can deliver: a box, and further rows if any.
 
     Attributes:
-        lower: Least value of each input, in its unit, (m,).
+        lower: Least value of each input, in its unit, (m,); empty for the vehicle's own
+            limits, where it has some.
         upper: Greatest value of each input, in its unit, (m,).
         A: Further limits A u <= b, (k, m): coupled actuators, for example.
         b: Their right-hand sides, (k,).
     """
 
-    lower: list[float]
-    upper: list[float]
+    lower: list[float] = field(default_factory=list)
+    upper: list[float] = field(default_factory=list)
     A: list[list[float]] = field(default_factory=list)
     b: list[float] = field(default_factory=list)
 
@@ -72,7 +73,8 @@ class InputLimits:
         for i, row in enumerate(self.A):
             check_finite(("A", i), row, size=len(self.lower))
         check_finite("b", self.b, size=len(self.A))
-        self.input_set()
+        if len(self.lower):
+            self.input_set()
 
     def input_set(self) -> InputSet:
         """Returns the set of these inputs.
@@ -241,7 +243,7 @@ class Scenario(FilterSettings):
     # A run's summary says it.
     warn: bool = False
     vehicle: Vehicle
-    input_set: InputLimits
+    input_set: InputLimits = field(default_factory=InputLimits)
     disturbance: list[
         Constant | Sinusoid | SmoothStep | BandLimitedNoise | Recorded
     ] = field(default_factory=list)
@@ -265,6 +267,9 @@ class Scenario(FilterSettings):
         )
         self._check_times()
         super().__post_init__()
+        if not len(self.input_set.lower):
+            own = self.vehicle.input_limits() or ([], [])
+            self.input_set = InputLimits(*own, self.input_set.A, self.input_set.b)
         self._check_sizes()
         self._check_places()
 

@@ -148,7 +148,8 @@ def _lines(schema: Any, tag: str) -> Iterator[str]:
     """A class as a section of the page."""
     title = tag or schema.__name__
     yield f"## {title}\n\n{_summary(schema)}\n"
-    if issubclass(schema, Vehicle):
+    has_defaults = all(map(_has_default, fields(schema)))
+    if issubclass(schema, Vehicle) and has_defaults:
         channels = channels_of(schema().make_plant())
         for kind in ("states", "inputs", "disturbances"):
             named = getattr(channels, kind).items()
