@@ -75,7 +75,7 @@ def test_rates_at_a_tick():
     """Gains (4, 3) are rates of 3 and 1: the slope is phi_1, the most 0.9 / T."""
     rows = BarrierRows(
         value=np.ones(3),
-        chain=(np.array([2.0, 5.0]), np.array([2.0, -5.0]), np.zeros(0)),
+        chain=(np.array([2.0, 5.0]), np.array([2.0, -5.0]), np.array([-1.0])),
         A=np.ones((3, 1)),
         b=np.ones(3),
         w=np.zeros((3, 1)),
@@ -83,9 +83,12 @@ def test_rates_at_a_tick():
         gradients=lambda rows: np.zeros((len(rows), 3, 3)),
     )
     wall = HalfSpace([-1.0, 0.0], -5.0).barrier([4.0, 3.0], name="wall")
-    rates = DecayRates.at(rows, [wall, wall, object()], 0.02)
+    rates = DecayRates.at(rows, [wall] * 3, 0.02)
     np.testing.assert_allclose(rates.slopes, [5.0, 0.0, 0.0])
-    np.testing.assert_allclose(rates.most[:2], [45.0, 45.0])
+    np.testing.assert_allclose(rates.most, [45.0, 1.0, 1.0])
+    cubic = DecayRates.at(rows, [wall.with_class_k(lambda p: 0.1 * p**3)] * 3, 0.02)
+    np.testing.assert_allclose(cubic.slopes, [12.5, 0.0, 0.0])
+    np.testing.assert_allclose(cubic.most[0], 0.9 * 5.0 / (12.5 * 0.02))
 
 
 def test_a_car_that_runs_out_of_inputs_goes_on_with_positive_levels():

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.linalg import LinAlgError
 
-from vcbf_drake.barriers import BarrierRows
+from vcbf_drake.barriers import Barrier, BarrierRows
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import EmptySetError, SolverError
 from vcbf_drake.safety.feasible_set import FeasibleSet
@@ -27,15 +27,15 @@ class DecayRates:
     """How much each barrier's last decay rate may grow (E99).
 
     A row asks for phi' >= -lambda phi, with phi = phi_(r-1) and lambda = lambda_r of
-    (E3). With a factor omega on lambda its right-hand side grows by
-    (omega - 1) lambda phi, and phi stays positive all the same.
+    (E3), or for phi' >= -class_k(phi). With a factor omega on the right its right-hand
+    side grows by (omega - 1) lambda phi, and phi stays positive all the same.
 
     Source: Zeng et al. (2021), optimal decay; that it acts only where the rows have no
     input, and its limit in sampled time, are ours.
 
     Attributes:
-        slopes: lambda phi, shape (N,); 0 where no rate helps: phi is not positive, or
-            the row is a limit of the input.
+        slopes: lambda phi or class_k(phi), shape (N,); 0 where no rate helps: phi is
+            not positive, or the row is a limit of the input.
         most: The largest omega, shape (N,), not below 1.
     """
 
@@ -51,15 +51,14 @@ class DecayRates:
             barriers: The barriers.
             period: For how long an input is held [s].
         """
-        rates = np.array([_last_rate(each) for each in barriers])
-        levels = np.array([phi[-1] if len(phi) else 0.0 for phi in rows.chain])
-        most = _LARGEST_STEP / (period * np.maximum(rates, 1e-9))
-        return DecayRates(rates * np.fmax(levels, 0.0), np.fmax(most, 1.0))
-
-
-def _last_rate(barrier: Any) -> float:
-    rates: Array = getattr(barrier, "decay_rates", np.zeros(1))
-    return float(rates[-1])
+        slopes, most = np.zeros(len(barriers)), np.ones(len(barriers))
+        for i, (barrier, phi) in enumerate(zip(barriers, rows.chain, strict=True)):
+            if isinstance(barrier, Barrier) and phi[-1] > 0.0:
+                level = float(phi[-1])
+                linear = barrier.decay_rates[-1] * level
+                slopes[i] = barrier.class_k(level) if barrier.class_k else linear
+                most[i] = max(1.0, _LARGEST_STEP * level / (period * slopes[i]))
+        return DecayRates(slopes, most)
 
 
 def decayed_input(
