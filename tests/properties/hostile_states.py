@@ -71,12 +71,17 @@ def random_decision(rng: Generator, plant: str) -> tuple[Tick, FilterDecision]:
         policy=policy,
         slopes=DecayRates.at(feasible.rows, safety_filter.barriers, 0.02).slopes,
         state=signals["state"],
-        rates=np.concatenate(
-            [value for name, value in signals.items() if name.endswith("_rate")]
-            or [np.zeros(0)]
-        ),
+        rates=_rates(signals.get("estimate")),
     )
     return tick, decision
+
+
+def _rates(estimate: Array | None) -> Array:
+    """What the volume row needs beside the state; nothing without an observer."""
+    if estimate is None:
+        return np.zeros(0)
+    known = DisturbanceEstimate.unpack(estimate)
+    return np.append(known.rate, known.error_bound_rate)
 
 
 @cache
