@@ -35,7 +35,7 @@ GROWTH: Mapping[str, list[dict[str, Any]]] = {
         {"num_obstacles": n, "num_cutting": 0} for n in (1, 10, 100, 200)
     ],
     "obstacles that cut": [
-        {"num_obstacles": 8, "num_cutting": n} for n in (0, 1, 2, 4, 8)
+        {"num_obstacles": 32, "num_cutting": n} for n in (0, 1, 2, 4, 8, 16, 32)
     ],
     "inputs": [{"num_inputs": m, "num_cutting": 2} for m in (1, 2, 3, 4, 6, 8, 16)],
     "states": [{"num_states": n} for n in (6, 12, 24)],

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import math
+from operator import mul
 
 import numpy as np
 from numpy.linalg import LinAlgError
@@ -342,17 +343,18 @@ def finer_frame(
         u: An input near the rows, shape (m,).
         touched: Which of the rows that can matter, but for the limits, shape (n,).
     """
-    if not touched.any():
-        return None
-    k, inputs = len(feasible.input_set.limits), feasible.input_set
-    i = feasible.cutting[k:][touched] - feasible.num_input_rows
-    A, b = feasible.rows.A[i], (feasible.rows.b + feasible.margin)[i]
-    length = np.linalg.norm(A * frame.scale, axis=1)
-    terms = np.abs(b) + np.abs(A) @ np.abs(u)
-    size = float(np.max(terms / np.where(length > 0.0, length, np.inf)))
+    first, size = feasible.num_input_rows, 0.0
+    reach, scale = np.abs(u).tolist(), frame.scale.tolist()
+    rows = feasible.cutting[len(feasible.input_set.limits) :][touched] - first
+    for i in rows.tolist():
+        entries = np.abs(feasible.rows.A[i]).tolist()
+        length = math.hypot(*map(mul, entries, scale))
+        terms = abs(float(feasible.rows.b[i] + feasible.margin[i]))
+        terms += sum(map(mul, entries, reach))
+        size = max(size, terms / length if length > 0.0 else 0.0)
     if not 0.0 < size < _SMALL * frame.size:
         return None
-    return replace(frame, origin=inputs.project(u), size=size)
+    return replace(frame, origin=feasible.input_set.project(u), size=size)
 
 
 def least_violation(
