@@ -48,9 +48,11 @@ from .model import (
 from .plants import (
     Blimp as Blimp,
     BlimpController as BlimpController,
+    BlimpControllerParameters as BlimpControllerParameters,
     BlimpParameters as BlimpParameters,
     Car as Car,
     CarController as CarController,
+    CarControllerParameters as CarControllerParameters,
     CarParameters as CarParameters,
     StateFeedback as StateFeedback,
     Vehicle as Vehicle,
