@@ -98,7 +98,8 @@ def start_assumptions(
         threshold: xi, which is in it.
     """
     names = safety_filter.barrier_set.names
-    phi = np.split(levels, np.cumsum(safety_filter.barrier_set.degrees)[:-1])
+    ends = np.cumsum(safety_filter.barrier_set.degrees)
+    phi = np.split(levels, ends)[: len(ends)]
     # A slot without an obstacle has no level and says nothing.
     empty = np.array([len(p) > 0 and np.isnan(p).all() for p in phi], dtype=bool)
     empty &= authority == 0.0
