@@ -93,7 +93,8 @@ def add_ground(meshcat: Meshcat, low: Array, high: Array, cell: float) -> None:
 
 def add_obstacles(meshcat: Meshcat, stage: Stage) -> None:
     """The obstacles, and around each the distance that has to be kept."""
-    height = 0.04 * stage.span
+    largest = max((obstacle.radius for obstacle in stage.spheres), default=0.0)
+    height = min(0.04 * stage.span, 1.5 * largest)
     for index, obstacle in enumerate(stage.spheres):
         path = f"obstacles/{index}"
         meshcat.SetTransform(path, RigidTransform(obstacle.center))
