@@ -41,7 +41,7 @@ from vcbf_drake import (
 from vcbf_drake.barriers import StateLimit
 from vcbf_drake.disturbances import DisturbanceEstimate, Sinusoid
 from vcbf_drake.safety import FilterStatus
-from vcbf_drake.simulation.step_time import step_cpu_time
+from vcbf_drake.simulation.run import step_cpu_time
 
 GOAL, SPEED, PERIOD = 8.0, 0.8, 0.01  # Along x [m], [m/s]; control period [s].
 # The margin is what the quadrotor itself needs [m]. Squares have short derivatives.

@@ -9,14 +9,13 @@ from vcbf_drake.simulation.log import read_log_files
 from vcbf_drake.simulation.loop import make_loop
 from vcbf_drake.simulation.obstacles import Obstacle, StateRange, barriers
 from vcbf_drake.simulation.result import Result, load_result
-from vcbf_drake.simulation.run import check_assumptions, simulate
+from vcbf_drake.simulation.run import check_assumptions, simulate, step_cpu_time
 from vcbf_drake.simulation.scenario import (
     InputLimits,
     Scenario,
     validate,
 )
 from vcbf_drake.simulation.schema import scenario_page, scenario_schema
-from vcbf_drake.simulation.step_time import step_cpu_time
 
 __all__ = [
     "InputLimits",
