@@ -37,7 +37,8 @@ from vcbf_drake.hil.event_log import (
     EventLogWriter,
     read_event_log,
 )
-from vcbf_drake.hil.log_replay import LoggedController, LogReplay, replay_log, start_log
+from vcbf_drake.hil.log_replay import LogReplay, replay_log, start_log
+from vcbf_drake.hil.logged_controller import LoggedController
 from vcbf_drake.hil.mailbox import Inbox, Outbox
 from vcbf_drake.hil.processes import EXIT_STATUSES, HardwareProcess, say_farewell
 from vcbf_drake.hil.state_receiver import ObstacleReceiver, StateReceiver
