@@ -84,8 +84,6 @@ OneOfEverything:
   soft_penalties: [.inf, 100.0]
   between_ticks: certified
   violation_weights: [1.0, 2.0]
-  input_weights: [1.0, 0.5]
-  soft_penalties: [.inf, 100.0]
   solver: Clp
   warn: true
   initial_state: [0.0, 0.0, 0.1, 0.2]
