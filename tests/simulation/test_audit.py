@@ -184,3 +184,32 @@ def test_the_volume_is_compared_with_what_its_row_allows():
     assert finding["worst"] == pytest.approx(-0.001 / period)
     assert finding["worst_at"] == pytest.approx(2 * period)
     assert finding["violations"] == 1
+
+
+def test_a_constant_wind_is_inside_its_bound():
+    """The means' quadrature error took 443 of 1001 ticks over the bound, by 8e-8."""
+    wind = "{disturbance: [!Constant {value: [0.06, 0.03, 0.05]}]}"
+    summary = simulate(load_scenario("blimp-multiple-obstacles", wind)).summary
+    for name in ("estimate", "measurement", "quadrature"):
+        assert (
+            summary["audit"][name]["held"] and not summary["audit"][name]["violations"]
+        )
+    assert summary["guaranteed"] and summary["certified_min_barrier"] > 0.0
+
+
+def test_lost_samples_are_refused_and_nothing_is_certified():
+    """A sample that comes twice, and the jump after it, are no disturbance."""
+    faulty = (
+        "{faults: {measurement_loss: 0.1}, duration: 4, infeasible: least_violation}"
+    )
+    result = simulate(load_scenario("car-avoidance", faulty))
+    found = result.summary["audit"]["measurement"]
+    refused = result.log["refused_intervals"]
+    assert found["held"] is False
+    assert found["violations"] == np.sum(np.diff(refused) > 0.0) > 5
+    assert result.summary["certified_min_barrier"] is None
+    assert "audit: measurement" in result.summary["reasons_against"]
+    error = np.linalg.norm(
+        result.log["disturbance"] - result.log["disturbance_estimate"], axis=1
+    )
+    assert np.mean(error > result.log["error_bound"] + 1e-9) < 0.05
