@@ -80,8 +80,6 @@ OneOfEverything:
   method: vcbf-qp
   fidelity: !Corrections {exact_slack: true}
   infeasible: hold
-  input_weights: [2.0, 1.0]
-  soft_penalties: [.inf, 100.0]
   between_ticks: certified
   violation_weights: [1.0, 2.0]
   solver: Clp
