@@ -69,7 +69,7 @@ mutation: $(STAMP)
 		cosmic-ray exec session.toml session.sqlite && \
 		cr-report session.sqlite --surviving-only --show-diff
 
-# The pages of docs/results, but for feasibility_measures.md, which has words.
+# The pages of docs/results that are made whole: the others have words of their own.
 results: $(STAMP)
 	$(BIN)/python -m tests.properties && cp out/properties/properties.md docs/results/
 	$(BIN)/vcbf-drake faults blimp-multiple-obstacles car-avoidance --trials 50 \
@@ -77,8 +77,6 @@ results: $(STAMP)
 	$(BIN)/python -m examples.paper.rates > out/between_ticks.md
 	cp out/between_ticks.md docs/results/
 	$(BIN)/python -m examples.paper && cp out/reproduction/reproduction.md docs/results/
-	$(BIN)/python -m tests.benchmarks > out/performance.md
-	cp out/performance.md docs/results/
 
 bench: $(STAMP)
 	$(BIN)/python -m tests.benchmarks
