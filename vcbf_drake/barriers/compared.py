@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,11 +13,13 @@ from vcbf_drake.barriers.chain import as_expressions
 from vcbf_drake.barriers.limits import StateInputLimit
 from vcbf_drake.barriers.rows import RowFunctions
 from vcbf_drake.checks import Array
-from vcbf_drake.model.agreement import require_agreement, sample_points
+from vcbf_drake.model.agreement import (
+    FEW_SCALES,
+    MANY_SCALES,
+    require_agreement,
+    sample_points,
+)
 from vcbf_drake.model.control_affine import ControlAffineModel
-
-# How many pairs of points a formula is compared at: once, and for other parameters.
-_MANY, _FEW = 36, 4
 
 
 def require_same_numbers(
@@ -40,8 +42,9 @@ def require_same_numbers(
         formula = functions.value, functions.row, code
         vector = *formula, barrier.function, functions.parameters
         if vector not in vectors:
-            pairs = _FEW if formula in formulas else _MANY
-            _compare(model, barrier, functions, pairs)
+            # A formula at many points once, with other parameters at a few.
+            scales = FEW_SCALES if formula in formulas else MANY_SCALES
+            _compare(model, barrier, functions, scales)
         formulas.add(formula)
         vectors.add(vector)
 
@@ -50,7 +53,7 @@ def _compare(
     model: ControlAffineModel,
     barrier: Barrier | StateInputLimit,
     functions: RowFunctions,
-    pairs: int,
+    scales: Sequence[float],
 ) -> None:
     is_barrier = isinstance(barrier, Barrier)
     compiled = functions.value if is_barrier else functions.row
@@ -72,7 +75,7 @@ def _compare(
         return f"x = [{x}], t = {abs(point[-1]):.6g}"
 
     kind = "barrier" if is_barrier else "limit"
-    points = sample_points(model.num_states + 1, parameters, pairs)
+    points = sample_points(model.num_states + 1, parameters, scales)
     name = f"{kind} '{barrier.name}': function(x, t, p)"
     require_agreement(derived, written, points, describe, [name])
 

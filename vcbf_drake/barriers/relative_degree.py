@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,12 +117,14 @@ def _entered(
     return seen if evaluated or not written.any() else written
 
 
-def _samples(num_states: int) -> Iterator[list[float]]:
-    """Yields [x; t] of several magnitudes, the same ones every time."""
-    generator = np.random.default_rng(0)
+@lru_cache
+def _samples(num_states: int) -> list[tuple[float, ...]]:
+    """Returns [x; t] of several magnitudes, the same ones every time."""
+    generator, samples = np.random.default_rng(0), []
     for magnitude in np.geomspace(0.1, 10.0, _NUM_SAMPLES).tolist():
         state = magnitude * generator.standard_normal(num_states)
-        yield [*state.tolist(), magnitude]
+        samples.append((*state.tolist(), magnitude))
+    return samples
 
 
 def _gains(number: float) -> str:

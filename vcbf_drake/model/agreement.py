@@ -22,6 +22,9 @@ from vcbf_drake.errors import ModelError
 
 NumberFunction: TypeAlias = Callable[[Array], Iterable[Any]]
 
+# Far enough for coordinates of a map; a few for what was compared at many before.
+MANY_SCALES = tuple(np.geomspace(1e-2, 1e7, 36).tolist())
+FEW_SCALES = (0.3, 3.0)
 # How far two ways of calculating one number may be apart, relative to it.
 _TOLERANCE = 1e-6
 # What a relative change of the arguments by next to nothing shows of the rounding.
@@ -36,7 +39,9 @@ _WAY_OUT = (
 
 
 def sample_points(
-    size: int, places: Sequence[float] | Array = (), pairs: int = 36
+    size: int,
+    places: Sequence[float] | Array = (),
+    scales: Sequence[float] = MANY_SCALES,
 ) -> Iterator[Array]:
     """Yields arguments to compare at, shape (size,); the same ones every time.
 
@@ -47,11 +52,11 @@ def sample_points(
     Args:
         size: How many arguments there are.
         places: Values of arguments that matter, such as an obstacle's coordinates.
-        pairs: How many pairs there are.
+        scales: How far from the middle each pair is.
     """
     random = np.random.default_rng(0)
     around = np.concatenate([[0.0], places, np.negative(places)])
-    for i, scale in enumerate(np.geomspace(1e-2, 1e7, pairs)):
+    for i, scale in enumerate(scales):
         center = random.choice(around, size) if i % 2 else np.zeros(size)
         offset = scale * random.normal(size=size)
         yield center + offset
