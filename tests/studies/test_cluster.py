@@ -44,7 +44,7 @@ def address() -> Iterator[str]:
     with distributed.LocalCluster(
         n_workers=2,
         threads_per_worker=1,
-        dashboard_address=None,
+        dashboard_address=":0",  # Any: tests run side by side.
         silence_logs=50,
         # So that workers find this module, for Deadly.
         env={"PYTHONPATH": os.pathsep.join([os.path.dirname(__file__), *sys.path])},

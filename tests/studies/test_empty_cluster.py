@@ -12,7 +12,7 @@ def test_a_cluster_without_a_worker_is_refused(
 ) -> None:
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr("vcbf_drake.studies.dask_cluster._START", 0.2)
-    options = {"n_workers": 0, "dashboard_address": None, "silence_logs": 50}
+    options = {"n_workers": 0, "dashboard_address": ":0", "silence_logs": 50}
     with distributed.LocalCluster(**options) as empty:
         address = empty.scheduler_address
         with pytest.raises(RuntimeError, match="has no worker"):
