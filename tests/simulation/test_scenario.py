@@ -82,6 +82,8 @@ OneOfEverything:
   infeasible: hold
   between_ticks: certified
   violation_weights: [1.0, 2.0]
+  input_weights: [2.0, 1.0]
+  soft_penalties: [.inf, 100.0]
   solver: Clp
   warn: true
   initial_state: [0.0, 0.0, 0.1, 0.2]
