@@ -2,8 +2,16 @@
 
 import numpy as np
 from numpy.testing import assert_allclose
-from pydrake.multibody.plant import MultibodyPlant
+from pydrake.geometry import Sphere
+from pydrake.math import RigidTransform
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import (
+    AddMultibodyPlantSceneGraph,
+    CoulombFriction,
+    MultibodyPlant,
+)
 from pydrake.multibody.tree import PrismaticJoint
+from pydrake.systems.framework import DiagramBuilder
 import pytest
 
 from tests.helpers.multibody_plants import (
@@ -132,3 +140,22 @@ def test_parameters_and_gravity_come_from_the_context():
     plant.get_actuation_input_port().FixValue(context, [3.0, -2.0])
     expected = plant.EvalTimeDerivatives(context).CopyToVector()
     assert_allclose(model.nominal_rate(x, np.array([3.0, -2.0])), expected, rtol=1e-9)
+
+
+def test_a_plant_with_collision_shapes_in_a_scene_is_a_model_without_contact():
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, 0.0)
+    Parser(plant).AddModels(str(PLANAR))
+    ball, friction = Sphere(0.05), CoulombFriction(0.5, 0.5)
+    hand = plant.GetBodyByName("forearm")
+    plant.RegisterCollisionGeometry(hand, RigidTransform(), ball, "ball", friction)
+    plant.Finalize()
+    model = ControlAffineModel.from_system(plant)
+    bare = ControlAffineModel.from_system(load(PLANAR))
+    for x in states(plant, 3):
+        for a, b in zip(
+            (*model.drift_and_input_matrix(x), *model.at(x).sensitivity),
+            (*bare.drift_and_input_matrix(x), *bare.at(x).sensitivity),
+            strict=True,
+        ):
+            assert_allclose(a, b, rtol=1e-9, atol=1e-9)

@@ -23,6 +23,7 @@ from pydrake.systems.primitives import (
 )
 import pytest
 
+from tests.helpers.multibody_plants import SEVEN, load
 from vcbf_drake import (
     AddSafetyFilter,
     Blimp,
@@ -37,7 +38,12 @@ from vcbf_drake import (
 from vcbf_drake.barriers import BarrierSet, HalfSpace, StateLimit
 from vcbf_drake.disturbances import DisturbanceBounds, Sinusoid
 from vcbf_drake.model import point_position
-from vcbf_drake.safety import FilterSettings, FilterStatus
+from vcbf_drake.safety import (
+    FilterSettings,
+    FilterStatus,
+    SafetyFilter,
+    VolumeBarrier,
+)
 
 CALM = DisturbanceBounds(0.0, 0.0, 0.0)
 ARM = Path(__file__).parents[2] / "examples" / "models" / "planar_arm.urdf"
@@ -312,3 +318,38 @@ def test_a_floating_body_has_quaternion_states():
     barrier = ball.barrier([3.0, 2.0], position=point_position(plant, "body"))
     value = BarrierSet(model, [barrier]).values(x, 0.0)
     assert value[0] == pytest.approx(np.linalg.norm(x[4:7] - 2.0) - 0.5)
+
+
+@pytest.mark.parametrize(
+    ("gain", "status"), [(3.0, FilterStatus.FILTERED), (0.01, FilterStatus.RELAXED)]
+)
+def test_strong_actuators_between_narrow_limits_keep_a_volume_row_that_counts(
+    gain, status
+):
+    """Seven joints whose torques are far more than their speed limits need.
+
+    Their sets start at det B = 1e-14 or so: a volume barrier without a threshold takes
+    a tenth of that, and its row holds, or gives way, like any other.
+    """
+    plant = load(SEVEN)
+    limit, torque = plant.GetVelocityUpperLimits(), plant.GetEffortUpperLimits()
+    barriers = [
+        barrier
+        for i in range(7)
+        for barrier in StateLimit(7 + i, -limit[i], limit[i]).barriers([12.0])
+    ]
+    safety_filter = SafetyFilter(
+        ControlAffineModel.from_system(plant),
+        barriers,
+        InputSet.box(-torque, torque),
+        FilterSettings(method="vcbf-qp", volume=VolumeBarrier(gain=gain)),
+    )
+    context = safety_filter.CreateDefaultContext()
+    state = [0.2, 0.7, -0.3, 0.9, 0.2, -0.5, 0.3, 1.5, -1.2, 1.4, 1.5, -1.8, 2.2, 2.0]
+    safety_filter.GetInputPort("state").FixValue(context, state)
+    safety_filter.GetInputPort("reference").FixValue(context, 0.3 * torque)
+    volume = safety_filter.volume(context)
+    assert volume is not None and 0.0 < volume.value < 1e-9
+    decision = safety_filter.decision(context)
+    assert decision.status == status
+    assert (decision.slack < 0.0) == (status == FilterStatus.RELAXED)

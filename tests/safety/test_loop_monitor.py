@@ -101,7 +101,7 @@ def test_a_threshold_that_the_start_does_not_have_is_said_with_one_to_take(caplo
 
 @pytest.mark.parametrize(
     ("speed", "determinant", "threshold"),
-    [(0.2, 0.4, 0.02), (0.01, 0.02, 0.002), (1e-4, 2e-4, 1e-4)],
+    [(0.2, 0.4, 0.02), (0.01, 0.02, 0.002), (1e-4, 2e-4, 2e-5)],
 )
 def test_a_threshold_left_out_is_a_tenth_of_the_start(
     caplog, speed, determinant, threshold

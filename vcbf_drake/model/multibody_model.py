@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
@@ -160,19 +159,7 @@ class Motion:
     @cached_property
     def sensitivity(self) -> tuple[Array, Array]:
         """The derivatives of f, shape (n, n), and of g, shape (n, m, n), by x."""
-        _ = self._sensitive
-        return self._sensitive_parts
-
-    @cached_property
-    def _sensitive(self) -> Any:
-        numbers = self._dynamics.in_autodiff
-        f, g = numbers.affine_parts(InitializeAutoDiff(self._x).ravel())
-        n, m = g.shape
-        self._sensitive_parts = (
-            ExtractGradient(f),
-            ExtractGradient(g.reshape(-1, 1)).reshape(n, m, n),
-        )
-        return numbers
+        return self._dynamics.in_autodiff.sensitivity(self._x, self.parts)
 
     def place(self, frame: str, offset: tuple[float, ...]) -> Array:
         """Returns where a point of a frame is, shape (3,) [m]."""
@@ -211,7 +198,7 @@ class Motion:
         if key not in self._sensitive_points:
             f, g = self.parts
             f_x, g_x = self.sensitivity
-            numbers = self._sensitive
+            numbers = self._dynamics.in_autodiff
             numbers.set_state(InitializeAutoDiff(self._x).ravel())
             p, J, bias = numbers.kinematics(frame, offset)
             n, nv = len(self._x), J.shape[1]

@@ -8,8 +8,18 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from pydrake.autodiffutils import (
+    AutoDiffXd,
+    ExtractGradient,
+    ExtractValue,
+    InitializeAutoDiff,
+)
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import JacobianWrtVariable
+from pydrake.multibody.tree import (
+    JacobianWrtVariable,
+    ModelInstanceIndex,
+    MultibodyForces_,
+)
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
@@ -19,7 +29,21 @@ from vcbf_drake.model.symbolic_dynamics import (
     effort_limits_of,
     find_disturbance_port,
     find_input_port,
+    vector_ports,
 )
+
+
+@dataclass(frozen=True)
+class PortForces:
+    """The generalised forces of a MultibodyPlant's two ports, tau = B u + B_d d.
+
+    Attributes:
+        input: B, shape (nv, m).
+        disturbance: B_d, shape (nv, q).
+    """
+
+    input: Array
+    disturbance: Array
 
 
 @dataclass(frozen=True)
@@ -35,6 +59,9 @@ class NumericDynamics:
         context: Holds the parameters and other ports' values; None for the defaults.
         effort_limits: How large each input may be, shape (m,).
         wrapped_states: Which states come round, as the System says.
+        forces: The ports' generalised forces, where the System is the plant and they
+            have some: it is then evaluated by its manipulator equation, which needs no
+            SceneGraph and has no contact.
     """
 
     system: Any
@@ -45,6 +72,7 @@ class NumericDynamics:
     context: Any
     effort_limits: Array
     wrapped_states: Any
+    forces: PortForces | None
 
     @property
     def num_inputs(self) -> int:
@@ -103,6 +131,8 @@ class Evaluation:
         name = dynamics.plant.get_name()
         self._plant = system if is_plant else system.GetSubsystemByName(name)
         self._plant_context = self._plant.GetMyContextFromRoot(self._context)
+        scalar = float if system is dynamics.system else AutoDiffXd
+        self._forces = MultibodyForces_[scalar](self._plant)
         self._input = system.get_input_port(dynamics.input)
         self._disturbance = (
             None
@@ -111,7 +141,10 @@ class Evaluation:
         )
         # Unit inputs, halved where a plant would clamp them.
         self._steps = np.fmin(1.0, dynamics.effort_limits / 2.0)
-        self._input.FixValue(self._context, np.zeros(dynamics.num_inputs))
+        self._none = np.zeros(len(self._steps))
+        if dynamics.forces is not None:
+            return
+        self._input.FixValue(self._context, self._none)
         if self._disturbance is not None:
             zero = np.zeros(dynamics.num_disturbances)
             self._disturbance.FixValue(self._context, zero)
@@ -138,6 +171,9 @@ class Evaluation:
 
     def rate(self, x: Array, u: Array, d: Array, t: float = 0.0) -> Array:
         """Returns dx/dt, shape (n,)."""
+        if self._dynamics.forces is not None:
+            f, g = self.affine_parts(x)
+            return f + g @ u + self.disturbance_matrix(x) @ d
         self._context.SetTime(t)
         self.set_state(x)
         self._input.FixValue(self._context, u)
@@ -159,8 +195,14 @@ class Evaluation:
 
     def affine_parts(self, x: Array) -> tuple[Array, Array]:
         """Returns f(x), shape (n,), and g(x), shape (n, m)."""
+        forces = self._dynamics.forces
+        if forces is not None:
+            M, bias, rate = self.manipulator_equation(x)
+            solved = _solve(M, np.column_stack([-bias, forces.input]))
+            still = np.zeros((len(rate), forces.input.shape[1]))
+            return np.append(rate, solved[:, 0]), np.vstack([still, solved[:, 1:]])
         self.set_state(x)
-        self._input.FixValue(self._context, np.zeros(len(self._steps)))
+        self._input.FixValue(self._context, self._none)
         f = self._rate()
         columns = []
         for step, unit in zip(self._steps, np.eye(len(self._steps)), strict=True):
@@ -170,10 +212,46 @@ class Evaluation:
 
     def disturbance_matrix(self, x: Array) -> Array:
         """Returns E(x), shape (n, q)."""
-        none = np.zeros(len(self._steps))
-        q = self._dynamics.num_disturbances
-        f = self.rate(x, none, np.zeros(q))
-        return np.array([self.rate(x, none, unit) - f for unit in np.eye(q)]).T
+        forces, q = self._dynamics.forces, self._dynamics.num_disturbances
+        if forces is not None:
+            M, _, rate = self.manipulator_equation(x)
+            still = np.zeros((len(rate), q))
+            return np.vstack([still, _solve(M, forces.disturbance)])
+        f = self.rate(x, self._none, np.zeros(q))
+        return np.array([self.rate(x, self._none, unit) - f for unit in np.eye(q)]).T
+
+    def manipulator_equation(self, x: Array) -> tuple[Array, Array, Array]:
+        """Returns M (nv, nv), the bias (nv,) of M dv/dt + bias = tau, and dq/dt."""
+        self.set_state(x)
+        plant, context, forces = self._plant, self._plant_context, self._forces
+        plant.CalcForceElementsContribution(context, forces)
+        still = np.zeros(plant.num_velocities())
+        bias = plant.CalcInverseDynamics(context, still, forces)
+        rate = plant.MapVelocityToQDot(context, x[plant.num_positions() :])
+        return plant.CalcMassMatrix(context), bias, rate
+
+    def sensitivity(self, x: Array, parts: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Returns the derivatives of f (n, n) and of g (n, m, n) by x, in AutoDiffXd.
+
+        Args:
+            x: The state, shape (n,).
+            parts: f and g there.
+        """
+        moving, n, (f, g) = InitializeAutoDiff(x).ravel(), len(x), parts
+        if self._dynamics.forces is None:
+            f, g = self.affine_parts(moving)
+            g_x = ExtractGradient(g.reshape(-1, 1)).reshape(*g.shape, n)
+            return ExtractGradient(f), g_x
+        M, bias, rate = self.manipulator_equation(moving)
+        nq, nv = len(rate), len(bias)
+        M_x, M = ExtractGradient(M.reshape(-1, 1)), ExtractValue(M)
+        M_x = M_x.reshape(nv, nv, n)
+        # M dv/dt = B u - bias, by parts: M (dv/dt)_x = -bias_x - M_x dv/dt.
+        f_x = _solve(M, -ExtractGradient(bias) - np.einsum("ijk,j->ik", M_x, f[nq:]))
+        g_x = -np.einsum("ijk,jm->imk", M_x, g[nq:])
+        g_x = _solve(M, g_x.reshape(nv, -1)).reshape(g_x.shape)
+        still = np.zeros((nq, g.shape[1], n))
+        return np.vstack([ExtractGradient(rate), f_x]), np.concatenate([still, g_x])
 
     def kinematics(
         self, frame: str, offset: tuple[float, ...]
@@ -213,6 +291,18 @@ def _copy_values(dynamics: NumericDynamics, system: Any, target: Any) -> None:
             system.get_input_port(i).FixValue(target, port.Eval(context))
 
 
+def _solve(M: Array, right: Array) -> Array:
+    """Solves M X = right, of a matrix of inertia.
+
+    Raises:
+        ArithmeticError: M is singular.
+    """
+    try:
+        return np.asarray(np.linalg.solve(M, right), dtype=float)
+    except np.linalg.LinAlgError as error:
+        raise ArithmeticError(f"the matrix of inertia is singular: {error}") from error
+
+
 def numeric_dynamics(
     system: Any,
     input_port: PortChoice = None,
@@ -248,7 +338,44 @@ def numeric_dynamics(
         context=context,
         effort_limits=effort_limits_of(system, port),
         wrapped_states=getattr(system, "wrapped_states", ()),
+        forces=_port_forces(system, port, disturbance, context),
     )
+
+
+def _port_forces(
+    system: Any, port: Any, disturbance: Any, context: Any
+) -> PortForces | None:
+    """The generalised forces of a plant's ports; None where they are others'."""
+    if not isinstance(system, MultibodyPlant):
+        return None
+    if context is not None and any(
+        p.HasValue(context)
+        for p in vector_ports(system)
+        if p not in (port, disturbance)
+    ):
+        return None
+    none = np.zeros((system.num_velocities(), 0))
+    maps = none if port is None else _force_map(system, port)
+    pushed = none if disturbance is None else _force_map(system, disturbance)
+    return None if maps is None or pushed is None else PortForces(maps, pushed)
+
+
+def _force_map(plant: Any, port: Any) -> Array | None:
+    """The matrix (nv, k) from a port's vector to generalised forces, if it has one."""
+    if port is plant.get_applied_generalized_force_input_port():
+        return np.eye(plant.num_velocities())
+    if not plant.num_actuated_dofs():
+        return None
+    matrix: Array = plant.MakeActuationMatrix()
+    if port is plant.get_actuation_input_port():
+        return matrix
+    for index in range(plant.num_model_instances()):
+        instance = ModelInstanceIndex(index)
+        actuators = plant.GetJointActuatorIndices(instance)
+        if actuators and port is plant.get_actuation_input_port(instance):
+            starts = [plant.get_joint_actuator(i).input_start() for i in actuators]
+            return matrix[:, starts]
+    return None
 
 
 def has_plant_state(system: Any) -> bool:
@@ -257,7 +384,7 @@ def has_plant_state(system: Any) -> bool:
 
 
 def _plant_of(system: Any) -> Any:
-    """The MultibodyPlant that a System is, or that has all its state; else None."""
+    """The MultibodyPlant that a System is, or that has all its state."""
     if isinstance(system, MultibodyPlant):
         return system
     inside: Sequence[Any] = getattr(system, "GetSystems", lambda: ())()

@@ -177,7 +177,7 @@ def find_input_port(
         return port
     if isinstance(system, MultibodyPlant) and system.num_actuated_dofs():
         return system.get_actuation_input_port()
-    ports = [p for p in _vector_ports(system) if p is not disturbance]
+    ports = [p for p in vector_ports(system) if p is not disturbance]
     if len(ports) != 1:
         raise ModelError(
             f"{name}: say which port is the input, by input_port; {_list_ports(system)}"
@@ -213,13 +213,14 @@ def _is_vector(port: Port) -> bool:
     return bool(port.get_data_type() == PortDataType.kVectorValued and port.size() > 0)
 
 
-def _vector_ports(system: System) -> list[Port]:
+def vector_ports(system: System) -> list[Port]:
+    """Returns the input ports that carry vectors."""
     ports = [system.get_input_port(i) for i in range(system.num_input_ports())]
     return [p for p in ports if _is_vector(p)]
 
 
 def _list_ports(system: System) -> str:
-    ports = [f"{p.get_name()} ({p.size()})" for p in _vector_ports(system)]
+    ports = [f"{p.get_name()} ({p.size()})" for p in vector_ports(system)]
     return "its vector input ports are " + (", ".join(ports) or "none")
 
 
@@ -277,7 +278,7 @@ def default_context(system: System, name: str) -> Context:
 def _copy_port_values(
     system: System, context: Context, symbolic: System, target: Context
 ) -> None:
-    for port in _vector_ports(system):
+    for port in vector_ports(system):
         if port.HasValue(context):
             value = port.Eval(context)
             symbolic.get_input_port(port.get_index()).FixValue(target, value)
@@ -299,7 +300,7 @@ def _own_rate(
         try:
             derivatives = system.EvalTimeDerivatives(own)
         except Exception:  # A System's own code may raise anything.
-            unset = [p for p in _vector_ports(system) if not p.HasValue(own)]
+            unset = [p for p in vector_ports(system) if not p.HasValue(own)]
             if not unset:
                 raise
             for port in unset:
@@ -343,7 +344,7 @@ def _residual(
     except Exception as error:  # A System's own code may raise anything.
         if not all_have_mass and give_mass(system, context):
             return _residual(system, context, rate, name, all_have_mass=True)
-        unset = [p for p in _vector_ports(system) if not p.HasValue(context)]
+        unset = [p for p in vector_ports(system) if not p.HasValue(context)]
         if not unset:
             raise ModelError(
                 f"{name}: its dynamics do not evaluate on symbols: {explained(error)}"

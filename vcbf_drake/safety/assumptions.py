@@ -13,7 +13,7 @@ from vcbf_drake.barriers import Barrier
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceObserver, RiseObserver
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety.volume import LEAST_THRESHOLD
+from vcbf_drake.safety.volume import least_threshold
 
 if TYPE_CHECKING:
     from vcbf_drake.safety.safety_filter import SafetyFilter
@@ -160,7 +160,7 @@ def _volume_at_start(
 ) -> Assumption:
     determinant = volume + threshold
     remedy = f"take a threshold below {determinant:.2g}"
-    if not determinant > LEAST_THRESHOLD:
+    if not determinant > least_threshold(safety_filter.input_set.num_inputs):
         remedy = "start where the rows leave the inputs some room"
     return Assumption(
         "volume at the start",

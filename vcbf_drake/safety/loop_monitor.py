@@ -20,7 +20,7 @@ from vcbf_drake.safety.assumptions import gain_assumptions, start_assumptions
 from vcbf_drake.safety.packed_feasible_set import unpack_feasible_set
 from vcbf_drake.safety.qp import FilterStatus
 from vcbf_drake.safety.safety_filter import SafetyFilter
-from vcbf_drake.safety.volume import LEAST_THRESHOLD
+from vcbf_drake.safety.volume import least_threshold
 
 _LOG = logging.getLogger("vcbf_drake")
 
@@ -84,7 +84,8 @@ class LoopMonitor(LeafSystem):
         has_volume = self._filter.method.volume
         volume = self._read(context, "volume")[0] if has_volume else np.nan
         # Without a threshold of its own V_v starts above 0, or at the least one.
-        threshold = self._settings.volume.threshold or LEAST_THRESHOLD
+        least = least_threshold(self._filter.input_set.num_inputs)
+        threshold = self._settings.volume.threshold or least
         found = tuple(
             start_assumptions(self._filter, levels, authority, volume, threshold)
         )

@@ -327,7 +327,8 @@ class SafetyFilter(CachedSystem):
         kept = context.get_discrete_state_vector().CopyToVector()
         if np.isnan(kept[0]):
             found = held_by(self._determinants_entry, context)
-            kept = [threshold_of(v.value if v else np.nan) for v in found]
+            m = self.input_set.num_inputs
+            kept = [threshold_of(v.value if v else np.nan, m) for v in found]
         return float(kept[0]), float(kept[1])
 
     def _keep_thresholds(self, context: Context, discrete: DiscreteValues) -> None:

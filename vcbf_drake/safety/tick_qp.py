@@ -46,12 +46,14 @@ class VolumeRow:
         c: The right-hand side.
         slack_penalty: M of (E24), for the inexact slack.
         name: For whoever reads the program.
+        unit: What the row was divided by; its slack is multiplied by it.
     """
 
     a: Array
     c: float
     slack_penalty: float
     name: str = "volume"
+    unit: float = 1.0
 
     @property
     def is_finite(self) -> bool:
@@ -60,7 +62,7 @@ class VolumeRow:
 
     def slack(self, u: Array) -> float:
         """Returns how far the row gives way at an input, at most 0."""
-        return min(0.0, self.c - float(self.a @ u))
+        return self.unit * min(0.0, self.c - float(self.a @ u))
 
 
 @dataclass(frozen=True)

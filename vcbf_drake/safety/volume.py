@@ -20,8 +20,8 @@ from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.programs import DEFAULT_SOLVER
 
 GUARDS = ("none", "volume")
-# The thresholds that a start can lead to.
-LEAST_THRESHOLD, MOST_THRESHOLD = 1e-4, 0.02
+# The thresholds that a start can lead to: the least is a ball of this radius.
+_LEAST_RADIUS, _MOST_THRESHOLD = 1e-4, 0.02
 
 
 @dataclass
@@ -33,7 +33,7 @@ class VolumeBarrier:
 
     Attributes:
         threshold: xi, the part of the free volume that must remain; null for a tenth
-            of what the set has at the first tick, at most 0.02 and at least 1e-4.
+            of what the set has at the first tick, at most 0.02 (E90).
         gain: lambda_Vv, how fast V_v may decrease towards zero [1/s].
         slack_penalty: M, the weight of the squared slack; unused with the exact slack.
         widening: kappa >= 1: the input set is taken this many times as wide, so that
@@ -69,9 +69,15 @@ class VolumeBarrier:
         return f"volume, inputs x {self.widening:g}"
 
 
-def threshold_of(determinant: float) -> float:
+def threshold_of(determinant: float, num_inputs: int) -> float:
     """Returns xi of a barrier that has none, from det B at its start (E90)."""
-    return float(np.clip(determinant / 10.0, LEAST_THRESHOLD, MOST_THRESHOLD))
+    least = least_threshold(num_inputs)
+    return float(np.clip(determinant / 10.0, least, _MOST_THRESHOLD))
+
+
+def least_threshold(num_inputs: int) -> float:
+    """Returns the least xi that a start can lead to (E90)."""
+    return _LEAST_RADIUS**num_inputs
 
 
 @dataclass(frozen=True)
@@ -177,6 +183,8 @@ class Volume:
         time: dV_v/dt with state, estimate and bound held [1/s].
         estimate: dV_v/d(estimate), shape (q,).
         bound: dV_v/d(error bound), at most zero.
+        unit: det B, as whose share the row is stated: among strong actuators it may be
+            1e-15, and its row would count as none.
     """
 
     value: float
@@ -185,6 +193,7 @@ class Volume:
     time: float
     estimate: Array
     bound: float
+    unit: float = 1.0
 
     @staticmethod
     def unmoved(measured: Measurement, num_states: int, num_channels: int) -> Volume:

@@ -140,11 +140,13 @@ class VolumeRows:
             gain,
             self._settings.corrections.total_derivative,
         )
-        return VolumeRow(a, c, self._settings.volume.slack_penalty, name)
+        penalty = self._settings.volume.slack_penalty * v.unit**2
+        return VolumeRow(a / v.unit, c / v.unit, penalty, name, v.unit)
 
 
 def above(threshold: float, determinant: Volume | None) -> Volume | None:
     """Returns V_v, the determinant less its threshold xi."""
     if determinant is None:
         return None
-    return replace(determinant, value=determinant.value - threshold)
+    value = determinant.value - threshold
+    return replace(determinant, value=value, unit=determinant.value)
