@@ -18,6 +18,7 @@ from vcbf_drake.safety.tick_qp import QP, least_violation
 
 # By which share of itself a level may fall in a period, to first order.
 _LARGEST_STEP = 0.9
+_ROUNDING = 4.0 * float(np.finfo(float).eps)
 # What (omega - 1)^2 costs beside the distance to the reference.
 _PENALTY = 100.0
 
@@ -101,5 +102,7 @@ def decayed_input(
         z = grown.solved(solver).point
     except (EmptySetError, SolverError, LinAlgError):
         return least_violation(feasible, qp, held_input, solver), 1.0
-    omega = 1.0 + float(np.max(z[m:], initial=0.0)) / unit
+    growth = float(np.max(z[m:], initial=0.0)) / unit
+    # Rounded up, so that the rows hold with it where their numbers are large.
+    omega = (1.0 + growth) * (1.0 + _ROUNDING) if growth > 0.0 else 1.0
     return feasible.input_set.project(qp.frame.input(z)), omega
