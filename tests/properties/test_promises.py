@@ -123,6 +123,11 @@ def test_what_was_found(number):
     assert make_example(0, number).broken == ()
 
 
+def test_volume_rows_have_no_part_in_a_conflict():
+    """Barrier rows empty by 9e-10, and more so beside a volume row that gave way."""
+    assert make_example(1, 5211).broken == ()
+
+
 def forged(decision, **changes):
     return dataclasses.replace(decision, **changes)
 

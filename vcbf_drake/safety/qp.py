@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 import math
@@ -133,9 +134,8 @@ def choose_input(
                 finer_qp = state_qp(feasible, finer, rows, reference, exact_slack)
                 found, solved = _better(finer_qp, found, qp, solver)
     except EmptySetError as error:
-        # Of the feasible set's rows alone; a volume row that may give way has none.
-        among = [i for i in error.conflict if i < len(feasible.cutting)]
-        conflict = tuple(feasible.cutting[among].tolist())
+        # Rows of the feasible set all: those that may give way are in no conflict.
+        conflict = tuple(feasible.cutting[list(error.conflict)].tolist())
         decay = 1.0
         if policy == "hold":
             u = input_set.project(held_input)
@@ -174,11 +174,20 @@ def _moves_a_fixed(reference: Array, input_set: InputSet) -> bool:
 def _better(
     finer: QP, found: NearestPoint, qp: QP, solver: str
 ) -> tuple[NearestPoint, QP]:
-    """The solution in finer coordinates; where none is verified, the one found."""
+    """The solution in finer coordinates; where none is verified, the one found.
+
+    Raises:
+        EmptySetError: No input satisfies the rows that never give way, certified.
+    """
     try:
         return finer.solved(solver), finer
+    except EmptySetError:
+        # A conflict with volume rows says nothing of the others: are they empty?
+        with suppress(SolverError, LinAlgError):
+            finer.hard.solved(solver)
     except (SolverError, LinAlgError):
-        return found, qp
+        pass
+    return found, qp
 
 
 def failed_decision(

@@ -295,6 +295,16 @@ def solve_qp(qp: QP, solver: str) -> tuple[NearestPoint, QP]:
     except (EmptySetError, SolverError, LinAlgError):
         if not qp.num_volume:
             raise
+    try:
+        return _relaxed(qp, solver)
+    except (EmptySetError, SolverError, LinAlgError) as error:
+        # A conflict with volume rows says nothing of the others: are they empty?
+        qp.hard.solved(solver)
+        raise SolverError("no least slack was verified", qp.A, qp.b) from error
+
+
+def _relaxed(qp: QP, solver: str) -> tuple[NearestPoint, QP]:
+    """The minimiser of a QP whose volume rows give way, and what it minimises."""
     first = qp.num_hard - qp.num_volume
     rows = UnitRows(qp.A, qp.b, SHORTEST)
     bounds, opened = qp.b.copy(), rows.length * opening(rows, qp.num_firm)
@@ -307,7 +317,6 @@ def solve_qp(qp: QP, solver: str) -> tuple[NearestPoint, QP]:
     found, relaxed = _opened(replace(qp, b=bounds), may_open, z, solver)
     excess = (qp.A[:first] @ found.point - bounds[:first]) / rows.length[:first]
     if (excess > FEASIBILITY_TOLERANCE).any():
-        qp.hard.solved(solver)  # Or is it empty without the volume rows too?
         raise SolverError("no least slack that leaves the other rows alone", qp.A, qp.b)
     return found, relaxed
 
