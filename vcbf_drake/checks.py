@@ -55,6 +55,7 @@ def check_finite(
     *,
     size: int | None = None,
     names: Sequence[str] | None = None,
+    infinity_allowed: bool = False,
 ) -> None:
     """Checks that a parameter is made of finite numbers.
 
@@ -63,6 +64,7 @@ def check_finite(
         value: The number, or the list of numbers if `size` or `names` is given.
         size: How many numbers the list must have; None for a single number.
         names: Or what each of them is called.
+        infinity_allowed: Whether infinity, of either sign, is allowed too.
 
     Raises:
         InvalidValueError: It is not.
@@ -71,7 +73,10 @@ def check_finite(
         size = len(names)
         rule = f"{size} numbers, one each of {', '.join(names)}"
         require(len(value) == size, name, value, rule)
-    _check_numbers(name, value, size, math.isfinite, "finite")
+    if infinity_allowed:
+        _check_numbers(name, value, size, lambda v: not math.isnan(v), "a number")
+    else:
+        _check_numbers(name, value, size, math.isfinite, "finite")
 
 
 def require(allowed: bool, name: str | Path, value: object, rule: str) -> None:

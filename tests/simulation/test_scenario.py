@@ -13,7 +13,13 @@ import pytest
 
 from vcbf_drake.errors import InvalidValueError, ScenarioError
 from vcbf_drake.plants import BlimpVehicle, TurnLimit
-from vcbf_drake.simulation import InputLimits, Obstacle, Scenario, validate
+from vcbf_drake.simulation import (
+    InputLimits,
+    Obstacle,
+    Scenario,
+    simulate,
+    validate,
+)
 from vcbf_drake.simulation.loading import (
     dump_scenario,
     load_scenario,
@@ -404,7 +410,19 @@ REFUSED = [
     ("{duration: .inf}", "duration", "inf; it must be finite"),
     ("{duration: 1e999}", "duration", "inf; it must be finite"),
     ("{target: [.nan, 0, 0]}", "target[0]", "nan; it must be finite"),
-    ("{input_set: {upper: [.inf, 1, 1]}}", "input_set.upper[0]", "must be finite"),
+    ("{input_set: {upper: [.nan, 1, 1]}}", "input_set.upper[0]", "must be a number"),
+    ("{input_set: {lower: [.inf, 0, 0]}}", "input_set.lower[0]", "below infinity"),
+    ("{input_set: {upper: [1, -.inf, 1]}}", "input_set.upper[1]", "above minus inf"),
+    (
+        "{input_set: {upper: [.inf, 1, 1]}}",
+        "input_set",
+        "finite for the volume barrier of dob-vcbf-qp; dob-cbf-qp has none",
+    ),
+    (
+        "{method: cbf-qp, input_set: {upper: [.inf, 1, 1], A: [[0, 1, 0]], b: [1]}}",
+        "input_set",
+        "is unbounded",
+    ),
     ("{vehicle: {mass: .nan}}", "vehicle.mass", "finite and above 0"),
     ("{vehicle: {drag: [-1, 0, 0]}}", "vehicle.drag[0]", "not below 0"),
     (
@@ -470,7 +488,11 @@ REFUSED = [
         "between_ticks",
         "must be none without the correction error_floor",
     ),
-    ("{input_set: {lower: [0, 0, 1]}}", "input_set.lower[2]", "below upper"),
+    (
+        "{input_set: {lower: [0, 0, 1]}}",
+        "input_set.lower[2]",
+        "at most upper, 0.0145525",
+    ),
     ("{input_set: {A: [[1, 0, 0]], b: [-9]}}", "input_set", "is empty"),
     ("{period: 30}", "period", "at most the duration, 20 s"),
     (
@@ -662,6 +684,41 @@ def test_gains_have_real_negative_roots(gains: list[float], allowed: bool) -> No
     else:
         with pytest.raises(InvalidValueError, match="must be real and positive"):
             validate(scenario)
+
+
+def test_limits_may_be_infinite_where_no_volume_is_asked(tmp_path: Path) -> None:
+    limits = "{lower: [-.inf, -0.2, -0.02], upper: [0.25, .inf, 0.02]}"
+    scenario = load_scenario(
+        "blimp-single-obstacle", f"{{method: dob-cbf-qp, input_set: {limits}}}"
+    )
+    check_round_trip(scenario, tmp_path)
+    inputs = scenario.input_set.input_set()
+    assert not inputs.is_bounded
+    assert inputs.contains([-1e9, 1e9, 0.0])
+    assert not inputs.contains([0.3, 0.0, 0.0])
+    assert not inputs.contains([0.0, -0.3, 0.0])
+
+
+def test_rows_may_bound_what_infinite_limits_leave_open() -> None:
+    limits = "{lower: [0, 0, 0], upper: [.inf, .inf, 1], A: [[1, 2, 0]], b: [4]}"
+    scenario = load_scenario("blimp-single-obstacle", f"{{input_set: {limits}}}")
+    inputs = scenario.input_set.input_set()
+    assert inputs.is_bounded
+    assert inputs.contains([3.9, 0.0, 0.5])
+    assert not inputs.contains([0.0, 2.1, 0.5])
+
+
+@pytest.mark.parametrize("method", ["cbf-qp", "dob-vcbf-qp"])
+def test_equal_limits_are_a_dead_actuator(method: str) -> None:
+    limits = "{lower: [-0.25, -0.2, 0.01], upper: [0.25, 0.2, 0.01]}"
+    scenario = load_scenario(
+        "blimp-single-obstacle",
+        f"{{method: {method}, duration: 0.2, input_set: {limits}}}",
+    )
+    result = simulate(scenario)
+    applied = result.log["input"]
+    assert (applied[1:, 2] == 0.01).all()
+    assert applied[:, :2].any()
 
 
 def test_input_set_holds_box_and_rows() -> None:

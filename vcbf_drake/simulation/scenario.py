@@ -28,6 +28,7 @@ from vcbf_drake.errors import InvalidValueError, Path, below
 from vcbf_drake.plants import Vehicle
 from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.safety.input_set import InputSet
+from vcbf_drake.safety.methods import METHODS
 from vcbf_drake.safety.settings import FilterSettings
 from vcbf_drake.simulation.faults import Faults
 from vcbf_drake.simulation.obstacles import (
@@ -47,9 +48,11 @@ class InputLimits:
     """The inputs that the actuators can deliver: a box, and further rows if any.
 
     Attributes:
-        lower: Least value of each input, in its unit, (m,); empty for the vehicle's own
-            limits, where it has some.
-        upper: Greatest value of each input, in its unit, (m,).
+        lower: Least value of each input, in its unit, (m,); -.inf for none, where the
+            method has no volume barrier; empty for the vehicle's own limits, where it
+            has some.
+        upper: Greatest value of each input, in its unit, (m,); .inf for none. An input
+            whose limits are equal is fixed, as of a dead actuator.
         A: Further limits A u <= b, (k, m): coupled actuators, for example.
         b: Their right-hand sides, (k,).
     """
@@ -60,8 +63,8 @@ class InputLimits:
     b: list[float] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        check_finite("lower", self.lower, size=len(self.lower))
-        check_finite("upper", self.upper, size=len(self.upper))
+        for name, limits in (("lower", self.lower), ("upper", self.upper)):
+            check_finite(name, limits, size=len(limits), infinity_allowed=True)
         if len(self.lower) != len(self.upper):
             raise InvalidValueError(
                 (),
@@ -69,7 +72,9 @@ class InputLimits:
                 " it must be one an input in each",
             )
         for j, (least, most) in enumerate(zip(self.lower, self.upper, strict=True)):
-            require(least < most, ("lower", j), least, f"below upper, {most:g}")
+            require(least < math.inf, ("lower", j), least, "below infinity")
+            require(most > -math.inf, ("upper", j), most, "above minus infinity")
+            require(least <= most, ("lower", j), least, f"at most upper, {most:g}")
         for i, row in enumerate(self.A):
             check_finite(("A", i), row, size=len(self.lower))
         check_finite("b", self.b, size=len(self.A))
@@ -85,10 +90,9 @@ class InputLimits:
         if not self.A:
             return InputSet.box(np.array(self.lower), np.array(self.upper))
         identity = np.eye(len(self.lower))
-        return InputSet(
-            np.vstack([identity, -identity, self.A]),
-            np.concatenate([self.upper, np.negative(self.lower), self.b]),
-        )
+        A = np.vstack([identity, -identity, self.A])
+        b = np.concatenate([self.upper, np.negative(self.lower), self.b])
+        return InputSet(A[b < math.inf], b[b < math.inf])
 
 
 @dataclass
@@ -271,6 +275,12 @@ class Scenario(FilterSettings):
             own = self.vehicle.input_limits() or ([], [])
             self.input_set = InputLimits(*own, self.input_set.A, self.input_set.b)
         self._check_sizes()
+        require(
+            not METHODS[self.method].volume or self.input_set.input_set().is_bounded,
+            "input_set",
+            [*self.input_set.lower, *self.input_set.upper],
+            f"finite for the volume barrier of {self.method}; dob-cbf-qp has none",
+        )
         self._check_places()
 
     def _check_times(self) -> None:
@@ -293,7 +303,12 @@ class Scenario(FilterSettings):
         channels = channels_of(plant)
         states, inputs = channels.states, channels.inputs
         check_finite("initial_state", self.initial_state, names=[*states])
-        check_finite(("input_set", "lower"), self.input_set.lower, names=[*inputs])
+        require(
+            len(self.input_set.lower) == len(inputs),
+            ("input_set", "lower"),
+            self.input_set.lower,
+            f"{len(inputs)} numbers, one each of {', '.join(inputs)}",
+        )
         size = len(self.start)
         at = self.vehicle.position
         axes = range(size) if callable(at) else [[*states][i] for i in at]
