@@ -110,6 +110,7 @@ def test_what_cannot_be_combined_is_refused(car):
         ([disc.barrier(GAINS), disc.barrier([4.0, 3.0])], "those of 'obstacle'"),
         ([disc.barrier(GAINS), disc.barrier(GAINS, [0, 1])], "to all of them"),
         ([disc.barrier(GAINS).robust_to(0.1)], "as its shape makes it"),
+        ([disc], r"must be a Barrier, as shape.barrier\(gains\) makes it"),
     ):
         with pytest.raises(ValueError, match=message):
             all_of(barriers, 0.1)
@@ -152,6 +153,18 @@ def test_pieces_are_convex_and_make_up_the_polygon(vertices):
     assert len(PolygonObstacle(vertices).barriers(GAINS)) == len(pieces)
 
 
+@pytest.mark.parametrize("size", [1e-3, 1.0])
+@pytest.mark.parametrize("vertices", [L_SHAPE, L_SHAPE[::-1], STAR, STAR[:3]])
+def test_a_polygon_in_map_coordinates_is_not_turned_inside_out(size, vertices):
+    """So far from the origin that the products of coordinates exceed its area."""
+    away = np.array([5e5, 5e6])
+    pieces = PolygonObstacle(size * np.array(vertices) + away).pieces
+    expected = PolygonObstacle(vertices).pieces
+    assert len(pieces) == len(expected)
+    for piece, right in zip(pieces, expected, strict=True):
+        assert_allclose(piece - away, size * right, atol=1e-9)
+
+
 def test_a_margin_moves_the_sides_out(point):
     square = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
     polygon = PolygonObstacle(square, margin=0.2, smoothing=1e-4)
@@ -166,7 +179,11 @@ def test_a_margin_moves_the_sides_out(point):
         ([[0.0, 0.0, 0.0]] * 3, "at least 3 corners"),
         ([[0.0, 0.0], [1.0, 0.0], [np.nan, 1.0]], "finite"),
         ([[0.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 1.0]], "sides 0 and 2 meet"),
-        ([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [0.0, 1.0]], "sides 0 and 1 meet"),
+        ([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [0.0, 1.0]], "corner 2 is corner 1 "),
+        (
+            [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 0.0]],
+            "corner 3 is corner 0 again; give it once",
+        ),
         ([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]], "meet"),
     ],
 )
@@ -273,6 +290,12 @@ def test_what_is_no_class_k_function_is_refused(class_k):
     barrier = Barrier(lambda x, t, p: x[0], GAINS, name="b")
     with pytest.raises(ValueError, match="'b': class_k must be 0 at 0 and increase"):
         barrier.with_class_k(class_k)
+
+
+def test_a_class_k_function_is_a_function():
+    barrier = Barrier(lambda x, t, p: x[0], GAINS, name="b")
+    with pytest.raises(ValueError, match=r"'b': class_k: 0.5; it must be a function"):
+        barrier.with_class_k(0.5)
 
 
 def test_a_class_k_function_that_its_symbols_misread_is_refused(car):

@@ -429,6 +429,9 @@ def test_a_plant_names_its_wrapped_states_in_any_unit():
         2.0,
         -7.0,
     ]
+    plant.wrapped_states = {"x0": "degrees"}
+    with pytest.raises(ModelError, match=r"period 'degrees'; it must be .* above 0"):
+        ControlAffineModel.from_system(plant)
     plant.wrapped_states = ["theta"]
     with pytest.raises(ModelError, match=r"has 'theta'.*one of x0, x1"):
         ControlAffineModel.from_system(plant)

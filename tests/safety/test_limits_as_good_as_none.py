@@ -14,7 +14,7 @@ from vcbf_drake.safety import (
 from vcbf_drake.safety.feasible_set import feasible_set
 from vcbf_drake.safety.qp import choose_input
 
-FAR = [1e6, 1e8, 1e9, 1e10, 1e12, np.inf]
+FAR = [1e6, 1e8, 1e9, 1e10, 1e12, 1e300, 1.7e308, np.inf]
 
 
 def choose(input_set, A, b, reference, policy="least_violation"):
@@ -69,7 +69,7 @@ def test_an_oblique_row_is_met_to_its_own_size(far, other):
     np.testing.assert_allclose(decision.input, expected, atol=2e-8)
 
 
-@pytest.mark.parametrize("far", [1e9, 1e12, np.inf])
+@pytest.mark.parametrize("far", [1e9, 1e12, 1e300, np.inf])
 def test_limits_on_one_side_alone(far):
     box = InputSet.box([0.0, -1.0], [far, 1.0])
     decision = choose(box, [[1.0, 0.0]], [3.0], [7.0, -5.0])
@@ -87,6 +87,12 @@ def test_without_limits_a_reference_far_away_is_met():
     np.testing.assert_allclose(decision.input, [1.0, -3e5], rtol=1e-9)
     decision = choose(box, [[1.0, 0.0]], [1e8], [1e7, -3e5])
     assert decision.status == FilterStatus.REFERENCE
+
+
+def test_a_limit_whose_square_overflows_is_none():
+    box = InputSet.box([-1e300, -2.0], [3.0, 1e101])
+    assert not box.is_bounded
+    np.testing.assert_array_equal(box.b, [3.0, np.inf, np.inf, 2.0])
 
 
 def test_a_dead_actuator_stays_where_it_is():

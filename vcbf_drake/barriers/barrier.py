@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from pydrake.symbolic import Expression
 
-from vcbf_drake.checks import Array, check_parameter, finite_vector
+from vcbf_drake.checks import Array, check_parameter, finite_vector, require
 from vcbf_drake.model.compiled import Expressions
 
 ClassK: TypeAlias = Callable[[Any], Any]
@@ -123,6 +123,7 @@ class Barrier:
 
 
 def _check_class_k(class_k: ClassK, name: str) -> None:
+    require(callable(class_k), f"barrier '{name}': class_k", class_k, "a function")
     positive = np.geomspace(1e-3, 1e3, 25)
     points = np.concatenate([-positive[::-1], [0.0], positive])
     with np.errstate(all="ignore"):

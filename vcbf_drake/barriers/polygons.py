@@ -63,6 +63,11 @@ class PolygonObstacle(Shape):
             self.vertices,
             rule,
         )
+        for i, j in combinations(range(len(corners)), 2):
+            if np.array_equal(corners[i], corners[j]):
+                raise ValueError(
+                    f"polygon: corner {j} is corner {i} again; give it once"
+                )
         crossing = _crossing_sides(corners)
         if crossing:
             raise ValueError(f"polygon: its sides {crossing[0]} and {crossing[1]} meet")
@@ -148,7 +153,8 @@ def _turn(a: Array, b: Array, c: Array) -> float:
 
 
 def _anticlockwise(corners: Array) -> Array:
-    x, y = corners.T
+    # From a corner: far from the origin the products would round the area away.
+    x, y = (corners - corners[0]).T
     area = np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
     return corners if area > 0.0 else corners[::-1]
 
@@ -159,8 +165,6 @@ def _crossing_sides(corners: Array) -> tuple[int, int] | None:
     for i, j in combinations(range(n), 2):
         a, b = corners[i], corners[(i + 1) % n]
         c, d = corners[j], corners[(j + 1) % n]
-        if np.array_equal(a, b) or np.array_equal(c, d):
-            return i, j
         if j == i + 1 or (i == 0 and j == n - 1):  # Neighbours: back on themselves?
             shared, one, other = (b, a, d) if j == i + 1 else (a, b, c)
             folded = _turn(one, shared, other) == 0.0
@@ -194,6 +198,10 @@ def _triangles(corners: Array) -> list[_Piece]:
             if _turn(a, b, c) == 0.0:  # A corner on a straight side.
                 left.pop(k)
                 break
+        else:
+            raise ValueError(
+                "polygon: its corners are too close together to tell apart"
+            )
     return [*found, left]
 
 

@@ -75,6 +75,9 @@ def _combined(
     barriers = list(barriers)
     require(len(barriers) > 0, f"{name}: barriers", barriers, "one at least")
     check_parameter(f"{name}: smoothing", smoothing)
+    for each in barriers:
+        rule = "a Barrier, as shape.barrier(gains) makes it"
+        require(isinstance(each, Barrier), f"{name}: barrier", each, rule)
     first = barriers[0]
     for each in barriers:
         fixed = type(each) is Barrier and each.early_disturbance is None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 import math
+from numbers import Real
 from typing import NamedTuple
 
 import numpy as np
@@ -241,7 +242,8 @@ class ControlAffineModel:
             wrapped_states = dict.fromkeys(wrapped_states, 2.0 * math.pi)
         periods = np.full(self.num_states, np.inf)
         for state, period in wrapped_states.items():
-            if state not in self.state_names or not period > 0.0:
+            is_period = isinstance(period, Real) and float(period) > 0.0
+            if state not in self.state_names or not is_period:
                 raise ModelError(
                     f"{self.name}: wrapped_states has {state!r}, period {period!r}; it"
                     f" must be one of {', '.join(self.state_names)}, and above 0"

@@ -12,6 +12,8 @@ from vcbf_drake.safety.projection import minimise_linear, nearest_point
 
 # A point this many input ranges away is as good as one infinitely far.
 _FARTHEST = 1e6
+# A limit this large is as good as infinite: squares of larger ones overflow.
+_AS_GOOD_AS_NONE = 1e100
 # Rows are met to this, in normalised inputs, before a projection returns.
 _TOLERANCE = 1e-10
 
@@ -92,9 +94,9 @@ class InputSet:
     def box(lower: ArrayLike, upper: ArrayLike) -> InputSet:
         """Returns ``{u : lower <= u <= upper}``.
 
-        A limit may be infinite where no volume barrier needs a bounded set: then
-        center is the input nearest to 0 and scale is 1, its unit. Equal limits fix an
-        input.
+        A limit may be infinite where no volume barrier needs a bounded set, and one
+        beyond 1e100 is taken as that: then center is the input nearest to 0 and scale
+        is 1, its unit. Equal limits fix an input.
 
         Args:
             lower: The least inputs, shape (m,).
@@ -192,6 +194,8 @@ class _Box(InputSet):
                     f"input {j} has lower bound {least:g} and upper bound {most:g};"
                     " they must be numbers or infinite, and lower <= upper"
                 )
+        lower = np.where(lower < -_AS_GOOD_AS_NONE, -np.inf, lower)
+        upper = np.where(upper > _AS_GOOD_AS_NONE, np.inf, upper)
         identity = np.eye(len(lower))
         self.A = self.A_normalised = np.concatenate([identity, -identity])
         self.b = np.concatenate([upper, -lower])
