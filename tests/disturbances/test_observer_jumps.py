@@ -222,3 +222,17 @@ def test_wraps_of_the_shipped_headings_are_no_motion() -> None:
         PERIOD,
     )
     np.testing.assert_allclose(mean.disturbance, [0.15], atol=1e-9)
+
+
+@OBSERVERS
+@pytest.mark.parametrize("far", [0.0, 5e6, 1.8e9])
+def test_a_large_state_beside_hides_no_jump(kind, far):
+    """A position on a map, the seconds since 1970: neither blurs a speed."""
+    model = DragModel()
+    observer = kind(model, PERIOD, BOUNDS)
+    before = np.array([far, 0.0, 0.5, 0.0])
+    after = before + PERIOD * model.nominal_rate(before, np.zeros(2))
+    quiet = observer._plausible_mean(before, after, np.zeros(2), PERIOD)
+    assert quiet is not None
+    after[2] += 0.3  # [m/s], 15 m/s^2 over the interval.
+    assert observer._plausible_mean(before, after, np.zeros(2), PERIOD) is None

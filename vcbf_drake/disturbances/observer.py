@@ -282,7 +282,8 @@ class DisturbanceObserver(LeafSystem):
         if not (_is_finite(x_0) and _is_finite(x_1)):
             return None
         mean, delta1 = self.mean_disturbance(x_0, x_1, u, elapsed), self.bounds.delta1
-        blur = _JUMP_SIGMAS * self._noise + _ROUNDING * self._unit * (1 + max(abs(x_1)))
+        rounding = _ROUNDING * (self._unit + self._size(x_1))
+        blur = _JUMP_SIGMAS * self._noise + rounding
         most = _EXCEEDED * delta1 + mean.quadrature + blur / elapsed
         # False where it is not finite, too.
         is_plausible = np.linalg.norm(mean.disturbance) <= most
@@ -327,9 +328,13 @@ class DisturbanceObserver(LeafSystem):
         rule = change * (1 + slope) / 10 * float(np.linalg.norm(bend))
         return IntervalMean(mean, slope * drift + rule)
 
+    def _size(self, x: Array) -> float:
+        """Returns the size of the disturbed channels: a clock beside them is large."""
+        return float(np.max(np.abs(self._disturbed) @ np.abs(x), initial=0.0))
+
     def _slope(self, x: Array, u: Array, rate: Array) -> float:
         """Returns how strongly the disturbed rates depend on the disturbed states."""
-        step = _DIFFERENCE * (1.0 + float(np.max(np.abs(x))))
+        step = _DIFFERENCE * (1.0 + self._size(x))
         columns = [
             self._disturbed @ (self._model.nominal_rate(x + step * column, u) - rate)
             for column in self._directions
