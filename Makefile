@@ -5,7 +5,7 @@ BIN := .venv/bin
 DEMO := .venv/.demo
 STAMP := .venv/.installed
 # What `make mutation` puts faults into, and who should notice.
-MODULE ?= vcbf_drake/safety/volume_barrier.py
+MODULE ?= vcbf_drake/safety/volume.py
 TESTS ?= tests/safety
 
 .PHONY: demo reproduce test coverage properties mutation results bench audit lint format clean help
