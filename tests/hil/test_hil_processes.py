@@ -188,6 +188,24 @@ def test_a_signal_while_everything_is_loaded_is_one_line(start) -> None:
         assert "Error" not in err
 
 
+@pytest.mark.parametrize(
+    "moment", ["typer.main", "vcbf_drake.cli", "typer._adapters", "pydrake.common"]
+)
+@pytest.mark.parametrize("command", ["plant", "run"])
+def test_an_interrupt_at_any_moment_is_one_line(command, moment) -> None:
+    """As soon as a module has been imported, which Python tells one by one."""
+    python = [sys.executable, "-X", "importtime", "-m", "vcbf_drake"]
+    with subprocess.Popen(
+        [*python, command, "car-avoidance"], stderr=subprocess.PIPE, text=True
+    ) as loading:
+        lines = iter(loading.stderr)
+        assert any(line.rpartition("|")[2].strip() == moment for line in lines)
+        loading.send_signal(signal.SIGINT)
+        said = [line for line in lines if not line.startswith("import time:")]
+    assert loading.returncode == 130
+    assert said == ["vcbf-drake: interrupted\n"]
+
+
 def test_a_missing_server_is_named() -> None:
     with pytest.raises(BusError, match=r"no LCM server answers at localhost:9 "):
         check_bus("tcpq://localhost:9")

@@ -7,11 +7,12 @@ import traceback
 from typing import Annotated, Any, cast
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from vcbf_drake.environment import show_warnings_only
+from vcbf_drake.interrupts import raise_on_interrupt
 
-_FAILED, _BAD_USAGE = 1, 2
+_FAILED, _BAD_USAGE, _INTERRUPTED = 1, 2, 130
 
 
 # Commands of earlier versions, and where their work is done now.
@@ -25,6 +26,19 @@ _MOVED = {
 
 # Click's class, wherever the installed typer keeps it.
 _UsageError = cast(type[Exception], typer.BadParameter.__base__)
+
+
+class OneLineCommand(TyperCommand):
+    """A command that Ctrl-C ends with one line, after it has tidied up."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Runs the command."""
+        try:
+            raise_on_interrupt()
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            _complain("interrupted")
+            raise typer.Exit(_INTERRUPTED) from None
 
 
 class OneLineGroup(TyperGroup):

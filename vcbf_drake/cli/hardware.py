@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 import json
 import math
-import os
 from pathlib import Path
 import signal
 import sys
@@ -21,6 +20,7 @@ from vcbf_drake.cli.options import (
     load,
 )
 from vcbf_drake.files import plain_json
+from vcbf_drake.interrupts import end_at_once
 
 if TYPE_CHECKING:
     from vcbf_drake.hil import Bus, ControllerProcess, PlantProcess
@@ -182,12 +182,7 @@ def controller(
 def _die_quietly() -> None:
     """Until a process can say farewell, a signal ends it with one line."""
     for number in _SIGNALS:
-        signal.signal(number, _end_at_once)
-
-
-def _end_at_once(number: int, *_: object) -> None:
-    os.write(2, b"vcbf-drake: interrupted\n")
-    os._exit(128 + number)
+        signal.signal(number, end_at_once)
 
 
 def _load(
