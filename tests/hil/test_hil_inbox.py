@@ -549,7 +549,8 @@ def test_faults_drop_a_share_and_delay_the_rest() -> None:
     ("values", "text"),
     [
         ({"drop": 1.5}, "drop is 1.5; it must be between 0 and 1"),
-        ({"delay": -1.0}, "delay is -1 s; it must not be below 0"),
+        ({"delay": -1.0}, "delay is -1 s; it must be finite and not below 0"),
+        ({"delay": float("inf")}, "delay is inf s; it must be finite"),
         ({"delay": 0.1, "jitter": 0.2}, "jitter is 0.2 s; it must be between 0 and"),
     ],
 )

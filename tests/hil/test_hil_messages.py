@@ -100,6 +100,13 @@ def test_a_good_message_comes_back_as_it_was(form: MessageFormat) -> None:
         assert (list(value) if isinstance(value, tuple) else value) == expected
 
 
+def test_a_vehicle_may_run_for_weeks() -> None:
+    """A thrust of 2 kN over a fortnight: what was applied adds up, and so does time."""
+    fortnight = 14 * 24 * 3600.0
+    sent = message(FORMATS[0], time=fortnight, input_integral=[2e3 * fortnight] * 3)
+    assert not isinstance(FORMATS[0].decode(sent.encode()), Rejection)
+
+
 FLAWS = {
     "version": (1, Reason.VERSION),
     "session": (0, Reason.STAMPS),
@@ -130,6 +137,7 @@ def test_a_flaw_that_any_message_can_have_is_named(form, name) -> None:
         (FORMATS[0], "state", [0.0] * 7 + [float("inf")], Reason.NUMBER),
         (FORMATS[0], "state", [0.0] * 7 + [-1e300], Reason.NUMBER),
         (FORMATS[0], "input_integral", [float("nan")] * 3, Reason.NUMBER),
+        (FORMATS[0], "input_integral", [0.0, 0.0, 1e300], Reason.NUMBER),
         (FORMATS[1], "input", [0.0, 0.0, float("inf")], Reason.NUMBER),
         (FORMATS[1], "mode", 100, Reason.CODE),
         (FORMATS[2], "filter_status", 5, Reason.CODE),
@@ -162,6 +170,12 @@ def test_a_rejection_says_what_was_found() -> None:
         values = {name: flawed[name]} if name in flawed else {}
         found = form.decode(message(FORMATS[0], **values).encode())
         assert found.words == expected
+
+
+def test_a_signed_message_where_no_key_is_set_is_called_so() -> None:
+    found = FORMATS[0].decode(message(FORMATS[0]).encode() + bytes(32))
+    assert found == Rejection(Reason.LENGTH)
+    assert found.words == "wrong length (as if it were signed; no key_file is set here)"
 
 
 @pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.channel)

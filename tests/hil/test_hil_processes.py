@@ -176,6 +176,19 @@ def test_an_endless_duration_and_the_log_of_the_crash(start, tmp_path) -> None:
 
 
 @needs_bus
+@pytest.mark.slow
+def test_a_controller_flies_on_when_its_terminal_is_gone(start) -> None:
+    """What it says reaches nobody, from its first line or from any later one on."""
+    controller = start("controller")
+    assert controller.stderr.readline().startswith("controller of car-avoidance")
+    controller.stderr.close()
+    plant = start("plant", "--duration", "0.5", "--wait", "60")
+    assert report(plant)["changes"][-1]["mode"] == "following"
+    assert json.loads(controller.stdout.read())["ending"] == "vehicle ended"
+    assert controller.wait(60.0) == 0
+
+
+@needs_bus
 def test_a_signal_while_everything_is_loaded_is_one_line(start) -> None:
     """Neither a traceback nor an error of half-imported modules."""
     for wait in (0.3, 0.6, 1.0):

@@ -6,10 +6,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 import json
 import math
+import os
 from pathlib import Path
 import signal
 import sys
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple, TextIO
 
 import typer
 
@@ -256,9 +257,25 @@ def _logging(
         with log:
             yield
     finally:
-        typer.echo(f"log written to {log.path}", err=True)
+        _tell(f"log written to {log.path}")
         if log.failure:
-            typer.echo(log.failure, err=True)
+            _tell(log.failure)
+
+
+def _tell(line: str) -> None:
+    with _heard_or_not(sys.stderr):
+        typer.echo(line, err=True)
+
+
+@contextmanager
+def _heard_or_not(stream: TextIO) -> Iterator[None]:
+    """Goes on when nobody reads any more: a lost terminal must not end a flight."""
+    try:
+        yield
+    except OSError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())  # Or what is still to be flushed fails, too.
+        os.close(nowhere)
 
 
 def _run(
@@ -281,15 +298,16 @@ def _run(
     for number in _SIGNALS:
         signal.signal(number, stop)
     url, name = process.bus.lcm.get_lcm_url(), process.bus.name
-    typer.echo(f"{side} of {scenario.name} on {url} as {name}", err=True)
-    process.tell = lambda line: typer.echo(f"{side}: {line}", err=True)
+    _tell(f"{side} of {scenario.name} on {url} as {name}")
+    process.tell = lambda line: _tell(f"{side}: {line}")
     if sys.stderr.isatty():
-        process.progress = lambda line: typer.echo(line, err=True)
+        process.progress = _tell
     process.run(patience)
     report = {"scenario": scenario.name, "ending": process.ending, **process.report()}
-    if as_json:
-        typer.echo(json.dumps(plain_json(report), indent=2))
-    else:
-        print_hardware_report(side, report)
+    with _heard_or_not(sys.stdout):
+        if as_json:
+            typer.echo(json.dumps(plain_json(report), indent=2))
+        else:
+            print_hardware_report(side, report)
     status = EXIT_STATUSES[process.ending] + (signals[0] if signals else 0)
     raise typer.Exit(status)

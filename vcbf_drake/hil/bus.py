@@ -80,7 +80,9 @@ class LinkFaults:
         if not 0.0 <= self.drop <= 1.0:
             raise ValueError(f"drop is {self.drop:g}; it must be between 0 and 1")
         if not (math.isfinite(self.delay) and self.delay >= 0.0):
-            raise ValueError(f"delay is {self.delay:g} s; it must not be below 0")
+            raise ValueError(
+                f"delay is {self.delay:g} s; it must be finite and not below 0"
+            )
         if not 0.0 <= self.jitter <= self.delay:
             raise ValueError(
                 f"jitter is {self.jitter:g} s; it must be between 0 and the delay,"
@@ -138,7 +140,7 @@ Refusal = Callable[[int], None]
 Tap = Callable[[int, str, bytes], None]
 
 _BETWEEN_PROCESSES = ("udpm://", "tcpq://")
-_SIGNATURE = 32  # Bytes of HMAC-SHA256.
+SIGNATURE_BYTES = 32  # HMAC-SHA256's, after the message.
 _LEAST_KEY = 16  # Bytes.
 _LONGEST_NAME = 48  # LCM's channels have at most 63 characters.
 _MOST_DRAINED = 100
@@ -269,7 +271,7 @@ class Bus:
             arrived += 1
             now = self.clock.utime()
             if self._key:
-                data, signature = data[:-_SIGNATURE], data[-_SIGNATURE:]
+                data, signature = data[:-SIGNATURE_BYTES], data[-SIGNATURE_BYTES:]
                 if not hmac.compare_digest(signature, self._signature(channel, data)):
                     for _, refuse in self._handlers[channel]:
                         refuse(now)

@@ -13,6 +13,7 @@ import math
 import struct
 from typing import Any
 
+from vcbf_drake.hil.bus import SIGNATURE_BYTES
 from vcbf_drake.hil.messages import (
     vcbf_command,
     vcbf_obstacles,
@@ -50,8 +51,10 @@ class VehicleMode(IntEnum):
 
 VERSION = 2
 
-# No state, input or time is as large as this, in SI units.
+# No state or input is as large as this, in SI units.
 _MAX_NUMBER = 1e6
+# What grows as long as a vehicle runs, and how far: 1 MN for eleven days.
+_GROWING, _MAX_GROWN = ("time", "input_integral"), 1e12
 _MAX_BYTES = 65_536
 
 
@@ -122,7 +125,11 @@ class MessageFormat:
             return Rejection(Reason.LENGTH)
         except ValueError:
             return Rejection(Reason.TYPE)
-        if len(message.encode()) != len(data):
+        spare = len(data) - len(message.encode())
+        if spare == SIGNATURE_BYTES:
+            words = "as if it were signed; no key_file is set here"
+            return Rejection(Reason.LENGTH, words)
+        if spare:
             return Rejection(Reason.LENGTH)
         fault = next(self._faults(message), None)
         return message if fault is None else fault
@@ -142,7 +149,9 @@ class MessageFormat:
         if not _has_its_sizes(message):
             yield Rejection(Reason.SIZE)
         for name in self.numbers:
-            if not all(map(_is_sensible, _numbers(message, name))):
+            limit = _MAX_GROWN if name in _GROWING else _MAX_NUMBER
+            # Not below it is nan, too.
+            if not all(abs(each) < limit for each in _numbers(message, name)):
                 yield Rejection(Reason.NUMBER, name)
         for name in self.gaps:
             if any(map(math.isinf, _numbers(message, name))):
@@ -161,10 +170,6 @@ class MessageFormat:
 def _numbers(message: Any, name: str) -> Iterator[float]:
     value = getattr(message, name)
     yield from (value,) if isinstance(value, float) else value
-
-
-def _is_sensible(value: float) -> bool:
-    return abs(value) < _MAX_NUMBER  # False for nan.
 
 
 def _has_its_sizes(message: Any) -> bool:
