@@ -152,6 +152,13 @@ def test_time_limits_below_the_period_are_refused() -> None:
         InProcess(loaded)
 
 
+def test_a_rate_that_no_inbox_believes_is_refused() -> None:
+    loaded = load_scenario("car-avoidance")
+    loaded.period = 1e-7  # As --rate does.
+    with pytest.raises(ScenarioError, match=r"period: 1e-07 s; .* at least 0\.0001 s"):
+        InProcess(loaded)
+
+
 def test_a_plant_elsewhere_needs_its_model_and_a_state() -> None:
     builder = DiagramBuilder()
     pilot = builder.AddSystem(BlimpController([1.0, 0.0, 0.0]))

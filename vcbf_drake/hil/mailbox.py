@@ -8,14 +8,14 @@ from typing import Any
 
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.decoding import VERSION, MessageFormat, Reason, Rejection
-from vcbf_drake.hil.timing import Exchange, PeerClock
+from vcbf_drake.hil.timing import SHORTEST_PERIOD, Exchange, PeerClock
 
 # How far clocks may be apart unless a scenario says otherwise [s].
 MAX_CLOCK_OFFSET = 60.0
 # How many sequence numbers back a late message is still told from a repeated one.
 _WINDOW = 64
-# No sender numbers messages faster than this [Hz], but for a burst of so many.
-_MAX_RATE, _BURST = 10_000, 100
+# How many messages may come faster than `SHORTEST_PERIOD` says.
+_BURST = 100
 # How far a motion's time may run ahead of the clock [us].
 _TIME_AHEAD = 100_000
 # How many senders are remembered, so that their past is not taken for news.
@@ -291,7 +291,7 @@ class _Sender:
             return Reason.OVERTAKEN
         # By our own clock: a forged number would otherwise keep the true ones out, as
         # having gone back, for ever.
-        most = _BURST + 1e-6 * (now - self._numbered_at) * _MAX_RATE
+        most = _BURST + 1e-6 * (now - self._numbered_at) / SHORTEST_PERIOD
         if self._is_known and -back > most:
             return Reason.STAMPS
         self.skipped = -back - 1
@@ -320,7 +320,7 @@ def _is_consistent(message: Any) -> bool:
     measured = getattr(message, "utime_measured", message.utime)
     time = getattr(message, "time", 0.0)
     return bool(
-        message.sequence <= _BURST + runs_for * 1e-6 * _MAX_RATE
+        message.sequence <= _BURST + runs_for * 1e-6 / SHORTEST_PERIOD
         and message.session <= measured
         and 1e6 * time <= runs_for + _TIME_AHEAD
     )

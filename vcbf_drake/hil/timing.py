@@ -25,6 +25,9 @@ _WITNESSES = 3
 # How long messages stay late before that is taken for a clock that was set back [us].
 _PATIENCE = 500_000
 
+# No sender numbers messages faster than this [s].
+SHORTEST_PERIOD = 1e-4
+
 
 class Exchange(NamedTuple):
     """Four times of a message and of ours that it tells of, as in NTP [us].
@@ -194,8 +197,14 @@ def check_timing(scenario: Scenario) -> None:
     """Checks that no watchdog bites between one message and the next.
 
     Raises:
-        ScenarioError: A time limit is shorter than the control period.
+        ScenarioError: A time limit is shorter than the control period, or that is
+            shorter than an inbox believes of any sender.
     """
+    if scenario.period < SHORTEST_PERIOD:
+        raise ScenarioError(
+            f"period: {scenario.period:g} s; on a bus it must be at least"
+            f" {SHORTEST_PERIOD:g} s"
+        )
     for name in ("command_timeout", "max_state_age"):
         limit = getattr(scenario.hardware, name)
         if limit <= scenario.period:
