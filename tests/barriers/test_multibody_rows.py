@@ -160,3 +160,12 @@ def test_what_cannot_be_done_says_so_with_a_way_out():
     model = ControlAffineModel.from_system(floating, "actuation")
     with pytest.raises(ModelError, match="base_body_qw, whose rate is no velocity"):
         BarrierSet(model, [StateLimit(0, upper=0.5).barriers([4.0, 3.0])[0]])
+
+
+def test_a_point_of_another_robot_is_refused():
+    """Its joints were taken to be the first of the plant's."""
+    robot, other = load(SEVEN), load(PLANAR)
+    elsewhere = point_position(other, "forearm")
+    wall = HalfSpace([1.0, 0.0, 0.0], -2.0).barrier([3.0, 2.0], position=elsewhere)
+    with pytest.raises(ModelError, match=r"which has 2 positions; the filter's .* 7"):
+        BarrierSet(ControlAffineModel.from_system(robot), [wall])

@@ -84,6 +84,13 @@ def point_position(
     def position(x: Expressions) -> Expressions:
         if isinstance(x, OutputSymbols) and x.plant is plant:
             return x.point(frame, tuple(offset.tolist()), chosen)
+        if isinstance(x, OutputSymbols):
+            size, of_plant = plant.num_positions(), x.plant.num_positions()
+            if size != of_plant:
+                raise ModelError(
+                    f"point_position is of {name}, which has {size} positions; the"
+                    f" filter's plant has {of_plant}"
+                )
         numbers = x.dtype == float
         tree, moving, context = in_numbers if numbers else in_symbols
         tree.SetPositions(context, x[: tree.num_positions()])
