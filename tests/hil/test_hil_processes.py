@@ -224,6 +224,16 @@ def test_a_missing_server_is_named() -> None:
         check_bus("tcpq://localhost:9")
 
 
+def test_a_name_that_makes_no_channel_is_wrong_usage(start) -> None:
+    plant = start("plant", "--name", "a/b")
+    _, err = plant.communicate(timeout=60.0)
+    assert plant.returncode == 2
+    assert err == (
+        "vcbf-drake: Invalid value: name 'a/b': a vehicle's name has at most 48"
+        " letters, digits, _ and -\n"
+    )
+
+
 def test_a_unicast_address_is_named() -> None:
     with pytest.raises(BusError, match=r"127\.0\.0\.1 is no multicast address"):
         check_bus("udpm://127.0.0.1:7667?ttl=0", patience=0.1)

@@ -222,17 +222,23 @@ def _open_bus(
     from vcbf_drake.hil import (
         DEFAULT_URL,
         Bus,
+        BusError,
         LinkFaults,
         check_bus,
         read_key,
         vehicle_name,
     )
+    from vcbf_drake.hil.bus import check_name
 
     try:
         faults = LinkFaults(*options)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
     chosen = vehicle_name(scenario.name) if name is None else name
+    try:
+        check_name(chosen)
+    except BusError as error:
+        raise typer.BadParameter(str(error)) from None
     key_file = scenario.hardware.key_file
     key = read_key(key_file) if key_file else b""
     check_bus(url or DEFAULT_URL)
