@@ -16,6 +16,7 @@ from vcbf_drake.hil import (
     InProcess,
     PlantProcess,
     Reason,
+    SimulatedClock,
     VehicleMode,
     controller_of,
 )
@@ -86,6 +87,22 @@ def test_a_second_vehicle_of_the_name_is_neither_controlled_nor_does_it_obey() -
     second.diagram.ForcedPublish(second.context)
     run.controller.step()
     assert not run.controller._is_over()
+
+
+def test_a_vehicle_is_one_sender_from_its_first_state_to_its_last() -> None:
+    """Also of what it says while it loads: a controller that waits hears that."""
+    lcm, clock = DrakeLcm("memq://"), SimulatedClock()
+    states: list[vcbf_state] = []
+    lcm.Subscribe("VCBF_STATE", lambda data: states.append(vcbf_state.decode(data)))
+    vehicle = PlantProcess(load_scenario(CAR), Bus(lcm, clock))
+    lcm.HandleSubscriptions(0)
+    clock.now += 500_000
+    vehicle.stop()
+    vehicle.run()
+    lcm.HandleSubscriptions(0)
+    assert states[0].mode == VehicleMode.WAITING
+    assert states[-1].mode == VehicleMode.ENDED
+    assert len({state.session for state in states}) == 1
 
 
 def test_a_second_controller_is_not_followed_and_both_say_so() -> None:

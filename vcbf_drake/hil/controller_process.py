@@ -118,7 +118,8 @@ class ControllerProcess(HardwareProcess):
             patience: How long to wait for a first state [s].
         """
         if self._session == 0:
-            self._begin_session(self._receiver.inbox)
+            self._forget_the_start(self._receiver.inbox)
+            self.bus.begin_session()  # Later than that of whom it takes over from.
         self._sender.takes_over = self.takes_over
         began = self.bus.clock.utime()
         while not (self._stopping or self._is_over()):

@@ -58,10 +58,9 @@ class HardwareProcess:
         """Makes `run` end soon; fit to be a signal's handler."""
         self._stopping = True
 
-    def _begin_session(self, inbox: Inbox) -> None:
+    def _forget_the_start(self, inbox: Inbox) -> None:
         """What came before is no loss: nobody listened."""
         self.bus.drain()
-        self.bus.begin_session()
         inbox.begin_anew()
 
     def _tell_change(self, subject: str, text: str, line: str) -> None:

@@ -72,7 +72,8 @@ class PlantProcess(HardwareProcess):
         Args:
             patience: How long to wait for a first command [s].
         """
-        self._begin_session(self._receiver.inbox)
+        # Not a new session: the states of the start are heard, and were another's.
+        self._forget_the_start(self._receiver.inbox)
         if self._wait_for_command(patience):
             self._move()
         self._elapsed = self._timeline.time()
