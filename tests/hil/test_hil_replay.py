@@ -269,6 +269,12 @@ def spoiled(rng, events):
     return events
 
 
+def test_a_log_of_a_vehicle_of_one_s_own_asks_for_its_scenario() -> None:
+    said = [Event(1, "VCBF_SCENARIO", b"vehicle: !Puck {}\n")]
+    with pytest.raises(ScenarioError, match=r"of your own needs its SCENARIO$"):
+        logged_scenario("puck.log", said)
+
+
 def test_a_spoiled_log_ends_in_a_result_or_in_one_line(tmp_path) -> None:
     loaded, rng = scenario("car-avoidance"), np.random.default_rng(8)
     events, told = recorded(loaded, 0.2), 0

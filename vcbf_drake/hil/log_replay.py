@@ -13,6 +13,7 @@ from pydrake.systems.framework import Context
 
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceObserver
+from vcbf_drake.errors import ScenarioError
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.controller_process import ControllerProcess
 from vcbf_drake.hil.decoding import (
@@ -225,7 +226,11 @@ def logged_scenario(path: str | Path, events: Sequence[Event]) -> Scenario:
     for event in events:
         if event.channel == SCENARIO_CHANNEL:
             text = event.data.decode(errors="replace")
-            return parse_scenario(text, f"{path}, channel {SCENARIO_CHANNEL}")
+            try:
+                return parse_scenario(text, f"{path}, channel {SCENARIO_CHANNEL}")
+            except ScenarioError as error:
+                hint = "a log of a vehicle of your own needs its SCENARIO"
+                raise ScenarioError(f"{error}; {hint}") from None
     raise EventLogError(f"{path}: carries no scenario; it must be given")
 
 
