@@ -148,8 +148,9 @@ def AddSafetyFilter(
         monitor = LoopMonitor(safety_filter, observer)
         builder.AddNamedSystem(f"{name}_{LOOP_MONITOR}", monitor)
         for i in range(monitor.num_input_ports()):
-            port = monitor.get_input_port(i)
-            builder.Connect(safety_filter.GetOutputPort(port.get_name()), port)
+            port, name = monitor.get_input_port(i), monitor.get_input_port(i).get_name()
+            owner = safety_filter if safety_filter.HasOutputPort(name) else observer
+            builder.Connect(owner.GetOutputPort(name), port)
     return AddedSafetyFilter(safety_filter, hold, observer)
 
 

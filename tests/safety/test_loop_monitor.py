@@ -31,12 +31,12 @@ CALM = DisturbanceBounds(0.0, 0.0, 0.0)
 LIMITS = InputSet.box([-1.0, -0.5], [1.0, 0.5])
 
 
-def car_loop(barriers, start, volume=None, **settings):
-    """A simulator of a car that is left alone, at its start."""
+def car_loop(barriers, start, volume=None, wind=0.0, **settings):
+    """A simulator of a car that is left alone, at its start, declared to be calm."""
     builder = DiagramBuilder()
     car = builder.AddSystem(Car())
     idle = builder.AddSystem(ConstantVectorSource([0.0, 0.0]))
-    calm = builder.AddSystem(ConstantVectorSource([0.0]))
+    calm = builder.AddSystem(ConstantVectorSource([wind]))
     builder.Connect(calm.get_output_port(), car.GetInputPort("disturbance"))
     AddSafetyFilter(
         builder,
@@ -256,3 +256,12 @@ def test_a_plant_too_fast_for_a_certified_hold_is_told(caplog, drag, is_told):
     )
     lines, _ = warned(caplog, Simulator(builder.Build()))
     assert any("certified does nothing" in line for line in lines) is is_told
+
+
+def test_an_observer_that_refuses_what_is_measured_is_told_once(caplog):
+    """A wind of 0.4 m/s^2 where none was declared: no interval is believed."""
+    loop = car_loop([BESIDE], [0.0, 0.0, 0.5, 0.0], wind=0.4)
+    lines, _ = warned(caplog, loop, 1.0)
+    (line,) = [each for each in lines if "refuses most intervals" in each]
+    assert "by 0.2 s" in line or "by 0.22 s" in line
+    assert "check the bounds" in line

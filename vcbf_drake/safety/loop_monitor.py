@@ -15,7 +15,7 @@ from pydrake.systems.framework import (
 )
 
 from vcbf_drake.checks import Array
-from vcbf_drake.disturbances import DisturbanceObserver
+from vcbf_drake.disturbances import DisturbanceEstimate, DisturbanceObserver
 from vcbf_drake.safety.assumptions import gain_assumptions, start_assumptions
 from vcbf_drake.safety.packed_feasible_set import unpack_feasible_set
 from vcbf_drake.safety.qp import FilterStatus
@@ -23,6 +23,8 @@ from vcbf_drake.safety.safety_filter import SafetyFilter
 from vcbf_drake.safety.volume import least_threshold
 
 _LOG = logging.getLogger("vcbf_drake")
+# From how many refused intervals on, and from which share of all, that is told.
+_MANY, _SHARE = 10, 0.5
 
 
 class LoopMonitor(LeafSystem):
@@ -38,11 +40,13 @@ class LoopMonitor(LeafSystem):
         - authority
         - volume
         - row_margin
+        - estimate (optional)
 
-    All ports are the filter's. At the start it logs a line for each hypothesis about
-    the start that fails, and at the first tick that is INFEASIBLE or FAILED one that
-    names the rows that exclude each other; to the logger ``vcbf_drake``, unless the
-    setting `warn` is off. With the policy ``stop`` that tick ends the simulation.
+    All ports are the filter's, the last the observer's. At the start it logs a line for
+    each hypothesis about the start that fails, and at the first tick that is INFEASIBLE
+    or FAILED one that names the rows that exclude each other; to the logger
+    ``vcbf_drake``, unless the setting `warn` is off. With the policy ``stop`` that tick
+    ends the simulation. An observer that refuses most intervals is told once, too.
     """
 
     def __init__(
@@ -66,9 +70,13 @@ class LoopMonitor(LeafSystem):
                 "row_margin",
             )
         }
-        # The first hypothesis that failed at the start; the worst status so far.
+        if safety_filter.HasInputPort("estimate"):
+            size = safety_filter.GetInputPort("estimate").size()
+            self._ports["estimate"] = self.DeclareVectorInputPort("estimate", size)
+        # The first hypothesis that failed at the start; the worst status so far, and
+        # whether most intervals had been refused.
         self._failed = self.DeclareAbstractState(Value[object](("",)))
-        self.DeclareDiscreteState(1)
+        self.DeclareDiscreteState(2)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._check_start)
         period = self._settings.period
         self.DeclarePeriodicPublishEvent(period, 0.0, self._check)
@@ -106,7 +114,14 @@ class LoopMonitor(LeafSystem):
 
     def _check(self, context: Context) -> EventStatus:
         status = FilterStatus(int(self._read(context, "status")[0]))
-        worst = context.get_discrete_state_vector()[0]
+        worst, was_told = context.get_discrete_state_vector().CopyToVector()
+        if not was_told and self._refuses_most(context):
+            self._warn(
+                f"the observer refuses most intervals by {context.get_time():.4g} s:"
+                " what is measured moves more than bounds, model and noise allow, so"
+                " the disturbance is not known; check the bounds, the units and the"
+                " measured state"
+            )
         if status < FilterStatus.INFEASIBLE:
             return EventStatus.Succeeded()
         if self._settings.infeasible == "stop":
@@ -116,8 +131,17 @@ class LoopMonitor(LeafSystem):
         return EventStatus.Succeeded()
 
     def _remember(self, context: Context, discrete: DiscreteValues) -> None:
-        worst = context.get_discrete_state_vector()[0]
-        discrete.set_value([max(worst, self._read(context, "status")[0])])
+        worst, was_told = context.get_discrete_state_vector().CopyToVector()
+        worst = max(worst, self._read(context, "status")[0])
+        discrete.set_value([worst, max(was_told, self._refuses_most(context))])
+
+    def _refuses_most(self, context: Context) -> bool:
+        """Whether the observer refused most of the intervals so far (E96)."""
+        if "estimate" not in self._ports:
+            return False
+        estimate = DisturbanceEstimate.unpack(self._read(context, "estimate"))
+        ticks = context.get_time() / self._settings.period
+        return bool(estimate.refused_intervals >= max(_MANY, _SHARE * ticks))
 
     def _warn(self, line: str) -> None:
         if self._settings.warn:
