@@ -169,7 +169,7 @@ def _broken_when_feasible(
     if decision.status != FilterStatus.RELAXED and rows_v.violation(v) > FEASIBILITY:
         yield "volume row"
     gradient = v - tick.far(tick.reference)
-    if not tick.exact_slack:
+    if volume_rows and not tick.exact_slack:
         penalty = np.array([row.slack_penalty for row in volume_rows])
         if not _is_least_penalty(rows, rows_v, penalty, gradient, v):
             yield "optimal"

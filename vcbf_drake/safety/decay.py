@@ -56,9 +56,11 @@ class DecayRates:
         for i, (barrier, phi) in enumerate(zip(barriers, rows.chain, strict=True)):
             if isinstance(barrier, Barrier) and phi[-1] > 0.0:
                 level = float(phi[-1])
-                linear = barrier.decay_rates[-1] * level
-                slopes[i] = barrier.class_k(level) if barrier.class_k else linear
-                most[i] = max(1.0, _LARGEST_STEP * level / (period * slopes[i]))
+                linear = float(barrier.decay_rates[-1]) * level
+                slope = float(barrier.class_k(level)) if barrier.class_k else linear
+                if 0.0 < slope < math.inf:
+                    slopes[i] = slope
+                    most[i] = max(1.0, _LARGEST_STEP * level / (period * slope))
         return DecayRates(slopes, most)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 import math
@@ -132,7 +131,7 @@ def choose_input(
             )
             if finer is not None:
                 finer_qp = state_qp(feasible, finer, rows, reference, exact_slack)
-                found, solved = _better(finer_qp, found, qp, solver)
+                found, solved = _better(finer_qp, found, qp, feasible, solver)
     except EmptySetError as error:
         # Rows of the feasible set all: those that may give way are in no conflict.
         conflict = tuple(feasible.cutting[list(error.conflict)].tolist())
@@ -172,7 +171,7 @@ def _moves_a_fixed(reference: Array, input_set: InputSet) -> bool:
 
 
 def _better(
-    finer: QP, found: NearestPoint, qp: QP, solver: str
+    finer: QP, found: NearestPoint, qp: QP, feasible: FeasibleSet, solver: str
 ) -> tuple[NearestPoint, QP]:
     """The solution in finer coordinates; where none is verified, the one found.
 
@@ -183,11 +182,42 @@ def _better(
         return finer.solved(solver), finer
     except EmptySetError:
         # A conflict with volume rows says nothing of the others: are they empty?
-        with suppress(SolverError, LinAlgError):
+        try:
             finer.hard.solved(solver)
+        except EmptySetError as error:
+            if _excludes_every_input(feasible, error.conflict):
+                raise
+        except (SolverError, LinAlgError):
+            pass
     except (SolverError, LinAlgError):
         pass
     return found, qp
+
+
+def _excludes_every_input(feasible: FeasibleSet, conflict: Sequence[int]) -> bool:
+    """Whether rows in conflict are one for every input, as they were given.
+
+    In finer coordinates the input set is large, and what is left of y'A there, next to
+    nothing, may be worth more than y'b. With the multipliers y of the rows,
+
+        min over the input set's bounding box of y'A u > y'b, beyond rounding.
+    """
+    inputs, rows = feasible.input_set, feasible.cutting[list(conflict)]
+    if not inputs.is_bounded:
+        return True
+    A, b = feasible.A[rows], feasible.b[rows]
+    unit = A * inputs.scale
+    lengths = np.linalg.norm(unit, axis=1)
+    lengths[lengths == 0.0] = 1.0
+    # The conflict is irreducible: its multipliers are unique but for their size.
+    y = np.linalg.svd((unit / lengths[:, None]).T)[2][-1] / lengths
+    y = y if y.sum() > 0.0 else -y
+    slope, reach = y @ A, np.abs(inputs.center) + inputs.scale
+    least = float(slope @ inputs.center - np.abs(slope) @ inputs.scale)
+    terms = float(np.abs(y) @ (np.abs(A) @ reach + np.abs(b)))
+    is_sound = bool((y >= 0.0).all())
+    rounding = 16.0 * float(np.finfo(float).eps) * terms
+    return is_sound and least - float(y @ b) > rounding
 
 
 def failed_decision(
