@@ -1,20 +1,30 @@
 """Vehicles and obstacles in a SceneGraph: poses, roles, a Meshcat page, a camera."""
 
+import base64
+import dataclasses
+from dataclasses import dataclass
+import re
+
 import numpy as np
 from pydrake.geometry import (
+    Box,
     Meshcat,
     MeshcatParams,
     MeshcatVisualizer,
     Role,
     SceneGraph,
 )
+from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 import pytest
 
+from tests.helpers.synthetic_results import car_result
 from vcbf_drake import SphereObstacle
 from vcbf_drake.plants import BlimpVehicle, CarVehicle
-from vcbf_drake.viz import ObstacleGeometry, VehicleGeometry
+from vcbf_drake.plants.shapes import Part
+from vcbf_drake.viz import ObstacleGeometry, VehicleGeometry, write_replay
+from vcbf_drake.viz.stage import set_stage
 
 BLIMP = [1.0, 2.0, 3.0, 0.5, 0.0, 0.0, 0.0, 0.0]
 CAR = [-1.0, -2.0, 0.7, 2.0]
@@ -98,3 +108,40 @@ def test_meshcat_shows_them(scene):
     assert len(page) > 2_300_000
     for name in ("airship", "buggy", "stone_0", "stone_1"):
         assert meshcat.HasPath(f"visualizer/{name}")
+
+
+@dataclass
+class Lorry(CarVehicle):
+    """A car that pulls a trailer, which is always right behind it."""
+
+    def geometry(self, color):
+        trailer = Part("box", Box(0.6, 0.3, 0.2), color, body="trailer")
+        return [Part("cab", Box(0.3, 0.3, 0.3), color, body="cab"), trailer]
+
+    def poses(self, state):
+        cab = self.pose(state)
+        return {"trailer": cab @ RigidTransform([-0.6, 0.0, 0.0]), "cab": cab}
+
+
+def test_every_body_of_a_vehicle_has_a_pose(tmp_path):
+    builder = DiagramBuilder()
+    scene_graph = builder.AddSystem(SceneGraph())
+    state = builder.AddSystem(ConstantVectorSource(CAR)).get_output_port()
+    VehicleGeometry.AddToBuilder(builder, Lorry(), state, scene_graph, "lorry")
+    lorry = builder.Build(), scene_graph, None
+    assert pose(lorry, "lorry/cab", 0.0).translation() == pytest.approx([-1, -2, 0])
+    behind = np.array([-1.0, -2.0, 0.0]) - 0.6 * np.array([np.cos(2), np.sin(2), 0])
+    assert pose(lorry, "lorry/trailer", 0.0).translation() == pytest.approx(behind)
+    result = car_result()
+    scenario = dataclasses.replace(result.scenario, vehicle=Lorry())
+    result = dataclasses.replace(result, scenario=scenario)
+    stage = set_stage([result])
+    assert stage.fraction == 1  # Bodies on joints are at their true size.
+    x, y, _, heading = result.log["state"][0]
+    behind = [x - 0.6 * np.cos(heading), y - 0.6 * np.sin(heading), 0.0]
+    trailer = stage.motions[0].poses[0]["trailer"]
+    assert trailer.translation() == pytest.approx(behind)
+    page = write_replay([result], tmp_path / "page.html").read_text()
+    commands = b"".join(map(base64.b64decode, re.findall(r'base64,([^"]+)"', page)))
+    for body in (b"vehicle/0/cab", b"vehicle/0/trailer"):
+        assert body in commands

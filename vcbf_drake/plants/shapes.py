@@ -33,13 +33,15 @@ class Part:
         name: The piece's name.
         shape: One of Drake's shapes: `Sphere`, `Box`, `Mesh` of a file, ...
         color: A hexadecimal colour; None for a file with colours of its own.
-        pose: Where the shape is in the body frame.
+        pose: Where the shape is in the frame of its body.
+        body: Which of the robot's bodies carries it.
     """
 
     name: str
     shape: Shape
     color: str | None = None
     pose: RigidTransform = field(default_factory=RigidTransform)
+    body: str = "body"
 
 
 def painted_model(name: str, color: str) -> Mesh:

@@ -80,9 +80,10 @@ class Vehicle(ABC):
         return replace(self, **changes)  # type: ignore[type-var]
 
     def geometry(self, color: str) -> list[Part]:
-        """Returns how the vehicle looks, in its body frame: a ball by default.
+        """Returns how the vehicle looks: a ball by default.
 
-        A part is one of Drake's shapes, a `Mesh` of a glTF or Wavefront file say.
+        A part is one of Drake's shapes, a `Mesh` of a glTF or Wavefront file say, in
+        the frame of one of the bodies whose `poses` the vehicle gives.
 
         Args:
             color: What it is told apart by, a hexadecimal colour.
@@ -91,9 +92,16 @@ class Vehicle(ABC):
 
     @property
     def length(self) -> float:
-        """How long the vehicle is, seen from above [m]."""
+        """How long the vehicle is, seen from above, if it is one body [m]."""
         low, high = bounding_box(self.geometry("#000000"))
         return float((high - low)[:2].max())
+
+    def poses(self, state: Array) -> dict[str, RigidTransform]:
+        """Returns where the frame of every body is, from the vehicle's state (n,).
+
+        By default there is one, called ``body``, and it is where `pose` says.
+        """
+        return {"body": self.pose(state)}
 
     def pose(self, state: Array) -> RigidTransform:
         """Returns where the body frame is, from the vehicle's state (n,)."""

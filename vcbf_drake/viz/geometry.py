@@ -25,8 +25,9 @@ class Geometry:
         robot: The vehicle itself.
         dimensions: How many coordinates its position has.
         angles: Which states are angles.
-        length: The vehicle's length [m].
-        rise: How far the vehicle reaches above its position [m].
+        has_joints: Whether it has several bodies, which are drawn at their true size.
+        length: The vehicle's length; 0 with joints [m].
+        rise: How far the vehicle reaches above its position; 0 with joints [m].
         inputs: The inputs' names with units.
         disturbances: The disturbed channels' names with units.
     """
@@ -35,6 +36,7 @@ class Geometry:
     robot: Vehicle
     dimensions: int
     angles: tuple[int, ...]
+    has_joints: bool
     length: float
     rise: float
     inputs: tuple[str, ...]
@@ -80,13 +82,16 @@ def geometry_of(result: Result) -> Geometry:
     """The geometry of a result's vehicle."""
     scenario = result.scenario
     vehicle, channels = scenario.vehicle, channels_of(scenario.vehicle.make_plant())
-    _, high = bounding_box(vehicle.geometry("#000000"))
+    parts = vehicle.geometry("#000000")
+    has_joints = len({part.body for part in parts}) > 1
+    _, high = bounding_box([] if has_joints else parts)
     return Geometry(
         vehicle=tag(type(vehicle)).removeprefix("!").lower(),
         robot=vehicle,
         dimensions=len(scenario.target),
         angles=channels.angles,
-        length=vehicle.length,
+        has_joints=has_joints,
+        length=0.0 if has_joints else vehicle.length,
         rise=float(high[2]),
         inputs=channels.input_labels,
         disturbances=channels.disturbance_labels,

@@ -115,18 +115,29 @@ class VehicleGeometry(PosedGeometry):
 
         Args:
             scene_graph: Where to.
-            vehicle: Whose geometry and pose it has.
-            name: The frame's name; give each vehicle its own.
+            vehicle: Whose geometry and poses it has.
+            name: The frame's name; give each vehicle its own. Of several bodies, each
+                frame's begins with it.
             color: A hexadecimal colour.
         """
-        super().__init__(scene_graph, [Body(name, vehicle.geometry(color))])
+        parts = vehicle.geometry(color)
+        self._names = list(dict.fromkeys(part.body for part in parts))
+        bodies = [
+            Body(
+                name if len(self._names) == 1 else f"{name}/{body}",
+                [part for part in parts if part.body == body],
+            )
+            for body in self._names
+        ]
+        super().__init__(scene_graph, bodies)
         size = vehicle.make_plant().GetOutputPort("state").size()
         self._vehicle = vehicle
         self._state = self.DeclareVectorInputPort("state", size)
 
     def poses(self, context: Context) -> Sequence[RigidTransform]:
-        """Returns the vehicle's pose."""
-        return [self._vehicle.pose(self._state.Eval(context))]
+        """Returns the poses of the vehicle's bodies."""
+        poses = self._vehicle.poses(self._state.Eval(context))
+        return [poses[name] for name in self._names]
 
     @staticmethod
     def AddToBuilder(

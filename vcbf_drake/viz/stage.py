@@ -33,12 +33,12 @@ class Motion:
     Attributes:
         time: The frames' times, shape (F,) [s].
         position: The vehicle's place, shape (F, 3) [m]; it rests once the run is over.
-        poses: The vehicle's pose at each.
+        poses: The poses of the vehicle's bodies at each, by the bodies' names.
     """
 
     time: Array
     position: Array
-    poses: list[RigidTransform]
+    poses: list[dict[str, RigidTransform]]
 
     def position_at(self, time: float) -> Array:
         """The vehicle's place at a time [s], shape (3,) [m]."""
@@ -97,8 +97,9 @@ class Stage:
 
     @property
     def reach(self) -> float:
-        """Half the vehicle's drawn length [m]."""
-        return 0.5 * self.geometry.length / self.fraction
+        """Half the vehicle's drawn length [m]; of one with joints, a few marks."""
+        length = 0.5 * self.geometry.length / self.fraction
+        return 4.0 * self.mark if self.geometry.has_joints else length
 
     @property
     def outline(self) -> Array:
@@ -157,8 +158,14 @@ def _motion(run: Run, geometry: Geometry, duration: float) -> Motion:
     angles = list(geometry.angles)
     state[:, angles] = np.unwrap(state[:, angles], axis=0)
     shown = np.stack([np.interp(time, run.time, each) for each in state.T], axis=1)
-    poses = [geometry.robot.pose(each) for each in shown]
+    poses = [geometry.robot.poses(each) for each in shown]
     return Motion(time, geometry.position(shown), poses)
+
+
+def _body_places(motion: Motion) -> Array:
+    """Where the frames of all bodies are, now and then, shape (k, 3) [m]."""
+    some = motion.poses[:: max(len(motion.poses) // 20, 1)]
+    return np.array([each.translation() for poses in some for each in poses.values()])
 
 
 def _extent(
@@ -170,6 +177,8 @@ def _extent(
 ) -> tuple[Array, Array]:
     """The corners of the box around everything, with a floor below it."""
     points = np.vstack([motion.position for motion in motions] + [target])
+    if geometry.has_joints:
+        points = np.vstack([points, *(_body_places(motion) for motion in motions)])
     ends = [motions[-1].time[0], motions[-1].time[-1]]
     for sphere in spheres:
         for center in map(sphere.center_at, ends):

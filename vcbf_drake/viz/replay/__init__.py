@@ -74,10 +74,11 @@ def _draw_run(meshcat: Meshcat, stage: Stage, index: int) -> None:
 
     run, motion = stage.runs[index], stage.motions[index]
     ghost = run is not stage.runs[-1]
-    body = f"vehicle/{index}/body"
+    shrunk = np.diag([*[1.0 / stage.fraction] * 3, 1.0])
     for part in stage.geometry.robot.geometry(run.color):
-        add_part(meshcat, f"{body}/{part.name}", part)
-    meshcat.SetTransform(body, np.diag([*[1.0 / stage.fraction] * 3, 1.0]))
+        drawn = f"{_body(index, part.body)}/drawn"
+        add_part(meshcat, f"{drawn}/{part.name}", part)
+        meshcat.SetTransform(drawn, shrunk)
     thickness = 0.0022 * stage.span
     trail = tube(_thinned(motion.position, stage), thickness * (0.7 if ghost else 1.0))
     add_mesh(meshcat, f"trail/{index}", trail, run.color)
@@ -86,6 +87,11 @@ def _draw_run(meshcat: Meshcat, stage: Stage, index: int) -> None:
         rings = merge([ring(radius, 0.9 * thickness).moved(turn=t) for t in _TURNS])
         add_mesh(meshcat, f"failure/{index}/rings", rings.moved(place), ALARM)
         add_shape(meshcat, f"failure/{index}/halo", Sphere(radius), place, ALARM, 0.16)
+
+
+def _body(index: int, name: str) -> str:
+    """The path of a body of a run's vehicle."""
+    return f"vehicle/{index}/{name}"
 
 
 def _thinned(points: Array, stage: Stage) -> Array:
@@ -100,8 +106,9 @@ def _record(meshcat: Meshcat, stage: Stage) -> None:
     from pydrake.math import RigidTransform
 
     for index, (run, motion) in enumerate(zip(stage.runs, stage.motions, strict=True)):
-        for time, pose in zip(motion.time, motion.poses, strict=True):
-            meshcat.SetTransform(f"vehicle/{index}", pose, time)
+        for time, poses in zip(motion.time, motion.poses, strict=True):
+            for body, pose in poses.items():
+                meshcat.SetTransform(_body(index, body), pose, time)
         if run.failure:
             path = f"failure/{index}"
             meshcat.SetProperty(path, "visible", False, 0.0)
