@@ -150,7 +150,7 @@ def test_the_car_drives_in_the_plane_and_turns_by_its_heading():
     result = car_result()
     motion = set_stage([result]).motions[0]
     assert np.all(motion.position[:, 2] == 0.0)
-    ahead = motion.poses[0]["body"].rotation() @ np.array([1.0, 0.0, 0.0])
+    ahead = motion.poses[0][""].rotation() @ np.array([1.0, 0.0, 0.0])
     turn = np.arctan2(ahead[1], ahead[0])
     assert turn == pytest.approx(result.log["state"][0, 3])
 
@@ -259,8 +259,7 @@ VIEW = """(() => {
     target: plain(page.viewer.controls.target),
     labels: { start: label("start"), target: label("target") },
     pane: [seen.clientWidth, seen.clientHeight],
-    vehicle: page.viewer.scene_tree
-      .find(["drake", "vehicle", "2", "body"]).object.position.x,
+    vehicle: page.viewer.scene_tree.find(["drake", "vehicle", "2"]).object.position.x,
     time: Math.max(...page.viewer.animator.actions.map((action) => action.time)),
   };
 })()"""
@@ -356,7 +355,7 @@ SCENE = """(() => {
     time: Math.max(...viewer.animator.actions.map((action) => action.time)),
     playing: viewer.animator.playing,
     failure: find("drake/failure/1").visible,
-    x: find("drake/vehicle/2/body").position.x,
+    x: find("drake/vehicle/2").position.x,
     drawn,
   };
 })()"""

@@ -33,15 +33,15 @@ class Part:
         name: The piece's name.
         shape: One of Drake's shapes: `Sphere`, `Box`, `Mesh` of a file, ...
         color: A hexadecimal colour; None for a file with colours of its own.
-        pose: Where the shape is in the frame of its body.
-        body: Which of the robot's bodies carries it.
+        pose: Where the shape is in the body frame.
+        body: Which body's, of a robot that has several; see `Vehicle.poses`.
     """
 
     name: str
     shape: Shape
     color: str | None = None
     pose: RigidTransform = field(default_factory=RigidTransform)
-    body: str = "body"
+    body: str = ""
 
 
 def painted_model(name: str, color: str) -> Mesh:
@@ -59,6 +59,11 @@ def painted_model(name: str, color: str) -> Mesh:
             material["pbrMetallicRoughness"]["baseColorFactor"] = linear
     file = MemoryFile(json.dumps(model), ".gltf", f"{name}.gltf")
     return Mesh(InMemoryMesh(mesh_file=file))
+
+
+def of_body(parts: Iterable[Part], body: str = "") -> list[Part]:
+    """Returns the parts that belong to a body."""
+    return [part for part in parts if part.body == body]
 
 
 def bounding_box(parts: Iterable[Part]) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ from pydrake.systems.framework import BasicVector, Context, LeafSystem, System
 from vcbf_drake.barriers import Barrier, StateInputLimit
 from vcbf_drake.checks import Array, require
 from vcbf_drake.model.position import Position
-from vcbf_drake.plants.shapes import Part, bounding_box
+from vcbf_drake.plants.shapes import Part, bounding_box, of_body
 
 
 class Vehicle(ABC):
@@ -80,10 +80,10 @@ class Vehicle(ABC):
         return replace(self, **changes)  # type: ignore[type-var]
 
     def geometry(self, color: str) -> list[Part]:
-        """Returns how the vehicle looks: a ball by default.
+        """Returns how the vehicle looks, in its body frame: a ball by default.
 
-        A part is one of Drake's shapes, a `Mesh` of a glTF or Wavefront file say, in
-        the frame of one of the bodies whose `poses` the vehicle gives.
+        A part is one of Drake's shapes, a `Mesh` of a glTF or Wavefront file say. Of a
+        robot that has several bodies, each part says which it belongs to.
 
         Args:
             color: What it is told apart by, a hexadecimal colour.
@@ -92,16 +92,9 @@ class Vehicle(ABC):
 
     @property
     def length(self) -> float:
-        """How long the vehicle is, seen from above, if it is one body [m]."""
-        low, high = bounding_box(self.geometry("#000000"))
+        """How long the vehicle is, seen from above [m]."""
+        low, high = bounding_box(of_body(self.geometry("#000000")))
         return float((high - low)[:2].max())
-
-    def poses(self, state: Array) -> dict[str, RigidTransform]:
-        """Returns where the frame of every body is, from the vehicle's state (n,).
-
-        By default there is one, called ``body``, and it is where `pose` says.
-        """
-        return {"body": self.pose(state)}
 
     def pose(self, state: Array) -> RigidTransform:
         """Returns where the body frame is, from the vehicle's state (n,)."""
@@ -110,6 +103,13 @@ class Vehicle(ABC):
         place[: len(found)] = found
         turn = 0.0 if self.heading is None else float(state[self.heading])
         return RigidTransform(RotationMatrix.MakeZRotation(turn), place)
+
+    def poses(self, state: Array) -> dict[str, RigidTransform]:
+        """Returns where the frame of each body is, by its name, from the state (n,).
+
+        The body frame of `pose` has the name "", for parts that say no other.
+        """
+        return {"": self.pose(state)}
 
     def positions(self, states: Array) -> Array:
         """Returns where the vehicle is, (T, k) [m], from its states (T, n)."""

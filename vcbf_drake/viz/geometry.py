@@ -9,7 +9,7 @@ import numpy as np
 
 from vcbf_drake.checks import Array
 from vcbf_drake.plants.channels import channels_of
-from vcbf_drake.plants.shapes import bounding_box
+from vcbf_drake.plants.shapes import bounding_box, of_body
 from vcbf_drake.plants.vehicle import Vehicle, tag
 
 if TYPE_CHECKING:
@@ -25,9 +25,8 @@ class Geometry:
         robot: The vehicle itself.
         dimensions: How many coordinates its position has.
         angles: Which states are angles.
-        has_joints: Whether it has several bodies, which are drawn at their true size.
-        length: The vehicle's length; 0 with joints [m].
-        rise: How far the vehicle reaches above its position; 0 with joints [m].
+        length: The vehicle's length [m].
+        rise: How far the vehicle reaches above its position [m].
         inputs: The inputs' names with units.
         disturbances: The disturbed channels' names with units.
     """
@@ -36,7 +35,6 @@ class Geometry:
     robot: Vehicle
     dimensions: int
     angles: tuple[int, ...]
-    has_joints: bool
     length: float
     rise: float
     inputs: tuple[str, ...]
@@ -82,16 +80,13 @@ def geometry_of(result: Result) -> Geometry:
     """The geometry of a result's vehicle."""
     scenario = result.scenario
     vehicle, channels = scenario.vehicle, channels_of(scenario.vehicle.make_plant())
-    parts = vehicle.geometry("#000000")
-    has_joints = len({part.body for part in parts}) > 1
-    _, high = bounding_box([] if has_joints else parts)
+    _, high = bounding_box(of_body(vehicle.geometry("#000000")))
     return Geometry(
         vehicle=tag(type(vehicle)).removeprefix("!").lower(),
         robot=vehicle,
         dimensions=len(scenario.target),
         angles=channels.angles,
-        has_joints=has_joints,
-        length=0.0 if has_joints else vehicle.length,
+        length=vehicle.length,
         rise=float(high[2]),
         inputs=channels.input_labels,
         disturbances=channels.disturbance_labels,

@@ -23,7 +23,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, OutputPort
 
 from vcbf_drake.barriers import SphereObstacle
-from vcbf_drake.plants.shapes import Part
+from vcbf_drake.plants.shapes import Part, of_body
 from vcbf_drake.plants.vehicle import Vehicle
 from vcbf_drake.viz.style import OBSTACLE
 
@@ -115,21 +115,19 @@ class VehicleGeometry(PosedGeometry):
 
         Args:
             scene_graph: Where to.
-            vehicle: Whose geometry and poses it has.
-            name: The frame's name; give each vehicle its own. Of several bodies, each
-                frame's begins with it.
+            vehicle: Whose geometry and pose it has.
+            name: The frame's name; give each vehicle its own.
             color: A hexadecimal colour.
         """
         parts = vehicle.geometry(color)
-        self._names = list(dict.fromkeys(part.body for part in parts))
-        bodies = [
-            Body(
-                name if len(self._names) == 1 else f"{name}/{body}",
-                [part for part in parts if part.body == body],
-            )
-            for body in self._names
-        ]
-        super().__init__(scene_graph, bodies)
+        self._bodies = list(dict.fromkeys(part.body for part in parts))
+        super().__init__(
+            scene_graph,
+            [
+                Body(f"{name}/{each}" if each else name, of_body(parts, each))
+                for each in self._bodies
+            ],
+        )
         size = vehicle.make_plant().GetOutputPort("state").size()
         self._vehicle = vehicle
         self._state = self.DeclareVectorInputPort("state", size)
@@ -137,7 +135,7 @@ class VehicleGeometry(PosedGeometry):
     def poses(self, context: Context) -> Sequence[RigidTransform]:
         """Returns the poses of the vehicle's bodies."""
         poses = self._vehicle.poses(self._state.Eval(context))
-        return [poses[name] for name in self._names]
+        return [poses[body] for body in self._bodies]
 
     @staticmethod
     def AddToBuilder(

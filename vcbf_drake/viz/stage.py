@@ -33,7 +33,7 @@ class Motion:
     Attributes:
         time: The frames' times, shape (F,) [s].
         position: The vehicle's place, shape (F, 3) [m]; it rests once the run is over.
-        poses: The poses of the vehicle's bodies at each, by the bodies' names.
+        poses: The poses of the vehicle's bodies at each, by their names.
     """
 
     time: Array
@@ -97,9 +97,8 @@ class Stage:
 
     @property
     def reach(self) -> float:
-        """Half the vehicle's drawn length [m]; of one with joints, a few marks."""
-        length = 0.5 * self.geometry.length / self.fraction
-        return 4.0 * self.mark if self.geometry.has_joints else length
+        """Half the vehicle's drawn length [m]."""
+        return 0.5 * self.geometry.length / self.fraction
 
     @property
     def outline(self) -> Array:
@@ -162,12 +161,6 @@ def _motion(run: Run, geometry: Geometry, duration: float) -> Motion:
     return Motion(time, geometry.position(shown), poses)
 
 
-def _body_places(motion: Motion) -> Array:
-    """Where the frames of all bodies are, now and then, shape (k, 3) [m]."""
-    some = motion.poses[:: max(len(motion.poses) // 20, 1)]
-    return np.array([each.translation() for poses in some for each in poses.values()])
-
-
 def _extent(
     motions: Sequence[Motion],
     spheres: Sequence[Sphere],
@@ -177,8 +170,6 @@ def _extent(
 ) -> tuple[Array, Array]:
     """The corners of the box around everything, with a floor below it."""
     points = np.vstack([motion.position for motion in motions] + [target])
-    if geometry.has_joints:
-        points = np.vstack([points, *(_body_places(motion) for motion in motions)])
     ends = [motions[-1].time[0], motions[-1].time[-1]]
     for sphere in spheres:
         for center in map(sphere.center_at, ends):

@@ -12,7 +12,7 @@ from vcbf_drake.checks import Array
 from vcbf_drake.viz.replay.page_data import stage_data, stage_words
 from vcbf_drake.viz.replay.pages import private_meshcat, write_page
 from vcbf_drake.viz.replay.tubes import merge, ring, tube
-from vcbf_drake.viz.stage import Stage, set_stage
+from vcbf_drake.viz.stage import Motion, Stage, set_stage
 from vcbf_drake.viz.style import ALARM
 
 if TYPE_CHECKING:
@@ -74,11 +74,11 @@ def _draw_run(meshcat: Meshcat, stage: Stage, index: int) -> None:
 
     run, motion = stage.runs[index], stage.motions[index]
     ghost = run is not stage.runs[-1]
-    shrunk = np.diag([*[1.0 / stage.fraction] * 3, 1.0])
+    small = np.diag([*[1.0 / stage.fraction] * 3, 1.0])
     for part in stage.geometry.robot.geometry(run.color):
-        drawn = f"{_body(index, part.body)}/drawn"
-        add_part(meshcat, f"{drawn}/{part.name}", part)
-        meshcat.SetTransform(drawn, shrunk)
+        body = f"{_body_path(index, part.body, motion)}/body"
+        add_part(meshcat, f"{body}/{part.name}", part)
+        meshcat.SetTransform(body, small)
     thickness = 0.0022 * stage.span
     trail = tube(_thinned(motion.position, stage), thickness * (0.7 if ghost else 1.0))
     add_mesh(meshcat, f"trail/{index}", trail, run.color)
@@ -89,9 +89,10 @@ def _draw_run(meshcat: Meshcat, stage: Stage, index: int) -> None:
         add_shape(meshcat, f"failure/{index}/halo", Sphere(radius), place, ALARM, 0.16)
 
 
-def _body(index: int, name: str) -> str:
-    """The path of a body of a run's vehicle."""
-    return f"vehicle/{index}/{name}"
+def _body_path(index: int, body: str, motion: Motion) -> str:
+    """Where a body of a run's vehicle is in Meshcat's tree."""
+    is_one = len(motion.poses[0]) == 1
+    return f"vehicle/{index}" if is_one else f"vehicle/{index}/{body or 'point'}"
 
 
 def _thinned(points: Array, stage: Stage) -> Array:
@@ -108,7 +109,7 @@ def _record(meshcat: Meshcat, stage: Stage) -> None:
     for index, (run, motion) in enumerate(zip(stage.runs, stage.motions, strict=True)):
         for time, poses in zip(motion.time, motion.poses, strict=True):
             for body, pose in poses.items():
-                meshcat.SetTransform(_body(index, body), pose, time)
+                meshcat.SetTransform(_body_path(index, body, motion), pose, time)
         if run.failure:
             path = f"failure/{index}"
             meshcat.SetProperty(path, "visible", False, 0.0)

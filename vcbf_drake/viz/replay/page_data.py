@@ -123,7 +123,7 @@ def stage_data(stage: Stage) -> dict[str, Any]:
         **series_data(shown, stage.geometry.inputs, unit),
         "camera": _camera(stage),
         "sizes": {
-            "vehicle": stage.geometry.rise / stage.fraction or stage.mark,
+            "vehicle": stage.geometry.rise / stage.fraction,
             "marker": stage.mark,
         },
         "labels": _labels(stage),
