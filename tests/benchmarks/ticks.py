@@ -195,7 +195,7 @@ def _stages(system: SafetyFilter, state: Array) -> list[float]:
     return [
         _timed(lambda: system.barrier_set.rows(state, 0.0)),
         _timed(lambda: system.feasible_set(apart)),
-        _timed(lambda: system.volume(apart)) if system.method.volume else 0.0,
+        _timed(lambda: system.volume(apart)) if system.method.has_volume_row else 0.0,
         _timed(lambda: system.decision(apart)),
         _timed(lambda: system.decision(whole)),
     ]

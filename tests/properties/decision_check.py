@@ -46,7 +46,8 @@ class Tick:
         A: The barriers' rows, shape (N, m).
         b: Their right-hand sides, the disturbance's margin included, shape (N,).
         weights: How much a violation of each counts, shape (N,).
-        volume_rows: The volume barrier's; None where they are not known.
+        volume_rows: The volume barrier's; None where they are not known, and nothing is
+            said of which input is nearest.
         reference: Shape (m,).
         held_input: Shape (m,).
         exact_slack: Whether volume rows give way by as little as possible.
@@ -55,6 +56,7 @@ class Tick:
         rates: What the volume rows need beside it; empty where they are given.
         slopes: By how much a row opens for each unit its decay rate grows by, in shares
             of itself, shape (N,); empty where none may.
+        decays_always: Whether rates may grow where the rows have an input, too.
     """
 
     input_set: InputSet
@@ -69,6 +71,7 @@ class Tick:
     state: Array = field(default_factory=lambda: np.zeros(0))
     rates: Array = field(default_factory=lambda: np.zeros(0))
     slopes: Array = field(default_factory=lambda: np.zeros(0))
+    decays_always: bool = False
 
     @property
     def is_finite(self) -> bool:
@@ -123,7 +126,9 @@ def _broken(tick: Tick, decision: FilterDecision) -> Iterator[str]:
     elif status == FilterStatus.INFEASIBLE:
         yield from _broken_when_infeasible(tick, decision, limits, rows, v)
     else:
-        if rows.live.violation(v) > FEASIBILITY:
+        if decision.decay > 1.0 and not tick.decays_always:
+            yield "decay"
+        if _grown(tick, decision.decay).live.violation(v) > FEASIBILITY:
             yield "rows"
         if (
             status == FilterStatus.REFERENCE
@@ -143,12 +148,17 @@ def _broken_when_infeasible(
         if not _is_held(tick, limits, v):
             yield "fallback"
     elif decision.decay > 1.0:
-        opened = tick.b + (decision.decay - 1.0) * tick.slopes
-        grown = _Rows.of(tick.input_set, tick.A, opened)
+        grown = _grown(tick, decision.decay)
         if tick.policy != "decay" or grown.live.violation(v) > FEASIBILITY:
             yield "decay"
     elif not _is_least_violation(tick.weights, limits, rows, v):
         yield "least violation"
+
+
+def _grown(tick: Tick, decay: float) -> _Rows:
+    """The rows with every decay rate as large as the largest."""
+    b = tick.b + (decay - 1.0) * tick.slopes if decay > 1.0 else tick.b
+    return _Rows.of(tick.input_set, tick.A, b)
 
 
 def _broken_when_feasible(

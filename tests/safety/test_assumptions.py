@@ -52,7 +52,7 @@ def at(car, method, speed=1.0, observer=RiseObserver, barriers=(AHEAD,), **optio
     )
     context = safety_filter.CreateDefaultContext()
     values = {"state": [0.0, 0.0, speed, 0.0], "reference": np.zeros(2)}
-    if method in ("dob-cbf-qp", "dob-vcbf-qp", "wang-xu-dob-cbf-qp"):
+    if METHODS[method].disturbance == "estimated":
         values["estimate"] = [0.0, 0.0, 0.3, 0.0, 0.0, 0.0]
     for name, value in values.items():
         safety_filter.GetInputPort(name).FixValue(context, np.array(value, float))
@@ -69,7 +69,7 @@ def test_the_inputs_are_bounded(car):
 @pytest.mark.parametrize("method", METHODS)
 def test_each_method_is_asked_what_its_proof_needs(car, method):
     found = at(car, method)
-    disturbance, volume = METHODS[method].disturbance, METHODS[method].volume
+    disturbance, volume = METHODS[method].disturbance, METHODS[method].has_volume_row
     estimated = disturbance == "estimated"
     assert ("no disturbance" in found) == (disturbance == "ignored")
     assert ("known start" in found) == estimated

@@ -13,7 +13,7 @@ from vcbf_drake.safety.qp import choose_input
 LINE = InputSet.box([-1.0], [1.0])
 
 
-def decide(b, slopes, reference, most=9.0, policy="decay"):
+def decide(b, slopes, reference, most=9.0, policy="decay", **choices):
     """Of u <= b_1, -u <= b_2, ... in turn, |u| <= 1, each with its lambda phi."""
     A = np.array([[1.0], [-1.0]] * len(b))[: len(b)]
     rows = BarrierRows(
@@ -33,7 +33,7 @@ def decide(b, slopes, reference, most=9.0, policy="decay"):
         LINE,
         True,
         policy,
-        decay_rates=DecayRates(np.array(slopes), np.full(len(b), most)),
+        decay_rates=DecayRates(np.array(slopes), np.full(len(b), most), **choices),
     )
 
 
@@ -71,6 +71,73 @@ def test_what_no_rate_can_mend_is_violated_least(slopes, most):
     np.testing.assert_allclose(found.input, [-1.0], atol=1e-7)
 
 
+def test_optimal_decay_weighs_a_row_against_the_reference():
+    """Min (u - 0.5)^2 + 4 w^2 with u <= 0.2 + 1.5 w: the row is in reach, and grows.
+
+    On it u = 0.2 + 1.5 w: -3 (0.3 - 1.5 w) + 8 w = 0, w = 0.9 / 12.5.
+    """
+    found = decide([0.2], [1.5], 0.5, penalty=4.0, only_where_empty=False)
+    assert found.status == FilterStatus.FILTERED
+    assert found.decay == pytest.approx(1.0 + 0.9 / 12.5)
+    np.testing.assert_allclose(found.input, [0.2 + 1.5 * 0.9 / 12.5], atol=1e-9)
+    untouched = decide([0.2], [1.5], 0.1, penalty=4.0, only_where_empty=False)
+    assert untouched.status == FilterStatus.REFERENCE and untouched.decay == 1.0
+
+
+@pytest.mark.parametrize("policy", ["hold", "decay", "least_violation"])
+def test_optimal_decay_is_infeasible_where_the_largest_rates_leave_nothing(policy):
+    """U <= -2 + 0.2 * 1.5, while u >= -1: a conflict of that row and the limit."""
+    found = decide([-2.0], [1.5], 0.5, 1.2, policy, only_where_empty=False)
+    assert found.status == FilterStatus.INFEASIBLE and found.decay == 1.0
+    assert sorted(found.conflict) == [1, 2]
+    held = 0.0 if policy == "hold" else -1.0
+    np.testing.assert_allclose(found.input, [held], atol=1e-7)
+
+
+def test_optimal_decay_solves_the_smooth_problem_without_its_variables():
+    """A convex cost over a box, rows that grow and a soft one in it as penalties.
+
+    A point is its minimiser where a step down the gradient, cut off at the box, leads
+    nowhere.
+    """
+    rng = np.random.default_rng(3)
+    box = InputSet.box([-1.0, -2.0, -0.5], [1.0, 2.0, 0.5])
+    for _ in range(20):
+        A, b = rng.normal(size=(5, 3)), rng.uniform(-1.5, 0.5, 5)
+        slopes = np.append(rng.uniform(0.1, 2.0, 4), 0.0)
+        penalties = np.array([np.inf, np.inf, np.inf, 3.0, np.inf])
+        A[4], b[4] = [1.0, 0.0, 0.0], 0.3  # The row that cannot grow.
+        rows = BarrierRows(
+            value=np.ones(5),
+            chain=tuple(np.ones(2) for _ in b),
+            A=A,
+            b=b,
+            w=np.zeros((5, 1)),
+            num_states=2,
+            gradients=lambda rows: np.zeros((len(rows), 3, 3)),
+        )
+        reference = rng.uniform(-2.0, 2.0, 3) * box.scale
+        known = DisturbanceKnowledge.constant(1, 0.0)
+        rates = DecayRates(slopes, np.full(5, 1e3), 20.0, only_where_empty=False)
+        found = choose_input(
+            feasible_set(box, rows, known, None, penalties),
+            [],
+            reference,
+            np.zeros(3),
+            box,
+            True,
+            "stop",
+            decay_rates=rates,
+        )
+
+        weights, u = np.append(20.0 / slopes[:3] ** 2, [3.0, 0.0]), found.input
+        excess = np.maximum(A @ u - b, 0.0)
+        slope = 2.0 * ((u - reference) / box.scale**2 + A.T @ (weights * excess))
+        low, high = [-1.0, -2.0, -0.5], [0.3, 2.0, 0.5]
+        assert (excess[:4] > 0.0).any()
+        np.testing.assert_allclose(np.clip(u - slope, low, high), u, atol=1e-7)
+
+
 def test_rates_at_a_tick():
     """Gains (4, 3) are rates of 3 and 1: the slope is phi_1, the most 0.9 / T."""
     rows = BarrierRows(
@@ -83,10 +150,12 @@ def test_rates_at_a_tick():
         gradients=lambda rows: np.zeros((len(rows), 3, 3)),
     )
     wall = HalfSpace([-1.0, 0.0], -5.0).barrier([4.0, 3.0], name="wall")
-    rates = DecayRates.at(rows, [wall] * 3, 0.02)
+    rates = DecayRates.at(rows.chain, [wall] * 3, 0.02)
     np.testing.assert_allclose(rates.slopes, [5.0, 0.0, 0.0])
     np.testing.assert_allclose(rates.most, [45.0, 1.0, 1.0])
-    cubic = DecayRates.at(rows, [wall.with_class_k(lambda p: 0.1 * p**3)] * 3, 0.02)
+    cubic = DecayRates.at(
+        rows.chain, [wall.with_class_k(lambda p: 0.1 * p**3)] * 3, 0.02
+    )
     np.testing.assert_allclose(cubic.slopes, [12.5, 0.0, 0.0])
     np.testing.assert_allclose(cubic.most[0], 0.9 * 5.0 / (12.5 * 0.02))
 

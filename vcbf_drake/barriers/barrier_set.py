@@ -32,6 +32,7 @@ class BarrierSet:
     """The rows of N barriers and limits, in the order given.
 
     Attributes:
+        barriers: They themselves.
         names: Their names, N of them; those of one name have a number behind it.
         obstacles_size: How many numbers describe the perceived obstacles.
         followed: The names of those that a trajectory carries along.
@@ -61,6 +62,7 @@ class BarrierSet:
                     "expected a Barrier or a StateInputLimit, got"
                     f" {type(barrier).__name__}"
                 )
+        self.barriers = tuple(barriers)
         self.names = _numbered([barrier.name for barrier in barriers])
         self._model = model
         self._num_states = model.num_states

@@ -10,7 +10,10 @@ if TYPE_CHECKING:
     from vcbf_drake.simulation.scenario import Scenario
 
 # Those of `vcbf_drake.safety.METHODS`, which --help must not import; a test compares.
-METHODS = "cbf-qp, robust-cbf-qp, wang-xu-dob-cbf-qp, vcbf-qp, dob-cbf-qp, dob-vcbf-qp"
+METHODS = (
+    "cbf-qp, robust-cbf-qp, wang-xu-dob-cbf-qp, vcbf-qp, dob-cbf-qp, dob-vcbf-qp,"
+    " optimal-decay"
+)
 
 ScenarioArgument = Annotated[
     str,

@@ -165,7 +165,7 @@ def _volume_at_start(
     return Assumption(
         "volume at the start",
         "V_v(0) > 0 (Theorem 2)",
-        bool(volume > 0.0) if safety_filter.method.volume else None,
+        bool(volume > 0.0) if safety_filter.method.has_volume_row else None,
         {"V_v(0)": volume, "threshold": threshold},
         "the volume row gives way from the first tick on, for the feasible set starts"
         f" smaller than it wants it; {remedy}",
@@ -216,7 +216,7 @@ def _standing(
                 False,
                 consequence="no sampled observer meets the published bound (E13)",
             )
-        if method.volume and not applied.total_derivative:
+        if method.has_volume_row and not applied.total_derivative:
             yield Assumption(
                 "total derivative of the volume",
                 "the volume row counts that the estimate moves (E28), (R30)",
@@ -259,7 +259,7 @@ def _information(
             {"least beta_1": _least_weight(delta1, lowest)},
             "nothing",
         )
-        if method.volume:
+        if method.has_volume_row:
             volume = safety_filter.GetOutputPort("volume").Eval(context)[0]
             yield Assumption(
                 "beta_2",

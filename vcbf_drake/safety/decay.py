@@ -1,4 +1,4 @@
-"""DecayRates: barriers that may fall faster where else no input is left."""
+"""DecayRates: barriers that may fall faster than their gains say (E99)."""
 
 from __future__ import annotations
 
@@ -8,19 +8,16 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.linalg import LinAlgError
 
-from vcbf_drake.barriers import Barrier, BarrierRows
+from vcbf_drake.barriers import Barrier
 from vcbf_drake.checks import Array
-from vcbf_drake.errors import EmptySetError, SolverError
 from vcbf_drake.safety.feasible_set import FeasibleSet
-from vcbf_drake.safety.tick_qp import QP, least_violation
+from vcbf_drake.safety.tick_qp import QP
 
 # By which share of itself a level may fall in a period, to first order.
 _LARGEST_STEP = 0.9
 _ROUNDING = 4.0 * float(np.finfo(float).eps)
-# What (omega - 1)^2 costs beside the distance to the reference.
-_PENALTY = 100.0
+DEFAULT_PENALTY = 100.0
 
 
 @dataclass(frozen=True)
@@ -31,80 +28,99 @@ class DecayRates:
     (E3), or for phi' >= -class_k(phi). With a factor omega on the right its right-hand
     side grows by (omega - 1) lambda phi, and phi stays positive all the same.
 
-    Source: Zeng et al. (2021), optimal decay; that it acts only where the rows have no
-    input, and its limit in sampled time, are ours.
+    Source: Zeng et al. (2021), optimal decay; its limit in sampled time, and that it
+    may act only where the rows have no input, are ours.
 
     Attributes:
         slopes: lambda phi or class_k(phi), shape (N,); 0 where no rate helps: phi is
             not positive, or the row is a limit of the input.
         most: The largest omega, shape (N,), not below 1.
+        penalty: What (omega - 1)^2 costs beside the squared distance to the reference.
+        only_where_empty: Whether rates grow only where the rows have no input.
     """
 
     slopes: Array
     most: Array
+    penalty: float = DEFAULT_PENALTY
+    only_where_empty: bool = True
 
     @staticmethod
-    def at(rows: BarrierRows, barriers: Sequence[Any], period: float) -> DecayRates:
+    def at(
+        chain: Sequence[Array] | Array,
+        barriers: Sequence[Any],
+        period: float,
+        penalty: float = DEFAULT_PENALTY,
+        only_where_empty: bool = True,
+    ) -> DecayRates:
         """Returns the rates at a tick.
 
         Args:
-            rows: The barriers' rows there.
-            barriers: The barriers.
+            chain: phi_0, ..., phi_(r-1) of each row; whatever may follow is ignored.
+            barriers: The barriers and limits behind the rows.
             period: For how long an input is held [s].
+            penalty: Of the squared growth.
+            only_where_empty: Whether they grow only where the rows have no input.
         """
         slopes, most = np.zeros(len(barriers)), np.ones(len(barriers))
-        for i, (barrier, phi) in enumerate(zip(barriers, rows.chain, strict=True)):
-            if isinstance(barrier, Barrier) and phi[-1] > 0.0:
-                level = float(phi[-1])
+        for i, (barrier, phi) in enumerate(zip(barriers, chain, strict=True)):
+            if not isinstance(barrier, Barrier):
+                continue
+            level = float(phi[: len(barrier.decay_rates)][-1])
+            if level > 0.0:
                 linear = float(barrier.decay_rates[-1]) * level
                 slope = float(barrier.class_k(level)) if barrier.class_k else linear
                 if 0.0 < slope < math.inf:
                     slopes[i] = slope
                     most[i] = max(1.0, _LARGEST_STEP * level / (period * slope))
-        return DecayRates(slopes, most)
+        return DecayRates(slopes, most, penalty, only_where_empty)
 
+    @property
+    def room(self) -> Array:
+        """By how much each row's right-hand side may grow, shape (N,)."""
+        return self.slopes * (self.most - 1.0)
 
-def decayed_input(
-    feasible: FeasibleSet,
-    qp: QP,
-    rates: DecayRates,
-    held_input: Array,
-    solver: str,
-) -> tuple[Array, float]:
-    """Returns the input nearest to the reference with faster decay (E99), and omega.
+    def grown(self, qp: QP, feasible: FeasibleSet) -> QP:
+        """Returns a QP with the factors omega as variables (E99).
 
-    That is the largest factor; where none helps it is 1, and the input that of the
-    least violation.
+        In the variables (z, root of the penalty times (omega - 1), slacks) the cost is
+        a distance again.
 
-    Args:
-        feasible: Input limits and barrier rows, without an input.
-        qp: The QP of its rows, `QP.hard`.
-        rates: How much faster the barriers may fall.
-        held_input: The input applied now, shape (m,); for the fallback.
-        solver: The solver's name.
-    """
-    m, unit = len(qp.reference), math.sqrt(_PENALTY / qp.frame.cost_unit)
-    barriers = feasible.cutting[qp.num_firm :] - feasible.num_input_rows
-    grows = np.flatnonzero(rates.slopes[barriers] > 0.0)
-    barriers, count = barriers[grows], len(grows)
-    # In the variables (z, unit (omega - 1)) the cost is a distance.
-    slopes = np.zeros((len(qp.b), count))
-    per_unit = rates.slopes[barriers] / (unit * qp.frame.size)
-    slopes[qp.num_firm + grows, np.arange(count)] = -per_unit
-    sides = np.vstack([np.eye(count), -np.eye(count)])
-    most = unit * (rates.most[barriers] - 1.0)
-    grown = replace(
-        qp,
-        A=np.block([[qp.A, slopes], [np.zeros((2 * count, m)), sides]]),
-        b=np.concatenate([qp.b, most, np.zeros(count)]),
-        reference=np.append(qp.reference, np.zeros(count)),
-        num_hard=len(qp.b) + 2 * count,
-    )
-    try:
-        z = grown.solved(solver).point
-    except (EmptySetError, SolverError, LinAlgError):
-        return least_violation(feasible, qp, held_input, solver), 1.0
-    growth = float(np.max(z[m:], initial=0.0)) / unit
-    # Rounded up, so that the rows hold with it where their numbers are large.
-    omega = (1.0 + growth) * (1.0 + _ROUNDING) if growth > 0.0 else 1.0
-    return feasible.input_set.project(qp.frame.input(z)), omega
+        Args:
+            qp: The QP at the barriers' own rates, without volume rows.
+            feasible: The feasible set that it was stated of.
+        """
+        barriers = feasible.cutting[qp.num_firm :] - feasible.num_input_rows
+        grows = np.flatnonzero(self.slopes[barriers] > 0.0)
+        barriers, count = barriers[grows], len(grows)
+        m, n = len(qp.frame.scale), qp.num_hard
+        unit = math.sqrt(self.penalty / qp.frame.cost_unit)
+        slopes = np.zeros((len(qp.b), count))
+        per_unit = self.slopes[barriers] / (unit * qp.frame.size)
+        slopes[qp.num_firm + grows, np.arange(count)] = -per_unit
+        sides = np.zeros((2 * count, len(qp.reference) + count))
+        sides[:, m : m + count] = np.vstack([np.eye(count), -np.eye(count)])
+        most = unit * (self.most[barriers] - 1.0)
+        A = np.hstack([qp.A[:, :m], slopes, qp.A[:, m:]])
+        names = [feasible.num_input_rows + i for i in barriers.tolist()]
+        return replace(
+            qp,
+            A=np.vstack([A[:n], sides, A[n:]]),
+            b=np.concatenate([qp.b[:n], most, np.zeros(count), qp.b[n:]]),
+            reference=np.insert(qp.reference, m, np.zeros(count)),
+            num_hard=n + 2 * count,
+            num_decays=count,
+            further_rows=(*names, *names, *qp.further_rows),
+        )
+
+    def factor(self, feasible: FeasibleSet, u: Array) -> float:
+        """Returns the largest omega that an input asks for, 1 where it asks for none.
+
+        Args:
+            feasible: The feasible set.
+            u: The input, shape (m,).
+        """
+        excess = feasible.rows.A @ u - (feasible.rows.b + feasible.margin)
+        grows = (self.slopes > 0.0) & np.isinf(feasible.penalties)
+        growth = float(np.max(excess[grows] / self.slopes[grows], initial=0.0))
+        # Rounded up, so that the rows hold with it where their numbers are large.
+        return (1.0 + growth) * (1.0 + _ROUNDING) if growth > 0.0 else 1.0

@@ -89,7 +89,7 @@ class LoopMonitor(LeafSystem):
     def _check_start(self, context: Context, state: State) -> EventStatus:
         levels = self._read(context, "levels")
         authority = self._read(context, "authority")
-        has_volume = self._filter.method.volume
+        has_volume = self._filter.method.has_volume_row
         volume = self._read(context, "volume")[0] if has_volume else np.nan
         # Without a threshold of its own V_v starts above 0, or at the least one.
         least = least_threshold(self._filter.input_set.num_inputs)

@@ -1,4 +1,4 @@
-"""The six safety filters that one system implements, as three independent choices."""
+"""The safety filters that one system implements, as three independent choices."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 DisturbanceHandling = Literal["ignored", "worst_case", "estimated"]
+Feasibility = Literal["none", "volume", "decay"]
 ObserverKind = Literal["rise", "linear"]
 
 
@@ -16,22 +17,29 @@ class Method:
     Attributes:
         disturbance: Every row either ignores the disturbance, takes its worst case
             within ``|d| <= delta1``, or uses the observer's estimate and error bound.
-        volume: Whether the volume barrier's row is in the QP.
+        feasibility: What keeps the rows from leaving no input: nothing, the volume
+            barrier's row in the QP, or decay rates that are variables of it.
         observer: The kind of observer; a method that does not estimate only logs it.
         source: Where the method comes from.
     """
 
     disturbance: DisturbanceHandling
-    volume: bool
+    feasibility: Feasibility
     observer: ObserverKind
     source: str
 
+    @property
+    def has_volume_row(self) -> bool:
+        """Whether the volume barrier's row is in the QP."""
+        return self.feasibility == "volume"
+
 
 METHODS: dict[str, Method] = {
-    "cbf-qp": Method("ignored", False, "rise", "Tan et al. 2021 (E6)"),
-    "robust-cbf-qp": Method("worst_case", False, "rise", "Emam et al. 2019 (B2)"),
-    "wang-xu-dob-cbf-qp": Method("estimated", False, "linear", "Wang & Xu 2023 (B4)"),
-    "vcbf-qp": Method("ignored", True, "rise", "Parwana et al. 2023 (E22)"),
-    "dob-cbf-qp": Method("estimated", False, "rise", "the paper (E19)"),
-    "dob-vcbf-qp": Method("estimated", True, "rise", "the paper (E24)"),
+    "cbf-qp": Method("ignored", "none", "rise", "Tan et al. 2021 (E6)"),
+    "robust-cbf-qp": Method("worst_case", "none", "rise", "Emam et al. 2019 (B2)"),
+    "wang-xu-dob-cbf-qp": Method("estimated", "none", "linear", "Wang & Xu 2023 (B4)"),
+    "vcbf-qp": Method("ignored", "volume", "rise", "Parwana et al. 2023 (E22)"),
+    "dob-cbf-qp": Method("estimated", "none", "rise", "the paper (E19)"),
+    "dob-vcbf-qp": Method("estimated", "volume", "rise", "the paper (E24)"),
+    "optimal-decay": Method("estimated", "decay", "rise", "Zeng et al. 2021 (E99)"),
 }

@@ -13,7 +13,7 @@ from numpy.linalg import LinAlgError
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import EmptySetError, SolverError
-from vcbf_drake.safety.decay import DecayRates, decayed_input
+from vcbf_drake.safety.decay import DecayRates
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.programs import DEFAULT_SOLVER
@@ -43,7 +43,8 @@ class FilterStatus(IntEnum):
     RELAXED = 2
     """No input satisfies the volume row too; it gave way by the least slack."""
     INFEASIBLE = 3
-    """No input satisfies the barrier rows, by certificate; the policy chose."""
+    """No input satisfies the barrier rows, by certificate; the policy chose. With
+    decay rates that are variables these are taken at their largest."""
     FAILED = 4
     """Data were not finite or no solver's answer was verified; the fallback acts."""
 
@@ -62,8 +63,8 @@ class FilterDecision:
             nan where no such input was sought.
         soft_slacks: How far each soft barrier row gave way, at most 0, where the input
             is a QP's solution.
-        decay: The largest factor omega on a barrier's last decay rate (E99), above 1
-            only where the rows have no input at their own rates.
+        decay: The largest factor omega on a barrier's last decay rate (E99), 1 where
+            the rows hold at their own rates.
         qp: The QP whose solution the input is, where it is one.
     """
 
@@ -107,7 +108,9 @@ def choose_input(
         solver: The name of the solver that proposes, one of `SOLVERS`.
         frame: The coordinates of the normalised inputs, with the cost's weights; by
             default `Frame.of(input_set)`.
-        decay_rates: How much faster the barriers may fall, for the policy ``decay``.
+        decay_rates: How much faster the barriers may fall, at every tick or only where
+            the rows have no input (the policy ``decay``); None for not at all. At every
+            tick there are no volume rows.
     """
     if not (feasible.is_finite and np.isfinite(reference).all()):
         return FilterDecision(input_set.project(held_input), FilterStatus.FAILED)
@@ -117,7 +120,15 @@ def choose_input(
     if not input_set.is_bounded:
         farthest = np.abs(input_set.normalised(reference)).max()
         frame = replace(frame, size=max(1.0, float(farthest)))
-    qp = state_qp(feasible, frame, rows, reference, exact_slack)
+    growing = decay_rates
+    if decay_rates is not None and decay_rates.only_where_empty:
+        growing = None
+
+    def stated(frame: Frame) -> QP:
+        qp = state_qp(feasible, frame, rows, reference, exact_slack)
+        return qp if growing is None else growing.grown(qp, feasible)
+
+    qp = stated(frame)
     if (qp.A @ qp.reference <= qp.b).all() and not _moves_a_fixed(reference, input_set):
         return FilterDecision(reference, FilterStatus.REFERENCE, qp=qp)
     try:
@@ -130,31 +141,53 @@ def choose_input(
                 feasible, frame, frame.input(found.point), touched[barriers]
             )
             if finer is not None:
-                finer_qp = state_qp(feasible, finer, rows, reference, exact_slack)
-                found, solved = _better(finer_qp, found, qp, feasible, solver)
-    except EmptySetError as error:
-        # Rows of the feasible set all: those that may give way are in no conflict.
-        conflict = tuple(feasible.cutting[list(error.conflict)].tolist())
+                found, solved = _better(stated(finer), found, qp, feasible, solver)
+    except (EmptySetError, SolverError, LinAlgError) as error:
+        # At the barriers' own rates.
+        hard = state_qp(feasible, frame, (), reference, exact_slack).hard
+        if not isinstance(error, EmptySetError):
+            u = least_violation(feasible, hard, held_input, solver)
+            return FilterDecision(u, FilterStatus.FAILED)
+        # Rows of the feasible set all: those that may give way are in no conflict, and
+        # those that limit decay rates say nothing beside the rows that these belong to.
+        own = [i for i in error.conflict if i < len(feasible.cutting)]
+        conflict = tuple(feasible.cutting[own].tolist())
         decay = 1.0
         if policy == "hold":
             u = input_set.project(held_input)
         elif policy == "decay" and decay_rates is not None:
-            u, decay = decayed_input(feasible, qp.hard, decay_rates, held_input, solver)
+            u, decay = _decayed(feasible, hard, decay_rates, held_input, solver)
         else:
-            u = least_violation(feasible, qp.hard, held_input, solver)
+            u = least_violation(feasible, hard, held_input, solver)
         return FilterDecision(
             u, FilterStatus.INFEASIBLE, conflict=conflict, decay=decay
         )
-    except (SolverError, LinAlgError):
-        u = least_violation(feasible, qp.hard, held_input, solver)
-        return FilterDecision(u, FilterStatus.FAILED)
     u = solved.frame.input(found.point)
     slack = min([0.0, *(row.slack(u) for row in rows)]) if gave_way else 0.0
     status = FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
     soft = tuple(min(0.0, feasible.soft_slack(i, u)) for i in feasible.soft.tolist())
-    return FilterDecision(
-        input_set.project(u), status, slack, soft_slacks=soft, qp=solved
-    )
+    u = input_set.project(u)
+    decay = 1.0 if growing is None else growing.factor(feasible, u)
+    return FilterDecision(u, status, slack, soft_slacks=soft, decay=decay, qp=solved)
+
+
+def _decayed(
+    feasible: FeasibleSet,
+    hard: QP,
+    rates: DecayRates,
+    held_input: Array,
+    solver: str,
+) -> tuple[Array, float]:
+    """The input nearest to the reference with faster decay (E99), and omega.
+
+    Where no rate helps omega is 1, and the input that of the least violation.
+    """
+    try:
+        z = rates.grown(hard, feasible).solved(solver).point
+    except (EmptySetError, SolverError, LinAlgError):
+        return least_violation(feasible, hard, held_input, solver), 1.0
+    u = feasible.input_set.project(hard.frame.input(z))
+    return u, rates.factor(feasible, u)
 
 
 def _cuts(row: VolumeRow, input_set: InputSet) -> bool:

@@ -212,7 +212,7 @@ class SafetyFilter(CachedSystem):
         self._volumes_entry = self._entry("volumes", self._calc_volumes, needs)
         self._asked = {self._reference.ticket(), self._held_input.ticket()}
         needs = {self._feasible_entry.ticket(), *self._asked}
-        if self.method.volume:
+        if self.method.has_volume_row:
             needs.add(self._volumes_entry.ticket())
         self._decision_entry = self._entry("decision", self._calc_decision, needs)
 
@@ -356,14 +356,20 @@ class SafetyFilter(CachedSystem):
         feasible, state = self.feasible_set(context), self._state.Eval(context)
         rows: list[VolumeRow] = []
         failed = False
-        if self.method.volume:
+        if self.method.has_volume_row:
             volumes = self._volumes(context)
             rows, failed = self._volume_rows.rows(state, feasible, *volumes)
 
+        always = self.method.feasibility == "decay"
         decay_rates = None
-        if self.settings.infeasible == "decay":
-            period = self.settings.period
-            decay_rates = DecayRates.at(feasible.rows, self.barriers, period)
+        if always or self.settings.infeasible == "decay":
+            decay_rates = DecayRates.at(
+                feasible.rows.chain,
+                self.barriers,
+                self.settings.period,
+                self.settings.decay_penalty,
+                only_where_empty=not always,
+            )
 
         def choose(margin: Array | None = None) -> FilterDecision:
             return choose_input(

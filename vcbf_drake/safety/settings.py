@@ -17,6 +17,7 @@ from vcbf_drake.disturbances import (
 )
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
+from vcbf_drake.safety.decay import DEFAULT_PENALTY
 from vcbf_drake.safety.methods import METHODS
 from vcbf_drake.safety.programs import DEFAULT_SOLVER, check_solver
 from vcbf_drake.safety.qp import INFEASIBLE_POLICIES, InfeasiblePolicy
@@ -42,6 +43,8 @@ class FilterSettings:
             of "least_violation", "hold" the last one, "stop" the simulation, or let the
             barriers "decay" faster than their gains say, by as little as helps (E99).
         volume: The volume barrier, for the methods that have one.
+        decay_penalty: What a decay rate's growth (omega - 1)^2 costs beside the squared
+            distance to the reference (E99), with optimal-decay or infeasible: decay.
         between_ticks: "none" asks the rows to hold at the ticks alone, "certified" asks
             for inputs under which they hold until the next tick (E77), where there are
             such.
@@ -68,6 +71,7 @@ class FilterSettings:
     fidelity: Fidelity | Corrections = "corrected"
     infeasible: InfeasiblePolicy = "least_violation"
     volume: VolumeBarrier = field(default_factory=VolumeBarrier)
+    decay_penalty: float = DEFAULT_PENALTY
     between_ticks: BetweenTicks = "none"
     violation_weights: list[float] = field(default_factory=list)
     input_weights: list[float] = field(default_factory=list)
@@ -79,6 +83,7 @@ class FilterSettings:
     def __post_init__(self) -> None:
         check_solver(self.solver)
         check_parameter("period", self.period)
+        check_parameter("decay_penalty", self.decay_penalty)
         require_choice("method", self.method, METHODS)
         if not isinstance(self.fidelity, Corrections):
             require_choice("fidelity", self.fidelity, FIDELITIES)
@@ -102,6 +107,14 @@ class FilterSettings:
             self.between_ticks,
             "none without the correction error_floor, for the printed error bound does"
             " not hold between ticks",
+        )
+        require(
+            self.between_ticks != "certified"
+            or METHODS[self.method].feasibility != "decay",
+            "between_ticks",
+            self.between_ticks,
+            f"none with {self.method}, for no rate that a tick chooses is certified"
+            " until the next one",
         )
 
     def one_a_barrier(self, name: str, count: int, default: float) -> Array:

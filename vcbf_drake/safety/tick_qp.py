@@ -129,9 +129,10 @@ class Frame:
 class QP:
     """min 1/2 |R (z - reference)|^2 subject to ``A z <= b``.
 
-    The variables are the inputs in the coordinates of a frame and, for each row that
-    gives way at a penalty, sqrt(M) times its slack; R is the frame's metric. The rows
-    are the feasible set's that can matter, the volume rows, and those that give way.
+    The variables are the inputs in the coordinates of a frame, the growth of decay
+    rates that may grow and, for each row that gives way at a penalty, sqrt(M) times its
+    slack; R is the frame's metric. The rows are the feasible set's that can matter, the
+    volume rows or the limits of decay rates, and those that give way.
 
     Attributes:
         frame: The coordinates.
@@ -142,7 +143,8 @@ class QP:
         num_hard: How many rows, the first, do not give way.
         num_volume: How many of those, the last, are volume rows.
         rows: Which of the feasible set's rows are the first.
-        further_rows: Those that follow: volume rows by name, soft ones by index.
+        further_rows: Those that follow: volume rows by name, others by index.
+        num_decays: How many variables, after the inputs, are growths (E99).
     """
 
     frame: Frame
@@ -154,6 +156,7 @@ class QP:
     num_volume: int = 0
     rows: tuple[int, ...] = ()
     further_rows: tuple[str | int, ...] = ()
+    num_decays: int = 0
 
     def solved(self, solver: str) -> NearestPoint:
         """Returns the minimiser z, shape (d,), and its multipliers.
@@ -186,9 +189,11 @@ class QP:
     @property
     def hard(self) -> QP:
         """The QP of the rows that never give way."""
-        n, m = self.num_hard - self.num_volume, len(self.frame.scale)
-        A, b, reference = self.A[:n, :m], self.b[:n], self.reference[:m]
-        return QP(self.frame, A, b, reference, self.num_firm, n)
+        n, d = self.num_hard - self.num_volume, len(self.frame.scale) + self.num_decays
+        A, b, reference = self.A[:n, :d], self.b[:n], self.reference[:d]
+        return QP(
+            self.frame, A, b, reference, self.num_firm, n, num_decays=self.num_decays
+        )
 
 
 def state_qp(

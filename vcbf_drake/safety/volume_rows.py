@@ -42,7 +42,7 @@ class VolumeRows:
         solver = settings.solver
         self._is_bounded = input_set.is_bounded
         if not self._is_bounded:
-            if not METHODS[settings.method].volume:
+            if not METHODS[settings.method].has_volume_row:
                 return
             raise ValueError(
                 "input_set: has an infinite limit, and the volume barrier of method"

@@ -18,6 +18,7 @@ from vcbf_drake.disturbances import (
     DisturbanceObserver,
 )
 from vcbf_drake.safety import Assumption, FilterStatus, InputSet, SafetyFilter
+from vcbf_drake.safety.decay import DecayRates
 
 # What `audit_margins` has a margin of, in its order.
 PROMISES = {
@@ -72,8 +73,13 @@ def audit_margins(
     status, error = log["status"], log["disturbance"] - estimate
     along, w_norm = _each(rows.w, log["disturbance"]), np.linalg.norm(rows.w, axis=2)
     certified = _each(rows.w, estimate) - w_norm * bound[:, None]
+    chi = rows.b + along - _each(rows.A, log["input"])
+    if safety_filter.method.feasibility == "decay":
+        # What the law promises is phi' >= -omega lambda phi, for any omega allowed.
+        period, watched = safety_filter.settings.period, barriers.barriers
+        chi += [DecayRates.at(each, watched, period).room for each in rows.chain]
     volume = slack = lasting = np.full(len(status), np.nan)
-    if safety_filter.method.volume:
+    if safety_filter.method.has_volume_row:
         volume = _certain(log["volume"])
         slack = log["slack"]
     if safety_filter.certified_hold:
@@ -81,7 +87,7 @@ def audit_margins(
     margins = [
         bound - np.linalg.norm(error, axis=1),
         _least_of_each(along - certified),
-        _least_of_each(rows.b + along - _each(rows.A, log["input"])),
+        _least_of_each(chi),
         lasting,
         _least_of_each(rows.value),
         _least_of_each(rows.chain[:, :, 1:]),

@@ -276,7 +276,8 @@ class Scenario(FilterSettings):
             self.input_set = InputLimits(*own, self.input_set.A, self.input_set.b)
         self._check_sizes()
         require(
-            not METHODS[self.method].volume or self.input_set.input_set().is_bounded,
+            not METHODS[self.method].has_volume_row
+            or self.input_set.input_set().is_bounded,
             "input_set",
             [*self.input_set.lower, *self.input_set.upper],
             f"finite for the volume barrier of {self.method}; dob-cbf-qp has none",

@@ -133,11 +133,12 @@ def _steps(safety_filter: SafetyFilter) -> dict[str, tuple[str, ...]]:
         "determinants": ("3  inscribed ellipsoid (E20)", "4  its gradient (E44)"),
         "volumes": ("5  V_v, above the threshold",),
     }
-    if not method.volume:
+    if not method.has_volume_row:
+        label = "E99" if method.feasibility == "decay" else "E19"
         return steps | {
             "determinants": ("inscribed ellipsoid (E20)", "for the log only"),
             "volumes": (),
-            "decision": ("3  nearest input, QP (E19)",),
+            "decision": (f"3  nearest input, QP ({label})",),
         }
     label = "E28" if settings.corrections.total_derivative else "E24"
     label = label if method.disturbance == "estimated" else "E22"

@@ -47,6 +47,7 @@ METHOD_STYLES = {
     "vcbf-qp": MethodStyle("VCBF-QP", "#e69f00", (8.0, 2.0)),
     "dob-cbf-qp": MethodStyle("DOB-CBF-QP", "#d55e00", (5.0, 1.6)),
     "dob-vcbf-qp": MethodStyle("DOB-VCBF-QP", "#0072b2", ()),
+    "optimal-decay": MethodStyle("Optimal decay", "#56b4e9", (9.0, 1.6, 3.0, 1.6)),
 }
 
 RC_PARAMS: dict[str, Any] = {

@@ -29,8 +29,8 @@ _VERDICTS = {
     False: Text("does not hold", "red"),
     None: Text("information", "dim"),
 }
-# What 80 columns leave to the methods, beside the labels.
-_METHODS_WIDTH = 66
+# What 80 columns leave to the methods, beside the labels, and for how many that is.
+_METHODS_WIDTH, _MOST_METHODS = 66, 6
 # A log from hardware does not know the truth.
 _GUARANTEED = {True: "yes", False: "no", None: "-"}
 _MOST_CHANGES = 12
@@ -66,11 +66,23 @@ def print_summaries(
 ) -> None:
     """Prints the summaries of runs of one scenario, one column a run, and remarks.
 
+    More than six runs take more tables than one, one below the other.
+
     Args:
         summaries: The summaries.
         barrier_unit: The unit of the scenario's barriers.
     """
     console = Console(highlight=False, markup=False)
+    console.print(summaries[0]["scenario"])
+    count = math.ceil(len(summaries) / math.ceil(len(summaries) / _MOST_METHODS))
+    for first in range(0, len(summaries), count):
+        console.print(_table(summaries[first : first + count], barrier_unit))
+    for summary in summaries:
+        for remark in _remarks(summary):
+            console.print(f"{summary['method']}: {remark}")
+
+
+def _table(summaries: Sequence[Mapping[str, Any]], barrier_unit: str) -> Table:
     width = _METHODS_WIDTH // len(summaries) - 1
     table = Table(box=box.SIMPLE_HEAD, padding=0, show_edge=False)
     table.add_column()
@@ -80,11 +92,7 @@ def print_summaries(
     columns = [_cells(summary, barrier_unit) for summary in summaries]
     for label in columns[0]:
         table.add_row(label, *(cells[label] for cells in columns))
-    console.print(summaries[0]["scenario"])
-    console.print(table)
-    for summary in summaries:
-        for remark in _remarks(summary):
-            console.print(f"{summary['method']}: {remark}")
+    return table
 
 
 def print_assumptions(scenario: Scenario, assumptions: Sequence[Assumption]) -> None:
