@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from vcbf_drake.interrupts import end_at_once_on_interrupt
+from vcbf_drake.interrupts import end_at_once_on_signals
+
+# Before anything else is imported.
+end_at_once_on_signals()
 
 
 def main() -> None:
-    """Runs the command line; until a command works, Ctrl-C ends it with one line."""
-    end_at_once_on_interrupt()
+    """Runs the command line; until a command works, a signal ends it in one line."""
     from vcbf_drake.cli import main as run_commands
 
     run_commands()

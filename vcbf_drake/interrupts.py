@@ -1,4 +1,4 @@
-"""Ctrl-C while a command loads: one line and the status of the signal.
+"""A signal while a command loads: one line and its status, as the shell counts it.
 
 Nothing is imported here, so that it holds from the first moment on.
 """
@@ -8,6 +8,13 @@ from __future__ import annotations
 import os
 import signal
 
+TYPE_CHECKING = False  # As in typing, which takes a while to import.
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import FrameType
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
 
 def end_at_once(number: int, frame: object) -> None:
     """Ends the process in one line; a signal's handler until there is work to undo."""
@@ -15,13 +22,20 @@ def end_at_once(number: int, frame: object) -> None:
     os._exit(128 + number)
 
 
-def end_at_once_on_interrupt() -> None:
-    """Makes Ctrl-C end the process at once, unless it is ignored or taken already."""
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, end_at_once)
+def end_at_once_on_signals() -> None:
+    """Makes signals end the process at once, unless they are ignored or taken."""
+    for number in SIGNALS:
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+            signal.signal(number, end_at_once)
+
+
+def handle(number: int, handler: Callable[[int, FrameType | None], object]) -> None:
+    """Sets a signal's handler, unless it is ignored: nohup means what it says."""
+    if signal.getsignal(number) is not signal.SIG_IGN:
+        signal.signal(number, handler)
 
 
 def raise_on_interrupt() -> None:
-    """Undoes `end_at_once_on_interrupt`: whoever works now tidies up after itself."""
+    """Gives Ctrl-C back to Python: whoever works now tidies up after itself."""
     if signal.getsignal(signal.SIGINT) is end_at_once:
         signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -20,7 +20,7 @@ FORMATS = (
     state_format(8, 3),
     command_format(3),
     status_format(3, 7, 3),
-    obstacles_format(7, 3),
+    obstacles_format(),
 )
 
 
@@ -35,7 +35,8 @@ def genuine(form: MessageFormat, now: int, sequence: int) -> Any:
     message = form.type()
     message.version, message.session = 2, SESSION
     message.sequence, message.utime = sequence, now
-    for name, size in form.sizes.items():
+    sizes = form.sizes or {"num_obstacles": 7, "num_coordinates": 21}
+    for name, size in sizes.items():
         setattr(message, name, size)
     for name, kind, sizes in zip(
         message.__slots__, message.__typenames__, message.__dimensions__, strict=True

@@ -20,6 +20,7 @@ class RelayedLoop:
         scenario: What is run.
         change: Takes a vehicle's message and returns what goes on, None for nothing.
         change_command: Takes a command and returns what goes on.
+        known: The controller's scenario, if it is another one.
 
     Attributes:
         plant: The vehicle.
@@ -32,10 +33,11 @@ class RelayedLoop:
         scenario: Any,
         change: Callable[[Any], Any],
         change_command: Callable[[Any], Any] = lambda message: message,
+        known: Any = None,
     ) -> None:
         self.clock = SimulatedClock()
         self._theirs, self._ours = DrakeLcm("memq://"), DrakeLcm("memq://")
-        self.controller = controller_of(scenario, Bus(self._ours, self.clock))
+        self.controller = controller_of(known or scenario, Bus(self._ours, self.clock))
         for name, kind in CHANNELS.items():
             self._theirs.Subscribe(
                 name,
@@ -49,9 +51,18 @@ class RelayedLoop:
                 "VCBF_COMMAND", change_command(vcbf_command.decode(data)).encode()
             ),
         )
-        self.plant = PlantProcess(scenario, Bus(self._theirs, self.clock))
-        self._epoch, self._period, self._tick = self.clock.now, scenario.period, 0
+        self._scenario, self._period = scenario, scenario.period
+        self._start_plant()
+
+    def _start_plant(self) -> None:
+        self.plant = PlantProcess(self._scenario, Bus(self._theirs, self.clock))
+        self._epoch, self._tick = self.clock.now, 0
         self._exchange()
+
+    def restart_plant(self, after: float = 1.0) -> None:
+        """Starts another vehicle, so long [s] after the first one fell silent."""
+        self.clock.now += round(1e6 * after)
+        self._start_plant()
 
     def advance_to(self, time: float) -> None:
         """Runs both to a time [s], or to a collision."""

@@ -7,11 +7,11 @@ import pytest
 
 from tests.helpers.relayed_loop import RelayedLoop
 from vcbf_drake import load_scenario
-from vcbf_drake.hil import CommandMode, InProcess, LinkFaults
+from vcbf_drake.hil import CommandMode, InProcess, LinkFaults, VehicleMode
 from vcbf_drake.hil.messages import vcbf_status
 from vcbf_drake.hil.watchdogs import FINDINGS
 
-ESTIMATE, MOTION, FROZEN = FINDINGS
+ESTIMATE, MOTION, FROZEN, NO_TIME = FINDINGS
 
 
 def scenario(name: str = "blimp-multiple-obstacles", **overrides):
@@ -98,6 +98,92 @@ def test_a_frozen_state_is_called_one_and_forgiven_once_it_moves() -> None:
     assert run.controller.mode is CommandMode.APPLY
 
 
+def standing_from(instant: float):
+    """The motion's time stands from then on; the vehicle does not."""
+
+    def stand(message):
+        message.time = min(message.time, instant)
+        return message
+
+    return state_changed(stand)
+
+
+@pytest.mark.parametrize("instant", [0.0, 2.0])
+def test_a_time_that_stands_while_the_vehicle_moves_is_found(instant) -> None:
+    """Without it nothing else is compared: the filter would be believed blindly."""
+    run = RelayedLoop(scenario(), standing_from(instant))
+    said: list[str] = []
+    run.controller.tell = said.append
+    for tick in range(200):
+        run.advance_to(instant + 0.01 * tick)
+        run.controller._say()
+        if tick == 9:
+            assert run.controller.mode is CommandMode.APPLY
+    assert run.controller.report()["findings"].keys() == {NO_TIME}
+    fallback = [c for c in run.controller.report()["changes"] if c["mode"] != "apply"]
+    assert [c["reason"] for c in fallback] == [f"refuted: {NO_TIME}"]
+    assert run.controller.mode is CommandMode.FALLBACK
+    assert sum("refuted: the motion's time" in line for line in said) == 2
+    assert run.plant.mode is VehicleMode.FALLBACK
+
+
+def test_a_vehicle_that_calls_itself_waiting_but_obeys_is_found_too() -> None:
+    def stand(message):
+        message.time, message.mode = 0.0, VehicleMode.WAITING
+        return message
+
+    run = RelayedLoop(scenario(), state_changed(stand))
+    run.advance_to(0.5)
+    assert run.controller.report()["findings"].keys() == {NO_TIME}
+
+
+def test_a_vehicle_that_waits_and_one_whose_time_comes_in_steps_are_fine() -> None:
+    """Waiting for longer than a state may be old; a plant slower than its messages."""
+
+    def wait(message):
+        if message.time < 0.8:
+            message.time, message.state = 0.0, list(x_0)
+            message.mode, message.command_session = VehicleMode.WAITING, -1
+            message.input_integral = [0.0] * 3
+        return message
+
+    x_0 = scenario().initial_state
+    run = RelayedLoop(scenario(), state_changed(wait))
+    run.advance_to(0.79)
+    assert run.controller.report()["findings"] == {}
+
+    kept: list = []
+
+    def step(message):
+        if not kept or message.time - kept[0].time >= 0.0499:
+            kept[:] = [message]
+        message.time, message.state = kept[0].time, kept[0].state
+        message.input_integral = kept[0].input_integral
+        return message
+
+    run = RelayedLoop(scenario(), state_changed(step))
+    run.advance_to(3.0)
+    assert run.controller.report()["findings"] == {}
+
+
+def test_a_time_in_milliseconds_is_named_once_and_nothing_is_applied_again() -> None:
+    def in_milliseconds(message):
+        message.time *= 1e3
+        return message
+
+    run = RelayedLoop(scenario(), state_changed(in_milliseconds))
+    said: list[str] = []
+    run.controller.tell = said.append
+    for tick in range(300):
+        run.advance_to(0.01 * tick)
+        run.controller._say()
+    changes = run.controller.report()["changes"]
+    assert [change["mode"] for change in changes] == ["apply", "hold", "fallback"]
+    named = [line for line in said if "its motion's time leaps (on by" in line]
+    assert len(named) == 1
+    assert "its unit is s" in named[0]
+
+
 def test_the_third_finding_stays() -> None:
     frozen = Frozen((1.0, 1.2), (2.5, 2.7), (4.0, 4.2))
     run = RelayedLoop(scenario(), state_changed(frozen))
@@ -174,6 +260,23 @@ def test_with_report_alone_the_vehicle_is_not_stopped_but_status_says_so() -> No
     assert [line for line in said if "refuted" in line] == [
         f"{statuses[-1].time:.2f} s: refuted: {MOTION}"
     ]
+
+
+@pytest.mark.parametrize("step", [1e-3, 1e-2])
+def test_a_coarse_sensor_is_found_unless_its_noise_is_declared(step) -> None:
+    """A step of q has the deviation q / sqrt(12)."""
+
+    def rounded(message):
+        message.state = (step * np.round(np.divide(message.state, step))).tolist()
+        return message
+
+    noise = {"std": [step / np.sqrt(12.0)] * 8, "seed": 1}
+    findings = []
+    for known in (scenario(), scenario(noise=noise)):
+        run = RelayedLoop(scenario(), state_changed(rounded), known=known)
+        run.advance_to(1.0)
+        findings.append(set(run.controller.report()["findings"]))
+    assert findings == [{MOTION}, set()]
 
 
 @pytest.mark.parametrize(

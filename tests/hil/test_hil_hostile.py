@@ -204,7 +204,7 @@ class Storm:
     def __init__(self, run: InProcess, seed: int) -> None:
         self.sent = 0
         self._run, rng = run, np.random.default_rng(seed)
-        forms = [state_format(4, 2), command_format(2), obstacles_format(1, 2)]
+        forms = [state_format(4, 2), command_format(2), obstacles_format()]
         self._attackers = {form.channel: Attacker(form, rng) for form in forms}
         run.plant.bus.taps.append(self._listen("VCBF_STATE", "VCBF_OBSTACLES"))
         run.controller.bus.taps.append(self._listen("VCBF_COMMAND"))

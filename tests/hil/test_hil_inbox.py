@@ -384,8 +384,32 @@ def test_a_motion_s_time_does_not_leap_or_go_back() -> None:
         message.time = time
         inbox.receive(message.encode(), clock.now)
         clock.now += 20 * MS
-    assert inbox.rejections == {Reason.STAMPS: 2}
+    assert inbox.rejections == {Reason.TIME: 2}
     assert inbox.newest.time == 0.04
+
+
+@pytest.mark.parametrize("rate", [1000.0, 1.1])
+def test_a_time_that_runs_ahead_stays_refused_and_a_late_one_is_welcome(rate) -> None:
+    """The silence that a refusal makes is no reason to believe it."""
+    clock = SimulatedClock()
+    inbox = Inbox(Bus(MemoryLcm(), clock), STATES, 0.1)
+    sent = 0
+
+    def send(time: float) -> bool:
+        nonlocal sent
+        message = state(clock, sent)
+        message.time, sent = time, sent + 1
+        inbox.receive(message.encode(), clock.now)
+        clock.now += 20 * MS
+        return bool(inbox.newest.time == time)
+
+    accepted = [send(rate * 0.02 * tick) for tick in range(500)]
+    assert accepted == sorted(accepted, reverse=True)
+    assert not accepted[-1]
+    assert inbox.last_rejection.startswith("its motion's time leaps (on by")
+    assert send(inbox.newest.time + 0.02)  # It has come to its senses.
+    clock.now += 5 * SECOND  # A silence of its own, in which its time went on.
+    assert send(inbox.newest.time + 5.3)
 
 
 # The bus ---------------------------------------------------------------------------

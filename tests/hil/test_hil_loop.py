@@ -6,22 +6,30 @@ import numpy as np
 from pydrake.lcm import DrakeLcm
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import LogVectorOutput, ZeroOrderHold
+from pydrake.systems.primitives import (
+    ConstantVectorSource,
+    LogVectorOutput,
+    ZeroOrderHold,
+)
 import pytest
 
 from vcbf_drake import (
     AddSafetyFilter,
     BlimpController,
+    Car,
     InputSet,
+    SphereObstacle,
     load_scenario,
     simulate,
 )
 from vcbf_drake.disturbances import DisturbanceBounds
-from vcbf_drake.errors import ScenarioError
+from vcbf_drake.errors import ModelError, ScenarioError
 from vcbf_drake.hil import (
     Bus,
+    ControllerProcess,
     InProcess,
     SimulatedClock,
+    VehicleLink,
     make_hardware_loop,
     make_vehicle,
 )
@@ -171,3 +179,34 @@ def test_a_plant_elsewhere_needs_its_model_and_a_state() -> None:
             input_set=InputSet.box([-1.0] * 3, [1.0] * 3),
             bounds=DisturbanceBounds(0.0, 0.0, 0.0),
         )
+
+
+def test_a_link_without_an_answer_or_with_two_is_named() -> None:
+    """Each by a line of its own, not by one of Drake's."""
+    model = ControlAffineModel.from_system(Car())
+    bus, builder = Bus(DrakeLcm("memq://"), SimulatedClock()), DiagramBuilder()
+    link = VehicleLink(builder, bus, model, period=0.02)
+    with pytest.raises(ModelError, match="VehicleLink: a diagram has one"):
+        VehicleLink(builder, bus, model, period=0.02)
+    pilot = builder.AddSystem(ConstantVectorSource([0.0, 0.0]))
+    safety = AddSafetyFilter(
+        builder,
+        plant=None,
+        model=model,
+        state=link.state,
+        applied_input=link.applied_input,
+        reference=pilot.get_output_port(),
+        barriers=[SphereObstacle([5.0, 0.0], 1.0).barrier([2.0, 2.0])],
+        input_set=InputSet.box([-9.0, -3.0], [9.0, 3.0]),
+        bounds=DisturbanceBounds(0.1, 0.1, 0.1),
+    )
+    link.answer(safety, pilot.get_output_port())
+    with pytest.raises(ModelError, match=r"VehicleLink\.answer: one filter answers"):
+        link.answer(safety, pilot.get_output_port())
+    half = DiagramBuilder()
+    VehicleLink(half, bus, model, period=0.02)
+    half.AddSystem(ConstantVectorSource([0.0]))
+    with pytest.raises(
+        ModelError, match=r"no command_sender: VehicleLink\.answer adds"
+    ):
+        ControllerProcess(half.Build(), bus)

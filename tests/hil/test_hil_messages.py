@@ -28,7 +28,7 @@ FORMATS = [
     state_format(8, 3),
     command_format(3),
     status_format(3, 7, 3),
-    obstacles_format(7, 3),
+    obstacles_format(),
 ]
 
 
@@ -71,12 +71,13 @@ def message(form: MessageFormat, **values: object):
     made = form.type()
     made.version, made.session, made.sequence = 2, NOW - 10 * SECOND, 5
     made.utime = NOW - 1000
-    for name, size in form.sizes.items():
+    sizes = form.sizes or {"num_obstacles": 7, "num_coordinates": 21}
+    for name, size in sizes.items():
         setattr(made, name, size)
     rng = np.random.default_rng(3)
-    for name, sizes in zip(made.__slots__, made.__dimensions__, strict=True):
-        if sizes:
-            size = getattr(made, sizes[0])
+    for name, lengths in zip(made.__slots__, made.__dimensions__, strict=True):
+        if lengths:
+            size = getattr(made, lengths[0])
             setattr(made, name, rng.uniform(-1.0, 1.0, size).tolist())
     if hasattr(made, "utime_measured"):
         made.utime_measured, made.time = NOW - 2000, 1.5

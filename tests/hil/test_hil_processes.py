@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+import contextlib
 import json
 import os
 import shutil
@@ -48,20 +49,20 @@ def start() -> Iterator[Callable[..., subprocess.Popen]]:
     """Starts one side; at the end of a test whatever still runs is killed."""
     processes: list[subprocess.Popen] = []
 
-    def start_side(side: str, *options: str) -> subprocess.Popen:
+    def start_side(side: str, *options: str, **popen) -> subprocess.Popen:
         arguments = [*COMMAND, side, "car-avoidance", "--lcm-url", URL, "--json"]
-        pipe = subprocess.PIPE
-        processes.append(
-            subprocess.Popen(
-                [*arguments, *options], stdout=pipe, stderr=pipe, text=True
-            )
-        )
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | popen
+        processes.append(subprocess.Popen([*arguments, *options], **pipes, text=True))
         return processes[-1]
 
     yield start_side
     for process in processes:
         process.kill()
         process.communicate()
+
+
+def ignore_hang_ups() -> None:
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
 
 def report(process: subprocess.Popen, status: int = 0) -> dict:
@@ -132,6 +133,9 @@ def test_who_meets_nobody_says_so_and_ends_with_status_5(side, start) -> None:
     assert alone.returncode == 5, err
     found = json.loads(out)
     assert found["ending"] == "no peer"
+    assert found.get("outcome") is None
+    peer = "vehicle" if side == "controller" else "controller"
+    assert f": no {peer} was heard for 0.5 s\n" in err
     assert ("fallback, no state yet" in err) is (side == "controller")
     assert ("waiting" in err) is (side == "plant")
 
@@ -188,6 +192,45 @@ def test_a_controller_flies_on_when_its_terminal_is_gone(start) -> None:
     assert controller.wait(60.0) == 0
 
 
+def full_pipe() -> tuple[int, int]:
+    """A pipe that takes nothing more, for its reader does not read."""
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writer, bytes(4096))
+    os.set_blocking(writer, True)
+    return reader, writer
+
+
+@needs_bus
+@pytest.mark.slow
+def test_a_reader_of_stderr_that_stalls_stops_no_flight(start) -> None:
+    reader, writer = full_pipe()
+    sides = [
+        start(side, "--duration", "1", "--wait", "60", stderr=writer)
+        for side in ("controller", "plant")
+    ]
+    pilot, car = map(report, sides)
+    os.close(writer)
+    os.close(reader)
+    assert pilot["ending"] in ("duration", "vehicle ended")
+    assert car["ending"] == "duration"
+    modes = {change["mode"] for change in car["changes"]}
+    assert modes <= {"waiting", "following", "fallback"}
+    assert "following" in modes
+
+
+@needs_bus
+def test_a_hang_up_that_is_ignored_stays_so(start) -> None:
+    """As under nohup: the terminal is closed, and the flight goes on."""
+    alone = start("plant", "--wait", "1", preexec_fn=ignore_hang_ups)
+    assert alone.stderr.readline().startswith("vehicle of car-avoidance on ")
+    alone.send_signal(signal.SIGHUP)
+    _, err = alone.communicate(timeout=60.0)
+    assert alone.returncode == 5, err
+
+
 @needs_bus
 def test_a_signal_while_everything_is_loaded_is_one_line(start) -> None:
     """Neither a traceback nor an error of half-imported modules."""
@@ -204,8 +247,11 @@ def test_a_signal_while_everything_is_loaded_is_one_line(start) -> None:
 @pytest.mark.parametrize(
     "moment", ["typer.main", "vcbf_drake.cli", "typer._adapters", "pydrake.common"]
 )
-@pytest.mark.parametrize("command", ["plant", "run"])
-def test_an_interrupt_at_any_moment_is_one_line(command, moment) -> None:
+@pytest.mark.parametrize(
+    ("command", "number"),
+    [("plant", signal.SIGINT), ("run", signal.SIGINT), ("controller", signal.SIGHUP)],
+)
+def test_an_interrupt_at_any_moment_is_one_line(command, number, moment) -> None:
     """As soon as a module has been imported, which Python tells one by one."""
     python = [sys.executable, "-X", "importtime", "-m", "vcbf_drake"]
     with subprocess.Popen(
@@ -213,9 +259,9 @@ def test_an_interrupt_at_any_moment_is_one_line(command, moment) -> None:
     ) as loading:
         lines = iter(loading.stderr)
         assert any(line.rpartition("|")[2].strip() == moment for line in lines)
-        loading.send_signal(signal.SIGINT)
+        loading.send_signal(number)
         said = [line for line in lines if not line.startswith("import time:")]
-    assert loading.returncode == 130
+    assert loading.returncode == 128 + number
     assert said == ["vcbf-drake: interrupted\n"]
 
 
@@ -270,7 +316,7 @@ def test_without_a_route_the_check_fails_and_says_how_to_mend_it() -> None:
         )
         assert done.returncode == 1
         last = done.stderr.strip().splitlines()[-1]
-        assert f"{DEFAULT_URL} carries no messages" in last
+        assert last.startswith(f"vcbf-drake: {DEFAULT_URL} carries no messages: ")
         assert "sudo ip route add 224.0.0.0/4 dev lo" in last
 
 

@@ -312,7 +312,7 @@ def test_start_log_carries_the_scenario(tmp_path) -> None:
 
 @pytest.mark.parametrize("side", ["plant", "controller"])
 def test_both_sides_log_what_they_say_and_what_was_asked(
-    side, tmp_path, monkeypatch
+    side, tmp_path, monkeypatch, capfd
 ) -> None:
     bus = Bus(DrakeLcm("memq://"), SimulatedClock())
     monkeypatch.setattr(hardware_module, "_open_bus", lambda *options: bus)
@@ -324,7 +324,7 @@ def test_both_sides_log_what_they_say_and_what_was_asked(
     arguments += ["--predict"] if side == "controller" else []
     found = CliRunner().invoke(app, arguments)
     assert found.exit_code == 0, found.output
-    assert f"log written to {path}" in found.output.replace("\n", "")
+    assert capfd.readouterr().err == f"log written to {path}\n"
     events = read_event_log(path).events
     assert events[-1] == Event(bus.clock.utime(), "A", b"b")
     # The vehicle's first state is sent when it is made.

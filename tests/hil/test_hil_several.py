@@ -14,13 +14,19 @@ from vcbf_drake.hil import (
     Bus,
     CommandMode,
     InProcess,
+    Outbox,
     PlantProcess,
     Reason,
     SimulatedClock,
     VehicleMode,
     controller_of,
 )
-from vcbf_drake.hil.messages import vcbf_command, vcbf_state, vcbf_status
+from vcbf_drake.hil.messages import (
+    vcbf_command,
+    vcbf_obstacles,
+    vcbf_state,
+    vcbf_status,
+)
 
 ROOT = Path(__file__).parents[2]
 CAR, BLIMP = "car-avoidance", "blimp-multiple-obstacles"
@@ -355,6 +361,43 @@ def test_the_count_of_obstacles_may_change_and_old_ones_are_not_acted_on() -> No
     assert run.controller.mode is CommandMode.FALLBACK
     last = run.controller.report()["changes"][-1]
     assert "no obstacles have been perceived for 1.0" in last["reason"]
+
+
+@pytest.mark.parametrize("source", ["known", "perceived"])
+def test_what_another_session_says_of_obstacles_is_not_taken(source) -> None:
+    """Of a vehicle of the same name, or of the one that was there before."""
+    run = InProcess(load_scenario(CAR, {"hardware": {"obstacles": source}}))
+    run.advance_to(0.2)
+    stranger = Outbox(Bus(run.lcm, run.clock), "VCBF_OBSTACLES")
+    for tick in range(11, 150):
+        far = vcbf_obstacles()
+        far.time, far.num_obstacles, far.num_coordinates = 0.0, 2, 4
+        far.radius, far.valid = [0.5, 0.5], [True, True]
+        far.position, far.velocity = [50.0] * 4, [0.0] * 4
+        stranger.send(far)
+        run.advance_to(0.02 * tick)
+        assert run.controller.mode is CommandMode.APPLY
+    alone = InProcess(load_scenario(CAR, {"hardware": {"obstacles": source}}))
+    alone.advance_to(0.02 * 149)
+    assert path(run) == path(alone)
+
+
+def test_what_a_vehicle_perceived_before_it_started_again_is_forgotten() -> None:
+    """The new one sends no obstacles yet: what there was is not its own."""
+    before = True
+
+    def relay(message):
+        return None if hasattr(message, "radius") and not before else message
+
+    run = RelayedLoop(seeing(), relay)
+    run.advance_to(1.0)
+    assert run.controller.mode is CommandMode.APPLY
+    before = False
+    run.restart_plant()
+    run.advance_to(1.5)
+    assert run.controller.mode is CommandMode.FALLBACK
+    last = run.controller.report()["changes"][-1]
+    assert last["reason"].startswith("no obstacles have been perceived yet")
 
 
 # A robot of one's own --------------------------------------------------------------

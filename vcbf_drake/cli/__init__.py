@@ -23,6 +23,7 @@ from vcbf_drake.cli.simulations import (
     show,
 )
 from vcbf_drake.cli.studies import faults, monte_carlo
+from vcbf_drake.interrupts import handle
 
 _COMMANDS: dict[str, Callable[..., Any]] = {
     "list": list_scenarios,
@@ -54,7 +55,8 @@ __all__ = ["app", "main"]
 
 def main() -> None:
     """Runs the command line; what a terminated command began is removed."""
-    signal.signal(signal.SIGTERM, _terminate)
+    handle(signal.SIGTERM, _terminate)
+    handle(signal.SIGHUP, _terminate)
     app()
 
 

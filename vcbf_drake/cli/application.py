@@ -37,7 +37,7 @@ class OneLineCommand(TyperCommand):
             raise_on_interrupt()
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            _complain("interrupted")
+            complain("interrupted")
             raise typer.Exit(_INTERRUPTED) from None
 
 
@@ -50,19 +50,19 @@ class OneLineGroup(TyperGroup):
         try:
             sys.exit(super().main(*args, **kwargs))
         except _UsageError as error:
-            _complain(error.format_message())  # type: ignore[attr-defined]
+            complain(error.format_message())  # type: ignore[attr-defined]
             sys.exit(_BAD_USAGE)
         except typer.Abort:
-            _complain("interrupted")
+            complain("interrupted")
             sys.exit(_FAILED)
         except Exception as error:
             from vcbf_drake.errors import InvalidValueError, ScenarioError
 
             if isinstance(error, ScenarioError | InvalidValueError):
-                _complain(str(error))
+                complain(str(error))
                 sys.exit(_BAD_USAGE)
             kind = type(error).__name__
-            _complain(f"{kind}: {error} (vcbf-drake --traceback ... shows where)")
+            complain(f"{kind}: {error} (vcbf-drake --traceback ... shows where)")
             sys.exit(_FAILED)
 
     def parse_args(self, ctx: Any, args: list[str]) -> Any:
@@ -87,7 +87,8 @@ class OneLineGroup(TyperGroup):
             raise
 
 
-def _complain(message: str) -> None:
+def complain(message: str) -> None:
+    """Says on stderr in one line what is wrong."""
     typer.echo(f"vcbf-drake: {' '.join(message.split())}", err=True)
 
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 import json
 import math
 import os
 from pathlib import Path
-import signal
+import queue
 import sys
-from typing import TYPE_CHECKING, Annotated, NamedTuple, TextIO
+from threading import Thread
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TextIO
 
 import typer
 
+from vcbf_drake.cli.application import complain
 from vcbf_drake.cli.options import (
     MethodOption,
     OverrideOption,
@@ -21,13 +23,14 @@ from vcbf_drake.cli.options import (
     load,
 )
 from vcbf_drake.files import plain_json
-from vcbf_drake.interrupts import end_at_once
+from vcbf_drake.interrupts import SIGNALS, end_at_once, handle
 
 if TYPE_CHECKING:
     from vcbf_drake.hil import Bus, ControllerProcess, PlantProcess
     from vcbf_drake.simulation.scenario import Scenario
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+# Lines that may wait for a reader of stderr, and how long at the end [s].
+_MOST_LINES, _LAST_WORDS = 1000, 0.5
 # Of a run without an end; it has to fit into a computer.
 _MOST_TICKS = 9e6
 _UrlOption = Annotated[
@@ -133,8 +136,10 @@ def plant(
     bus = _open_bus(chosen, lcm_url, name, LinkOptions(drop, delay, jitter, fault_seed))
     from vcbf_drake.hil import PlantProcess
 
-    with _logging(bus, chosen, log, force):
-        _run(PlantProcess(chosen, bus), "vehicle", chosen, wait, as_json)
+    with _Teller() as tell, _logging(bus, chosen, log, force, tell):
+        process = PlantProcess(chosen, bus)
+        status = _run(process, "vehicle", chosen, wait, as_json, tell)
+    raise typer.Exit(status)
 
 
 def controller(
@@ -172,18 +177,19 @@ def controller(
     bus = _open_bus(chosen, lcm_url, name, LinkOptions(drop, delay, jitter, fault_seed))
     from vcbf_drake.hil import controller_of
 
-    with _logging(bus, chosen, log, force):
+    with _Teller() as tell, _logging(bus, chosen, log, force, tell):
         process = controller_of(chosen, bus)
         process.takes_over = take_over
         if duration is not None:
             process.duration = duration
-        _run(process, "controller", chosen, wait, as_json)
+        status = _run(process, "controller", chosen, wait, as_json, tell)
+    raise typer.Exit(status)
 
 
 def _die_quietly() -> None:
     """Until a process can say farewell, a signal ends it with one line."""
-    for number in _SIGNALS:
-        signal.signal(number, end_at_once)
+    for number in SIGNALS:
+        handle(number, end_at_once)
 
 
 def _load(
@@ -240,14 +246,18 @@ def _open_bus(
     except BusError as error:
         raise typer.BadParameter(str(error)) from None
     key_file = scenario.hardware.key_file
-    key = read_key(key_file) if key_file else b""
-    check_bus(url or DEFAULT_URL)
+    try:
+        key = read_key(key_file) if key_file else b""
+        check_bus(url or DEFAULT_URL)
+    except BusError as error:
+        complain(str(error))
+        raise typer.Exit(1) from None
     return Bus(DrakeLcm(url or DEFAULT_URL), faults=faults, name=chosen, key=key)
 
 
 @contextmanager
 def _logging(
-    bus: Bus, scenario: Scenario, path: Path | None, force: bool
+    bus: Bus, scenario: Scenario, path: Path | None, force: bool, tell: _Teller
 ) -> Iterator[None]:
     """Logs what the bus sends and receives, if that is wanted."""
     if path is None:
@@ -263,14 +273,38 @@ def _logging(
         with log:
             yield
     finally:
-        _tell(f"log written to {log.path}")
+        tell(f"log written to {log.path}")
         if log.failure:
-            _tell(log.failure)
+            tell(log.failure)
 
 
-def _tell(line: str) -> None:
-    with _heard_or_not(sys.stderr):
-        typer.echo(line, err=True)
+class _Teller:
+    """Lines on stderr, from a thread of its own.
+
+    Whoever reads them may stall, or be gone: that costs lines and no flight.
+    """
+
+    def __init__(self) -> None:
+        self._lines: queue.Queue[str | None] = queue.Queue(_MOST_LINES)
+        self._thread = Thread(target=self._write, daemon=True)
+        self._thread.start()
+
+    def __call__(self, line: str) -> None:
+        with suppress(queue.Full):
+            self._lines.put_nowait(line)
+
+    def _write(self) -> None:
+        while (line := self._lines.get()) is not None:
+            with suppress(OSError):  # Not sys.stderr, whose lock would block the end.
+                os.write(2, f"{line}\n".encode())
+
+    def __enter__(self) -> _Teller:
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        with suppress(queue.Full):
+            self._lines.put_nowait(None)
+        self._thread.join(_LAST_WORDS)
 
 
 @contextmanager
@@ -290,8 +324,9 @@ def _run(
     scenario: Scenario,
     patience: float,
     as_json: bool,
-) -> None:
-    """Runs a process and exits with the status of its ending."""
+    tell: _Teller,
+) -> int:
+    """Runs a process and returns the exit status of its ending."""
     from vcbf_drake.hil import EXIT_STATUSES
     from vcbf_drake.viz.terminal import print_hardware_report
 
@@ -301,13 +336,14 @@ def _run(
         signals.append(number)
         process.stop()
 
-    for number in _SIGNALS:
-        signal.signal(number, stop)
+    for number in SIGNALS:
+        handle(number, stop)
     url, name = process.bus.lcm.get_lcm_url(), process.bus.name
-    _tell(f"{side} of {scenario.name} on {url} as {name}")
-    process.tell = lambda line: _tell(f"{side}: {line}")
+    called = f"as {name}" if name else "without a name"
+    tell(f"{side} of {scenario.name} on {url} {called}")
+    process.tell = lambda line: tell(f"{side}: {line}")
     if sys.stderr.isatty():
-        process.progress = _tell
+        process.progress = tell
     process.run(patience)
     report = {"scenario": scenario.name, "ending": process.ending, **process.report()}
     with _heard_or_not(sys.stdout):
@@ -315,5 +351,4 @@ def _run(
             typer.echo(json.dumps(plain_json(report), indent=2))
         else:
             print_hardware_report(side, report)
-    status = EXIT_STATUSES[process.ending] + (signals[0] if signals else 0)
-    raise typer.Exit(status)
+    return EXIT_STATUSES[process.ending] + (signals[0] if signals else 0)

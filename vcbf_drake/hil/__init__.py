@@ -40,8 +40,9 @@ from vcbf_drake.hil.event_log import (
 from vcbf_drake.hil.log_replay import LogReplay, replay_log, start_log
 from vcbf_drake.hil.logged_controller import LoggedController
 from vcbf_drake.hil.mailbox import Inbox, Outbox
+from vcbf_drake.hil.obstacles import ObstacleReceiver
 from vcbf_drake.hil.processes import EXIT_STATUSES, HardwareProcess, say_farewell
-from vcbf_drake.hil.state_receiver import ObstacleReceiver, StateReceiver
+from vcbf_drake.hil.state_receiver import StateReceiver
 from vcbf_drake.hil.vehicle_process import InProcess, PlantProcess
 from vcbf_drake.hil.vehicle_side import make_vehicle
 from vcbf_drake.hil.watchdogs import LiveAudit, StateWatchdog, Verdict

@@ -11,6 +11,7 @@ import numpy as np
 from pydrake.systems.framework import Context, Diagram
 
 from vcbf_drake.checks import Array
+from vcbf_drake.errors import ModelError
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.command_sender import CommandSender
 from vcbf_drake.hil.controller_side import make_hardware_loop
@@ -47,6 +48,13 @@ def warm_up(num_inputs: int) -> None:
     emptiness_certificate(A, -b)
 
 
+# What a hardware loop consists of, and what adds it.
+_NEEDED = {
+    "state_receiver": "a VehicleLink adds it",
+    "command_sender": "VehicleLink.answer adds it, before the diagram is built",
+}
+
+
 class ControllerProcess(HardwareProcess):
     """Drives a hardware loop: one tick for every state that comes.
 
@@ -67,12 +75,18 @@ class ControllerProcess(HardwareProcess):
         tick_taps: Called with the context at every tick, before its discrete state
             changes.
         takes_over: Whether the vehicle is asked to leave another controller.
+
+    Raises:
+        ModelError: The diagram is no hardware loop.
     """
 
     def __init__(self, diagram: Diagram, bus: Bus, duration: float = math.inf) -> None:
         super().__init__(bus)
         self.diagram, self.duration = diagram, duration
         named = self.diagram.GetSubsystemByName
+        for name, remedy in _NEEDED.items():
+            if not diagram.HasSubsystemNamed(name):
+                raise ModelError(f"the diagram has no {name}: {remedy}")
         self._receiver: StateReceiver = named("state_receiver")
         self._sender: CommandSender = named("command_sender")
         self._period = round(1e6 * self._sender.period)  # [us]
@@ -129,6 +143,7 @@ class ControllerProcess(HardwareProcess):
             waited = self.bus.clock.utime() - began
             if self._session == 0 and waited > 1e6 * patience:
                 self.ending = "no peer"
+                self.tell(f"no vehicle was heard for {patience:g} s")
                 return
         if self._stopping:
             self.ending = "stopped"

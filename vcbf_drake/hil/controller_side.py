@@ -13,15 +13,14 @@ from pydrake.systems.framework import (
 
 from vcbf_drake.add_safety_filter import AddedSafetyFilter
 from vcbf_drake.checks import Array
+from vcbf_drake.errors import ModelError
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.command_sender import CommandSender, Watchdog
+from vcbf_drake.hil.obstacles import ObstacleReceiver, ObstacleWatch
 from vcbf_drake.hil.prediction import StatePredictor
-from vcbf_drake.hil.state_receiver import ObstacleReceiver, StateReceiver
+from vcbf_drake.hil.state_receiver import StateReceiver
 from vcbf_drake.hil.timing import check_timing
-from vcbf_drake.hil.watchdogs import (
-    LiveAudit,
-    ObstacleWatch,
-)
+from vcbf_drake.hil.watchdogs import LiveAudit
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.simulation.fault_systems import lose_answers
 from vcbf_drake.simulation.loop import (
@@ -51,6 +50,9 @@ class VehicleLink:
         state: The measured state's port, (n,).
         applied_input: The port of the mean input that was applied before it, (m,).
         receiver: What takes the states.
+
+    Raises:
+        ModelError: The diagram has a link already.
     """
 
     def __init__(
@@ -63,6 +65,8 @@ class VehicleLink:
     ) -> None:
         self._builder, self._bus, self._model = builder, bus, model
         self._period, self._settings = period, settings or Hardware()
+        if builder.HasSubsystemNamed("state_receiver"):
+            raise ModelError("VehicleLink: a diagram has one")
         self.receiver: StateReceiver = builder.AddNamedSystem(
             "state_receiver",
             StateReceiver(bus, model.num_states, model.num_inputs, self._settings),
@@ -85,8 +89,13 @@ class VehicleLink:
             reference: The controller's port.
             watchdogs: Further ones, as for the obstacles.
             noise: The standard deviations of the measured state, (n,).
+
+        Raises:
+            ModelError: The vehicle is answered already.
         """
         builder, settings = self._builder, self._settings
+        if builder.HasSubsystemNamed("command_sender"):
+            raise ModelError("VehicleLink.answer: one filter answers a vehicle")
         audit = builder.AddNamedSystem(
             "live_audit",
             LiveAudit(
@@ -94,7 +103,7 @@ class VehicleLink:
                 safety.filter.input_set,
                 safety.observer.bounds,
                 self._period,
-                settings.longest_interval,
+                settings,
                 noise,
             ),
         )
@@ -160,16 +169,16 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
             StatePredictor(model, scenario.period, settings.max_state_age),
         )
     watchdogs: list[Watchdog] = []
-    obstacles = None
+    obstacles, states = None, link.receiver.inbox
     if settings.obstacles == "perceived":
         seeing = builder.AddNamedSystem(
             "obstacle_receiver",
-            ObstacleReceiver(bus, perceived_spheres(scenario), settings),
+            ObstacleReceiver(bus, perceived_spheres(scenario), states, settings),
         )
         obstacles = seeing.get_output_port()
         watchdogs.append(seeing)
     else:
-        watchdogs.append(ObstacleWatch(bus, scenario))
+        watchdogs.append(ObstacleWatch(bus, scenario, states))
     observer = builder.AddNamedSystem(
         "filter_observer",
         make_observer(

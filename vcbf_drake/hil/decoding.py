@@ -69,6 +69,7 @@ class Reason(Enum):
     NUMBER = "not a finite number of sensible size"
     CODE = "unknown code"
     STAMPS = "contradictory time stamps or sequence"
+    TIME = "its motion's time leaps"
     FUTURE = "from the future"
     PAST = "from the past"
     CLOCK = "contradicts its sender's clock"
@@ -231,24 +232,11 @@ def status_format(
     )
 
 
-def obstacles_format(num_obstacles: int, num_dimensions: int) -> MessageFormat:
-    """Returns the format of a vehicle's obstacles, as many as that."""
+def obstacles_format() -> MessageFormat:
+    """Returns the format of a vehicle's obstacles, however many."""
     return MessageFormat(
         channel="VCBF_OBSTACLES",
         type=vcbf_obstacles,
-        sizes={
-            "num_obstacles": num_obstacles,
-            "num_coordinates": num_obstacles * num_dimensions,
-        },
-        numbers=_OBSTACLE_NUMBERS,
+        sizes={},
+        numbers=("time", "radius", "position", "velocity"),
     )
-
-
-def perceived_format() -> MessageFormat:
-    """Returns the format of perceived obstacles, however many."""
-    return MessageFormat(
-        "VCBF_OBSTACLES", vcbf_obstacles, {}, numbers=_OBSTACLE_NUMBERS
-    )
-
-
-_OBSTACLE_NUMBERS = ("time", "radius", "position", "velocity")

@@ -74,7 +74,7 @@ class Inbox:
         silence: See above [s]; `max_age` by default.
         max_clock_offset: How far the sender's clock may be from ours [s].
         echo: What a message tells of ours; without, only one way is measured.
-        is_ours: Whether a message is meant for us; all are, by default.
+        refusal: Why a message that is well formed is not for us; None if it is.
 
     Attributes:
         newest: The newest message, None before the first.
@@ -96,7 +96,7 @@ class Inbox:
         silence: float | None = None,
         max_clock_offset: float = MAX_CLOCK_OFFSET,
         echo: Echo = lambda message: None,
-        is_ours: Callable[[Any], bool] = lambda message: True,
+        refusal: Callable[[Any], Reason | None] = lambda message: None,
     ) -> None:
         self.newest: Any = None
         self.received_at = 0
@@ -104,7 +104,7 @@ class Inbox:
         self._max_age = round(1e6 * max_age)
         self._silence = round(1e6 * (max_age if silence is None else silence))
         self._max_offset = round(1e6 * max_clock_offset)
-        self._on_accept, self._echo, self._is_ours = on_accept, echo, is_ours
+        self._on_accept, self._echo, self._refusal = on_accept, echo, refusal
         self._senders: OrderedDict[int, _Sender] = OrderedDict()
         self._followed: _Sender | None = None
         self._start_counting()
@@ -141,6 +141,11 @@ class Inbox:
         clock = self.peer_clock
         return peer_utime if clock is None else peer_utime - clock.offset
 
+    def has_same_sender(self, message: Any) -> bool:
+        """Returns whether our newest message and this one are of one session."""
+        both = self.newest is not None and message is not None
+        return both and bool(message.session == self.newest.session)
+
     def begin_anew(self) -> None:
         """Forgets all that came."""
         self.newest, self.received_at = None, 0
@@ -174,8 +179,9 @@ class Inbox:
         if isinstance(message, Rejection):
             self._reject(message, now)
             return
-        if not self._is_ours(message):
-            self._reject(Rejection(Reason.ADDRESS), now)
+        refusal = self._refusal(message)
+        if refusal is not None:
+            self._reject(Rejection(refusal), now)
             return
         sender = self._senders.get(message.session) or _Sender(message, now)
         rejection = self._meet(sender, message, now)
@@ -257,6 +263,7 @@ class _Sender:
         # The last motion's time, and a pair of it and our clock that it runs with.
         self._time = 0.0
         self._start = 0.0, now
+        self._leaps = False
 
     def fault(
         self, message: Any, now: int, echo: tuple[int, int] | None, max_age: int
@@ -275,8 +282,9 @@ class _Sender:
         age = now + self.clock.offset - measured
         if age > max_age:
             return Rejection(Reason.OLD, f"{1e-6 * age:.2f} s")
-        if not self._take_time(message, now, max_age):
-            return Rejection(Reason.STAMPS, "its motion's time leaps")
+        leap = self._leap_of_time(message, now, max_age)
+        if leap is not None:
+            return leap
         self._is_known, self.heard_at = True, now
         return None
 
@@ -300,18 +308,24 @@ class _Sender:
         self._sequence, self._numbered_at = message.sequence, now
         return None
 
-    def _take_time(self, message: Any, now: int, max_age: int) -> bool:
+    def _leap_of_time(self, message: Any, now: int, max_age: int) -> Rejection | None:
         """Takes the motion's time down, unless it goes back or leaps."""
         time = getattr(message, "time", 0.0)
         if self._is_known and time < self._time:
-            return False
-        if not self._is_known or now - self.heard_at > 2 * max_age:
+            return Rejection(Reason.TIME, f"back by {self._time - time:.3g} s")
+        is_silent = now - self.heard_at > 2 * max_age
+        # What leaps is silent for us alone, and stays what it is.
+        if not self._is_known or (is_silent and not self._leaps):
             self._start = time, now
         start, began = self._start
-        if 1e6 * (time - start) > 1.001 * (now - began) + max_age + _TIME_AHEAD:
-            return False
+        elapsed = 1e-6 * (now - began)
+        most = 1.001 * elapsed + 1e-6 * (max_age + _TIME_AHEAD)
+        self._leaps = time - start > most
+        if self._leaps:
+            words = f"on by {time - start:.3g} s in {elapsed:.3g} s; its unit is s"
+            return Rejection(Reason.TIME, words)
         self._time = time
-        return True
+        return None
 
 
 def _is_consistent(message: Any) -> bool:

@@ -141,16 +141,18 @@ def plant_report(
     reached_at = float(times[np.argmax(arrived)]) if arrived.any() else None
     heights = monitor.barrier_set.values_along(path, times)
     outcome = "timeout" if reached_at is None else "reached"
+    changes = _vehicle_changes(*_log(diagram, context, "mode"))
+    has_moved = any(change["mode"] != "waiting" for change in changes)
     return {
         "scenario": scenario.name,
-        "outcome": "collision" if collided else outcome,
+        "outcome": "collision" if collided else outcome if has_moved else None,
         "time": float(context.get_time()),
         "reached_at": reached_at,
         "final_distance": float(distance[-1]),
         "min_barrier": float(np.nanmin(heights, initial=np.inf)),
         "round_trip_ms": median_and_p99(receiver.round_trip.milliseconds),
         "arrived": _arrived(receiver.inbox),
-        "changes": _vehicle_changes(*_log(diagram, context, "mode")),
+        "changes": changes,
     }
 
 

@@ -1,4 +1,4 @@
-"""The controller's receiving end: the vehicle's state and its obstacles as ports."""
+"""StateReceiver: what a vehicle measures, as ports in the place of a plant."""
 
 from __future__ import annotations
 
@@ -16,19 +16,15 @@ from pydrake.systems.framework import (
     State,
 )
 
-from vcbf_drake.barriers import PerceivedSpheres
 from vcbf_drake.checks import Array
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.decoding import (
-    CommandMode,
     Reason,
     VehicleMode,
-    perceived_format,
     state_format,
 )
 from vcbf_drake.hil.mailbox import Inbox
 from vcbf_drake.hil.timing import RoundTrip
-from vcbf_drake.hil.watchdogs import Verdict
 from vcbf_drake.simulation.scenario import Hardware
 
 # How long a vehicle may take to follow a controller that it hears first [us].
@@ -43,12 +39,15 @@ class StateStamp(NamedTuple):
         sequence: Its number there.
         utime: When it was sent [us].
         time: When it was measured, since the motion began [s].
+        moves: 1 if the vehicle says that it is under way, for it follows, falls back,
+            or has accepted a command; else 0.
     """
 
     session: float
     sequence: float
     utime: float
     time: float
+    moves: float
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,7 @@ class StateReceiver(LeafSystem):
     | --- | --- | --- |
     | ``state`` | n | the newest measured state; zeros before the first |
     | ``applied_input`` | m | the mean of what was applied since the state before |
-    | ``stamp`` | 4 | what that state's message says, a `StateStamp`; nan before |
+    | ``stamp`` | 5 | what that state's message says, a `StateStamp`; nan before |
     | ``delays`` | 2 | the state's, and the last command's that it tells of [s] |
 
     Messages are taken over at the beginning of a simulator's step, or at a forced
@@ -151,11 +150,6 @@ class StateReceiver(LeafSystem):
             or (newest.session, newest.sequence) != (shown.session, shown.sequence)
         )
 
-    def time(self, context: Context) -> float:
-        """Returns the vehicle's time of the state, 0 before the first [s]."""
-        measured = self._measured(context)
-        return 0.0 if measured is None else float(measured.message.time)
-
     @property
     def is_followed(self) -> bool:
         """Whether the vehicle's last state says that it takes our commands."""
@@ -212,12 +206,16 @@ class StateReceiver(LeafSystem):
 
     def _calc_stamp(self, context: Context, output: BasicVector) -> None:
         message = self.message(context)
-        output.SetFromVector(
-            [
-                math.nan if message is None else getattr(message, name)
-                for name in StateStamp._fields
-            ]
+        if message is None:
+            output.SetFromVector(np.full(output.size(), math.nan))
+            return
+        is_under_way = message.mode in (VehicleMode.FOLLOWING, VehicleMode.FALLBACK)
+        has_accepted = message.command_session == self._bus.session
+        moves = (is_under_way or has_accepted) and message.mode != VehicleMode.ENDED
+        stamp = StateStamp(
+            message.session, message.sequence, message.utime, message.time, moves
         )
+        output.SetFromVector(stamp)
 
     def _calc_delays(self, context: Context, output: BasicVector) -> None:
         measured = self._measured(context)
@@ -241,102 +239,3 @@ class StateReceiver(LeafSystem):
         if is_ours and message.command_sequence > self._last_command:
             self._last_command = message.command_sequence
             self.round_trip.add(now - message.command_utime - message.command_age)
-
-
-class ObstacleReceiver(LeafSystem):
-    """The obstacles that a vehicle perceives, for the filter's port ``obstacles``.
-
-    .. pydrake_system::
-
-        name: ObstacleReceiver
-        output_ports:
-        - obstacles
-
-    Their number may change from message to message. Between two messages each keeps
-    its velocity. Too many of them, none for `Hardware.max_obstacle_age`, or malformed
-    ones: the port keeps what came last, and the verdict asks for the vehicle's
-    fallback.
-
-    Args:
-        bus: Where they come from.
-        spheres: What describes them; it has room for so many.
-        settings: How old they may be.
-
-    Attributes:
-        inbox: What arrived.
-    """
-
-    def __init__(
-        self, bus: Bus, spheres: PerceivedSpheres, settings: Hardware | None = None
-    ) -> None:
-        super().__init__()
-        settings = settings or Hardware()
-        self._bus, self._spheres = bus, spheres
-        self._max_age = settings.max_obstacle_age
-        self.inbox = Inbox(
-            bus,
-            perceived_format(),
-            self._max_age,
-            self._take,
-            max_clock_offset=settings.max_clock_offset,
-        )
-        self._trouble = ""
-        self._packed = np.zeros(1 + spheres.size)
-        # The vehicle's time of the message, then the slots.
-        self.DeclareDiscreteState(self._packed)
-        self.DeclarePerStepUnrestrictedUpdateEvent(self._take_over)
-        self.DeclareForcedUnrestrictedUpdateEvent(self._take_over)
-        self.DeclareVectorOutputPort("obstacles", spheres.size, self._calc)
-
-    def verdict(self) -> Verdict:
-        """Returns what to ask of the vehicle now."""
-        now = self._bus.clock.utime()
-        if self.inbox.newest is None:
-            reason = "no obstacles have been perceived yet"
-        elif now - self.inbox.received_at > 1e6 * self._max_age:
-            age = 1e-6 * (now - self.inbox.received_at)
-            reason = f"no obstacles have been perceived for {age:.2f} s"
-        else:
-            reason = self._trouble
-        if not reason:
-            return Verdict(CommandMode.APPLY, "")
-        complaint = self.inbox.complaint(now)
-        words = f"{reason}; {complaint}" if complaint else reason
-        return Verdict(CommandMode.FALLBACK, words)
-
-    def _take(self, message: Any, now: int) -> None:
-        seen = np.array(message.valid, dtype=bool)
-        k = self._spheres.dimensions
-        if message.num_coordinates != k * len(seen):
-            self._trouble = (
-                f"the {len(seen)} obstacles that are perceived have"
-                f" {message.num_coordinates} coordinates; it must be {k} each"
-            )
-            return
-        if seen.sum() > self._spheres.capacity:
-            self._trouble = (
-                f"{seen.sum()} obstacles are perceived, and there is room for"
-                f" {self._spheres.capacity} (hardware.most_obstacles)"
-            )
-            return
-        radii = np.array(message.radius)[seen]
-        if np.any(radii < 0.0):
-            self._trouble = "an obstacle that is perceived has a negative radius"
-            return
-        centers = np.reshape(message.position, (-1, k))[seen]
-        velocities = np.reshape(message.velocity, (-1, k))[seen]
-        slots = self._spheres.pack(centers, velocities, radii)
-        self._packed, self._trouble = np.append(message.time, slots), ""
-
-    def _take_over(self, context: Context, state: State) -> EventStatus:
-        self._bus.poll()
-        state.get_mutable_discrete_state().set_value(self._packed)
-        return EventStatus.Succeeded()
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        time, *slots = context.get_discrete_state_vector().CopyToVector()
-        k = self._spheres.dimensions
-        table = np.reshape(slots, (self._spheres.capacity, -1))
-        # To where they are by now; time that went back is a motion that began anew.
-        table[:, :k] += max(0.0, context.get_time() - time) * table[:, k : 2 * k]
-        output.SetFromVector(table.ravel())

@@ -111,6 +111,7 @@ class PlantProcess(HardwareProcess):
                 return False
             if self.bus.clock.utime() - began > 1e6 * patience:
                 self.ending = "no peer"
+                self.tell(f"no controller was heard for {patience:g} s")
                 return False
             self.diagram.ForcedPublish(self.context)
             self.bus.wait(self._timeline.utime(self.scenario.period))

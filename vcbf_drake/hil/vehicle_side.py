@@ -23,13 +23,14 @@ from vcbf_drake.checks import Array
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.decoding import (
     CommandMode,
+    Reason,
     VehicleMode,
     command_format,
-    obstacles_format,
     state_format,
 )
 from vcbf_drake.hil.mailbox import Inbox, Outbox
-from vcbf_drake.hil.messages import vcbf_obstacles, vcbf_state
+from vcbf_drake.hil.messages import vcbf_state
+from vcbf_drake.hil.obstacles import ObstacleSender
 from vcbf_drake.hil.timing import RoundTrip, Timeline, check_timing
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import InputSet
@@ -139,7 +140,9 @@ class CommandReceiver(LeafSystem):
             max_clock_offset=settings.max_clock_offset,
             echo=lambda command: (command.state_utime, command.state_age),
             # What answers another vehicle was not made for this one.
-            is_ours=lambda command: command.state_session == bus.session,
+            refusal=lambda command: (
+                None if command.state_session == bus.session else Reason.ADDRESS
+            ),
         )
         self._applied: _Received | None = None
         self._waiting: deque[_Received] = deque(maxlen=_MOST_WAITING)
@@ -271,45 +274,6 @@ class StateSender(LeafSystem):
         message.num_states = len(message.state)
         message.input_integral = self._integral.Eval(context).tolist()
         message.num_inputs = len(message.input_integral)
-        self._outbox.send(message)
-
-
-_PERIOD = 0.5  # [s]
-
-
-class ObstacleSender(LeafSystem):
-    """Publishes the scenario's obstacles twice a second and at forced events.
-
-    .. pydrake_system::
-
-        name: ObstacleSender
-
-    Args:
-        bus: Where to.
-        scenario: Has the obstacles.
-    """
-
-    def __init__(self, bus: Bus, scenario: Scenario) -> None:
-        super().__init__()
-        self._obstacles, dimensions = scenario.spheres, len(scenario.target)
-        self._outbox = Outbox(
-            bus, obstacles_format(len(self._obstacles), dimensions).channel
-        )
-        self.DeclarePeriodicPublishEvent(_PERIOD, 0.0, self._send)
-        self.DeclareForcedPublishEvent(self._send)
-
-    def _send(self, context: Context) -> None:
-        message = vcbf_obstacles()
-        message.time = context.get_time()
-        for obstacle in self._obstacles:
-            center = np.array(obstacle.center)
-            velocity = np.array(obstacle.velocity or np.zeros_like(center))
-            message.radius.append(obstacle.radius + obstacle.margin)
-            message.valid.append(True)
-            message.position.extend(center + message.time * velocity)
-            message.velocity.extend(velocity)
-        message.num_obstacles = len(message.radius)
-        message.num_coordinates = len(message.position)
         self._outbox.send(message)
 
 

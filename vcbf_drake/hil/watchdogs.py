@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from pydrake.common.value import Value
@@ -17,13 +17,14 @@ from pydrake.systems.framework import (
 
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
-from vcbf_drake.hil.bus import Bus, Clock
-from vcbf_drake.hil.decoding import CommandMode, Reason, obstacles_format
+from vcbf_drake.hil.bus import Clock
+from vcbf_drake.hil.decoding import CommandMode
 from vcbf_drake.hil.mailbox import Inbox
 from vcbf_drake.hil.prediction import runge_kutta_step
+from vcbf_drake.hil.state_receiver import StateStamp
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import InputSet
-from vcbf_drake.simulation.scenario import Hardware, Scenario
+from vcbf_drake.simulation.scenario import Hardware
 
 
 class Verdict(NamedTuple):
@@ -69,71 +70,12 @@ class StateWatchdog:
         return Verdict(CommandMode.FALLBACK, f"no new state for {age:.2f} s")
 
 
-# Obstacles -------------------------------------------------------------------------
-
-_TOLERANCE = 0.01  # [m]
-_MAX_AGE = 1.0  # [s]
-
-
-class ObstacleWatch:
-    """Compares the obstacles that a vehicle publishes with those of the scenario.
-
-    A vehicle that publishes none is not checked. Another number of them is a
-    difference too, until as many as are known come again.
-
-    Args:
-        bus: Where they come from.
-        scenario: What the controller knows.
-
-    Attributes:
-        inbox: What arrived.
-    """
-
-    def __init__(self, bus: Bus, scenario: Scenario) -> None:
-        self._difference = ""
-        self._obstacles = scenario.spheres
-        self._shape = len(scenario.spheres), len(scenario.target)
-        self.inbox = Inbox(
-            bus,
-            obstacles_format(*self._shape),
-            _MAX_AGE,
-            self._compare,
-            max_clock_offset=scenario.hardware.max_clock_offset,
-        )
-        self._sizes_rejected = 0
-
-    def verdict(self) -> Verdict:
-        """Returns what to ask of the vehicle now."""
-        if self.inbox.rejections[Reason.SIZE] > self._sizes_rejected:
-            words = f"the vehicle does not know of {self._shape[0]} obstacles"
-            return Verdict(CommandMode.FALLBACK, words)
-        if self._difference:
-            return Verdict(CommandMode.FALLBACK, self._difference)
-        return Verdict(CommandMode.APPLY, "")
-
-    def _compare(self, message: Any, now: int) -> None:
-        self._difference = ""
-        self._sizes_rejected = self.inbox.rejections[Reason.SIZE]
-        centers = np.reshape(message.position, self._shape)
-        for number, (obstacle, center, radius) in enumerate(
-            zip(self._obstacles, centers, message.radius, strict=True), start=1
-        ):
-            velocity = np.array(obstacle.velocity or np.zeros_like(center))
-            known = np.array(obstacle.center) + message.time * velocity
-            away = float(np.linalg.norm(center - known))
-            larger = radius - (obstacle.radius + obstacle.margin)
-            if away + abs(larger) > _TOLERANCE:
-                self._difference = (
-                    f"the vehicle's obstacle {number} is {away:.3f} m away from the"
-                    f" scenario's and {larger:+.3f} m larger"
-                )
-                return
-
-
 # Refuted hypotheses ----------------------------------------------------------------
 
 # So many ticks in a row must refute a hypothesis; one is an angle that wraps, a reset.
 _PERSISTENT = 3
+# The index of its finding.
+_FROZEN_TIME = 3
 # So many equal states in a row are a frozen one.
 _FROZEN = 5
 # How long nothing is refuted before all is well again [s].
@@ -148,6 +90,7 @@ FINDINGS = (
     "the estimate exceeds the declared disturbance by more than its error bound",
     "the state moves otherwise than model, input and disturbance allow",
     "the state stands still although the input moves it",
+    "the motion's time stands still although the vehicle is under way",
 )
 
 
@@ -162,6 +105,8 @@ class _Memory(NamedTuple):
     refuted_at: float = -math.inf
     alarms: float = 0.0
     finding: float = -1.0
+    # Since when the motion's time stands, by the vehicle's clock [us].
+    stands_since: float = math.nan
 
 
 class LiveAudit(LeafSystem):
@@ -186,7 +131,9 @@ class LiveAudit(LeafSystem):
       the mean input that was applied, no disturbance) than a disturbance of delta1, the
       inputs' range within the interval and the measurement noise can take it;
     * a state that stays the same, bit for bit, while its stamps are fresh and the input
-      or the model moves it.
+      or the model moves it;
+    * a motion's time that stands still, longer than a state may be old, although the
+      vehicle says that it is under way: without it nothing else can be compared.
 
     What one tick alone refutes counts as a reset of the state's estimator; three in a
     row (five equal states) are a finding. It is withdrawn when nothing was refuted for
@@ -199,7 +146,8 @@ class LiveAudit(LeafSystem):
         input_set: What its actuators can do.
         bounds: What is declared of the disturbance.
         period: The control period [s].
-        longest_interval: After a longer one it begins anew [s].
+        settings: Their `longest_interval`, after which it begins anew, and their
+            `max_state_age`.
         noise: The standard deviations of the measured state, (n,); none if empty.
     """
 
@@ -209,12 +157,13 @@ class LiveAudit(LeafSystem):
         input_set: InputSet,
         bounds: DisturbanceBounds,
         period: float,
-        longest_interval: float,
+        settings: Hardware,
         noise: Array | None = None,
     ) -> None:
         super().__init__()
         self._model, self._delta1 = model, bounds.delta1
-        self._longest = longest_interval + 1e-6 * period
+        self._longest = settings.longest_interval + 1e-6 * period
+        self._longest_stand = 1e6 * settings.max_state_age
         self._range = np.asarray(input_set.scale, dtype=float)
         n, m, q = model.num_states, model.num_inputs, model.num_disturbances
         noises = np.zeros(n) if noise is None or not len(noise) else np.asarray(noise)
@@ -222,7 +171,7 @@ class LiveAudit(LeafSystem):
         sizes = {
             "state": n,
             "applied_input": m,
-            "stamp": 4,
+            "stamp": len(StateStamp._fields),
             "estimate": DisturbanceEstimate.packed_size(q),
         }
         self._ports = [
@@ -252,17 +201,18 @@ class LiveAudit(LeafSystem):
 
     def _judge(self, context: Context) -> _Memory:
         """The memory after this tick."""
-        x, u, stamp, packed = (port.Eval(context) for port in self._ports)
+        x, u, stamped, packed = (port.Eval(context) for port in self._ports)
+        stamp = StateStamp(*stamped.tolist())
         memory = _Memory(*context.get_discrete_state(0).CopyToVector().tolist())
         last = context.get_discrete_state(1).CopyToVector()
         x_0, u_0 = last[: len(x)], last[len(x) :]
-        session, now = stamp[0], stamp[3]
-        if session != memory.session or now < memory.time:
-            return _Memory(session, now)
+        now = stamp.time
+        if stamp.session != memory.session or now < memory.time:
+            return _Memory(stamp.session, now, stands_since=stamp.utime)
         elapsed = now - memory.time
         if elapsed == 0.0:
-            return memory
-        memory = memory._replace(time=now)
+            return self._with_standing_time(memory, stamp)
+        memory = memory._replace(time=now, stands_since=stamp.utime)
         if not elapsed <= self._longest:
             return memory._replace(refuted_estimate=0.0, refuted_motion=0.0, frozen=0.0)
         estimate = DisturbanceEstimate.unpack(packed)
@@ -277,6 +227,14 @@ class LiveAudit(LeafSystem):
             frozen=memory.frozen + is_moved if is_same else 0.0,
         )
         return _concluded(memory, is_large or is_off)
+
+    def _with_standing_time(self, memory: _Memory, stamp: StateStamp) -> _Memory:
+        """The memory after a tick at the same time of the motion as the one before."""
+        if not stamp.moves:
+            return memory._replace(stands_since=stamp.utime)
+        if stamp.utime - memory.stands_since <= self._longest_stand:
+            return memory
+        return _alarmed(memory, _FROZEN_TIME)
 
     def _is_elsewhere(self, x_0: Array, x_1: Array, u: Array, elapsed: float) -> bool:
         """Whether a state is farther from the predicted one than can be."""
@@ -305,15 +263,20 @@ def _concluded(memory: _Memory, is_refuted: bool) -> _Memory:
     """The memory with what its counts say."""
     counts = memory.refuted_estimate, memory.refuted_motion, memory.frozen
     limits = _PERSISTENT, _PERSISTENT, _FROZEN
+    if is_refuted:
+        memory = memory._replace(refuted_at=memory.time)
     # A state that stands still is also off: the more exact word counts.
-    found = [i for i in (2, 0, 1) if counts[i] >= limits[i]]
-    refuted_at = memory.time if is_refuted or found else memory.refuted_at
-    if found:
-        return memory._replace(
-            refuted_at=refuted_at,
-            alarms=memory.alarms + (memory.finding < 0.0),
-            finding=float(found[0]),
-        )
-    is_quiet = memory.time - refuted_at > _QUIET and memory.alarms < _MOST_ALARMS
-    finding = -1.0 if is_quiet else memory.finding
-    return memory._replace(refuted_at=refuted_at, finding=finding)
+    for finding in (2, 0, 1):
+        if counts[finding] >= limits[finding]:
+            return _alarmed(memory, finding)
+    is_quiet = memory.time - memory.refuted_at > _QUIET and memory.alarms < _MOST_ALARMS
+    return memory._replace(finding=-1.0) if is_quiet else memory
+
+
+def _alarmed(memory: _Memory, finding: int) -> _Memory:
+    """The memory with a finding."""
+    return memory._replace(
+        refuted_at=memory.time,
+        alarms=memory.alarms + (memory.finding < 0.0),
+        finding=float(finding),
+    )

@@ -121,9 +121,11 @@ def print_hardware_report(side: str, report: Mapping[str, Any]) -> None:
     console.print(f"\n{side} of {report['scenario']}")
     table = Table.grid(padding=(0, 2))
     if "ending" in report:
-        table.add_row("ended by", report["ending"])
-    if "outcome" in report:
-        outcome = report["outcome"]
+        peer = "controller" if side == "vehicle" else "vehicle"
+        ending = report["ending"].replace("no peer", f"no {peer} was heard")
+        table.add_row("ended by", ending)
+    outcome = report.get("outcome")
+    if outcome is not None:
         table.add_row("outcome", Text(outcome, OUTCOME_STYLES[outcome]))
     for label, key, unit in _REPORTED_NUMBERS:
         if key in report:

@@ -25,7 +25,7 @@ class vcbf_obstacles(object):
 
         self.session = 0
         """
-        The sender's utime when it started.
+        That of the vehicle's states: the utime when it started.
         LCM Type: int64_t
         """
 
