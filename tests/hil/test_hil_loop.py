@@ -196,7 +196,7 @@ def test_a_link_without_an_answer_or_with_two_is_named() -> None:
         state=link.state,
         applied_input=link.applied_input,
         reference=pilot.get_output_port(),
-        barriers=[SphereObstacle([5.0, 0.0], 1.0).barrier([2.0, 2.0])],
+        barriers=[SphereObstacle([5.0, 0.0], 1.0).barrier([3.0, 2.0])],
         input_set=InputSet.box([-9.0, -3.0], [9.0, 3.0]),
         bounds=DisturbanceBounds(0.1, 0.1, 0.1),
     )
