@@ -4,11 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import Field
 import math
 import os
 from pathlib import Path
 import shutil
+from types import MappingProxyType
 from typing import Any, BinaryIO
+
+# The metadata of a dataclass's field that names a file: ``field(metadata=IS_FILE)``. In
+# a scenario file its path is relative to that file.
+IS_FILE = MappingProxyType({"is_file": True})
+
+
+def names_file(field: Field[Any]) -> bool:
+    """Returns whether a dataclass's field names a file."""
+    return "is_file" in field.metadata
+
+
+def resolved(name: str, directory: Path) -> str:
+    """Returns a file's name as a whole path.
+
+    Args:
+        name: Relative to the directory or not; a URL (``package://...``) and nothing
+            stay what they are.
+        directory: The directory.
+    """
+    if not name or "://" in name:
+        return name
+    return str((directory / Path(name).expanduser()).resolve())
 
 
 @contextmanager

@@ -37,7 +37,9 @@ def test_arm_moves_towards_its_target_within_its_limits() -> None:
     assert (np.abs(v) <= plant.GetVelocityUpperLimits() + 1e-9).all()
     hand = scenario.vehicle.positions(result.log["state"])
     assert (np.linalg.norm(hand - [0.55, 0.0, 0.6], axis=1) > 0.1).all()
-    posture = scenario.vehicle._posture(scenario.target)  # type: ignore[attr-defined]
+    law = scenario.vehicle.make_controller(scenario.target)
+    wish = law.GetSubsystemByName("posture")
+    posture = wish.get_output_port().Eval(wish.CreateDefaultContext())[:7]
     there = scenario.vehicle.positions(np.concatenate([posture, 0 * posture])[None])
     np.testing.assert_allclose(there[0], scenario.target, atol=0.01)
     away = np.abs(q - posture).max(axis=1)
@@ -62,8 +64,24 @@ def refusal(override: str) -> str:
         ("{vehicle: {frame: claw}}", "frame: 'claw'; it must be one of base, link_1"),
         ("{vehicle: {weld: floor}}", "weld: 'floor'; it must be one of base"),
         ("{vehicle: {file: nowhere.urdf}}", "it must be a URDF or SDFormat file"),
-        ("{vehicle: {weld: ''}}", "7 motors for 13 joints"),
-        ("{vehicle: {stiffness: -1}}", "stiffness: -1; it must be finite and above 0"),
+        ("{vehicle: {weld: ''}}", "vehicle: it does not move: An internal mass"),
+        ("{vehicle: {stiffness: 4}}", "it is vehicle.controller.stiffness now"),
+        (
+            "{vehicle: {controller: {stiffness: [-1]}}}",
+            "vehicle.controller.stiffness[0]: -1; it must be finite and above 0",
+        ),
+        (
+            "{vehicle: {controller: {stiffness: [1, 2]}}}",
+            "vehicle.controller.stiffness: [1.0, 2.0]; it must be 1 number, or 7",
+        ),
+        ("{target: [5, 0, 0]}", "target: [5.0, 0.0, 0.0]; it must be a place that the"),
+        (
+            "{vehicle: {actuators: [joint_1]}}",
+            "vehicle.controller: '1 motors for 7 velocities'; it must be a motor each",
+        ),
+        ("{vehicle: {actuators: [elbow]}}", "actuators: 'elbow'; it must be one of"),
+        ("{vehicle: {fixed: [elbow]}}", "fixed: 'elbow'; it must be one of joint_1"),
+        ("{vehicle: {posture: [1]}}", "posture: [1.0]; it must be 7 numbers, one"),
     ],
 )
 def test_wrong_files_frames_and_numbers_are_refused(

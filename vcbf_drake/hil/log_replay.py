@@ -28,6 +28,7 @@ from vcbf_drake.hil.event_log import (
 )
 from vcbf_drake.hil.logged_controller import LoggedController
 from vcbf_drake.safety import Assumption, SafetyFilter
+from vcbf_drake.simulation.collision_monitor import TOUCH
 from vcbf_drake.simulation.loading import dump_scenario, parse_scenario
 from vcbf_drake.simulation.log import finish_log
 from vcbf_drake.simulation.loop import COLLISION_MONITOR, logged_ports
@@ -285,8 +286,8 @@ class _Account:
 
 
 def _ending(times: Array, heights: Array) -> Ending:
-    """The first state where a barrier is not positive, or the last state."""
-    hits = np.flatnonzero(np.any(heights <= 0.0, axis=1))
+    """The first state where a barrier is crossed, or the last state."""
+    hits = np.flatnonzero(np.any(heights < -TOUCH, axis=1))
     if len(hits):
         return Ending(float(times[hits[0]]), COLLISION_MONITOR)
     return Ending(float(times[-1]), "")

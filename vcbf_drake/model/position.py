@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -56,7 +57,8 @@ def point_position(
         axes: Which world coordinates to return.
 
     Raises:
-        ModelError: The plant does not convert to symbolic, or has no such frame.
+        ModelError: The plant has no such frame; when the position is called, that it
+            does not convert to symbolic where symbols are needed.
     """
     name = plant.get_name() or "plant"
     if not plant.is_finalized():
@@ -69,16 +71,20 @@ def point_position(
         ]
         there = ", ".join(filter(None, frames))
         raise ModelError(f"{name}: there is no frame {frame!r}; its frames are {there}")
-    try:
-        symbolic = plant.ToSymbolic()
-    except RuntimeError as error:
-        raise ModelError(
-            f"{name}: it does not convert to symbolic: {first_line(error)}"
-        ) from None
-    context = symbolic.CreateDefaultContext()
-    give_mass(symbolic, context)  # Positions do not depend on it.
     in_numbers = plant, plant.GetFrameByName(frame), plant.CreateDefaultContext()
-    in_symbols = symbolic, symbolic.GetFrameByName(frame), context
+
+    @cache
+    def in_symbols() -> Any:
+        try:
+            symbolic = plant.ToSymbolic()
+        except RuntimeError as error:
+            raise ModelError(
+                f"{name}: it does not convert to symbolic: {first_line(error)}"
+            ) from None
+        context = symbolic.CreateDefaultContext()
+        give_mass(symbolic, context)  # Positions do not depend on it.
+        return symbolic, symbolic.GetFrameByName(frame), context
+
     chosen, offset = list(axes), np.array(point, dtype=float)
 
     def position(x: Expressions) -> Expressions:
@@ -92,7 +98,7 @@ def point_position(
                     f" filter's plant has {of_plant}"
                 )
         numbers = x.dtype == float
-        tree, moving, context = in_numbers if numbers else in_symbols
+        tree, moving, context = in_numbers if numbers else in_symbols()
         tree.SetPositions(context, x[: tree.num_positions()])
         world = tree.world_frame()
         points = tree.CalcPointsPositions(context, moving, offset, world)

@@ -1,77 +1,106 @@
-"""A robot from a file: a MultibodyPlant under Drake's inverse-dynamics controller."""
+"""A robot from a file: a MultibodyPlant under one of Drake's own controllers."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from importlib.resources import files
 import math
-from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-import numpy as np
-from pydrake.multibody.inverse_kinematics import InverseKinematics
-from pydrake.multibody.parsing import Parser
+from pydrake.geometry import Rgba, Role, SceneGraph, Sphere
+from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
-from pydrake.solvers import Solve
-from pydrake.systems.controllers import InverseDynamicsController
-from pydrake.systems.framework import DiagramBuilder, System
-from pydrake.systems.primitives import ConstantVectorSource
+from pydrake.systems.framework import System
 
 from vcbf_drake.barriers import Barrier, StateInputLimit, StateLimit
 from vcbf_drake.checks import Array, check_finite, check_parameter, require
-from vcbf_drake.errors import InvalidValueError
+from vcbf_drake.files import IS_FILE
 from vcbf_drake.model.position import point_position
+from vcbf_drake.plants.postures import posture_at
+from vcbf_drake.plants.robot_controllers import (
+    InverseDynamics,
+    JointStiffness,
+    Lqr,
+)
+from vcbf_drake.plants.robot_file import RobotFile, bodies_of
+from vcbf_drake.plants.shapes import Part
 from vcbf_drake.plants.vehicle import Vehicle
 
-_NEAR = 0.005  # How near the target the controller's posture has to come [m].
+_BALL = 0.02  # What stands for the point in pictures [m].
 
 
 @dataclass
 class MultibodyVehicle(Vehicle):
-    """A robot arm from a URDF or SDFormat file, every joint of which has a motor.
+    """A robot from a URDF or SDFormat file, on a base that is fixed or floats.
 
-    Drake's `InverseDynamicsController` takes the point to the target; ranges and speeds
+    One of Drake's own controllers takes a point of it to the target; ranges and speeds
     of the joints as the file has them are barriers, its efforts the input set.
 
     Attributes:
-        file: The URDF or SDFormat file; ``package://vcbf_drake/`` is this package.
+        file: The file, its path relative to the scenario's; or ``package://NAME/...``.
         frame: The body or frame that carries the point which goes to the target.
         point: The point in that frame [m].
-        weld: The body that is fixed to the world; empty where the file fixes one.
-        stiffness: How a joint's error is undone (k_p) [1/s^2].
-        damping: How its speed is (k_d) [1/s].
+        weld: The body that is fixed to the world; empty where the file fixes one, or
+            the base floats.
+        actuators: The joints that have a motor; empty for those of the file.
+        fixed: The joints that do not move at all, a gripper's say.
+        controller: Drake's own, towards a posture whose point is at the target.
+        posture: Which of several such postures: one near these positions, (nq,); empty
+            for 0.1 each.
         range_gains: K of (E4) for the joints' ranges.
         speed_gain: k_1 of (E4) for their speeds [1/s].
+        mass: Masses and inertias over those of the file.
+        drag: Dampings of the joints over those of the file.
     """
 
-    file: str
+    # Where the values of keys are that older files have.
+    MOVED: ClassVar[dict[str, str]] = {
+        "stiffness": "vehicle.controller.stiffness",
+        "damping": "vehicle.controller.damping",
+    }
+
+    file: str = field(metadata=IS_FILE)
     frame: str
     point: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     weld: str = ""
-    stiffness: float = 9.0
-    damping: float = 6.0
+    actuators: list[str] = field(default_factory=list)
+    fixed: list[str] = field(default_factory=list)
+    controller: InverseDynamics | JointStiffness | Lqr = field(
+        default_factory=InverseDynamics
+    )
+    posture: list[float] = field(default_factory=list)
     range_gains: list[float] = field(default_factory=lambda: [10.0, 25.0])
     speed_gain: float = 10.0
+    mass: float = 1.0
+    drag: float = 1.0
 
     def __post_init__(self) -> None:
         check_finite("point", self.point, size=3)
-        check_parameter("stiffness", self.stiffness)
-        check_parameter("damping", self.damping)
         check_parameter("range_gains", self.range_gains, size=2)
         check_parameter("speed_gain", self.speed_gain)
+        check_parameter("mass", self.mass)
+        check_parameter("drag", self.drag, zero_allowed=True)
         plant = self.make_plant()
-        bodies = [plant.get_body(i).name() for i in _bodies(plant)]
-        there = plant.HasFrameNamed(self.frame)
-        require(there, "frame", self.frame, f"one of {', '.join(bodies)}")
-        is_driven = plant.num_actuators() == plant.num_velocities()
-        found = f"{plant.num_actuators()} motors for {plant.num_velocities()} joints"
-        require(is_driven, "file", found, "a robot with a motor at every joint")
+        frames = [
+            plant.get_frame(index).name()
+            for instance in range(1, plant.num_model_instances())
+            for index in plant.GetFrameIndices(ModelInstanceIndex(instance))
+        ]
+        there = ", ".join(filter(None, frames))
+        require(self.frame in frames, "frame", self.frame, f"one of {there}")
+        if len(self.posture):
+            names = plant.GetPositionNames(add_model_instance_prefix=False)
+            check_finite("posture", self.posture, names=names)
 
     def __getstate__(self) -> dict[str, Any]:
         return {each.name: getattr(self, each.name) for each in fields(self)}
+
+    @property
+    def _robot(self) -> RobotFile:
+        changes = self.actuators, self.fixed, self.mass, self.drag
+        return RobotFile(self.file, self.weld, *changes)
 
     def make_plant(self) -> MultibodyPlant:
         """Returns the robot's plant: the same one at every call."""
@@ -79,27 +108,7 @@ class MultibodyVehicle(Vehicle):
 
     @cached_property
     def _plant(self) -> MultibodyPlant:
-        plant = MultibodyPlant(0.0)
-        parser = Parser(plant)
-        parser.package_map().Add("vcbf_drake", str(files("vcbf_drake")))
-        is_here = self.file.startswith("package://") or Path(self.file).is_file()
-        require(is_here, "file", self.file, "a URDF or SDFormat file")
-        try:
-            if self.file.startswith("package://"):
-                (robot,) = parser.AddModelsFromUrl(self.file)
-            else:
-                (robot,) = parser.AddModels(self.file)
-        except (RuntimeError, ValueError) as error:
-            problem = f"{self.file!r}; Drake does not read it: {error}"
-            raise InvalidValueError("file", " ".join(problem.split())) from None
-        if self.weld:
-            bodies = [plant.get_body(i).name() for i in plant.GetBodyIndices(robot)]
-            rule = f"one of {', '.join(bodies)}"
-            require(self.weld in bodies, "weld", self.weld, rule)
-            base = plant.GetFrameByName(self.weld, robot)
-            plant.WeldFrames(plant.world_frame(), base)
-        plant.Finalize()
-        return plant
+        return self._robot.plant()
 
     @cached_property
     def _place(self) -> Any:
@@ -113,40 +122,13 @@ class MultibodyVehicle(Vehicle):
         """Returns Drake's controller, told of a posture whose point is at the target.
 
         Raises:
-            InvalidValueError: No posture within the joints' ranges reaches it.
+            InvalidValueError: No posture within the joints' ranges reaches it, or the
+                controller is not for such a robot.
         """
-        plant = self._plant
-        q = self._posture(target)
-        n = len(q)
-        builder = DiagramBuilder()
-        stiff, damp = n * [self.stiffness], n * [self.damping]
-        law = builder.AddNamedSystem(
-            "inverse_dynamics",
-            InverseDynamicsController(plant, stiff, n * [0.0], damp, False),
-        )
-        wish = ConstantVectorSource(np.concatenate([q, np.zeros(n)]))
-        wanted = builder.AddNamedSystem("posture", wish)
-        builder.Connect(wanted.get_output_port(), law.get_input_port_desired_state())
-        builder.ExportInput(law.get_input_port_estimated_state(), "state")
-        builder.ExportOutput(law.get_output_port_control(), "reference")
-        return builder.Build()
-
-    def _posture(self, target: Sequence[float]) -> Array:
-        plant, point = self._plant, np.array(self.point)
-        found = InverseKinematics(plant)
-        goal = np.array(target)
-        found.AddPositionConstraint(
-            *(plant.GetFrameByName(self.frame), point, plant.world_frame()),
-            *(goal - 0.5 * _NEAR, goal + 0.5 * _NEAR),
-        )
-        q, prog = found.q(), found.prog()
-        middle = np.zeros(len(q)) + 0.1  # Off the outstretched arm, which is singular.
-        prog.AddQuadraticErrorCost(np.eye(len(q)), middle, q)
-        solved = Solve(prog, middle)
-        rule = "a place that the robot reaches within its joints' ranges"
-        require(solved.is_success(), "target", [*target], rule)
-        posture: Array = solved.GetSolution(q)
-        return posture
+        plant, law = self._plant, self.controller
+        near = self.posture or plant.num_positions() * [0.1]  # Off singularities.
+        where = self.frame, self.point, target
+        return law.make(plant, posture_at(plant, *where, near, law.at_rest))
 
     def input_limits(self) -> tuple[list[float], list[float]]:
         """Returns the file's effort limits."""
@@ -169,11 +151,54 @@ class MultibodyVehicle(Vehicle):
                 found += limit.barriers([self.speed_gain], f"{name} speed")
         return [*found]
 
+    length = 2.0 * _BALL  # Of what stands for the point.
 
-def _bodies(plant: MultibodyPlant) -> list[Any]:
-    """The indices of all bodies but the world."""
-    return [
-        index
-        for instance in range(1, plant.num_model_instances())
-        for index in plant.GetBodyIndices(ModelInstanceIndex(instance))
-    ]
+    def geometry(self, color: str) -> list[Part]:
+        """Returns what the file shows, body by body, and a ball for the point."""
+        scene_graph = SceneGraph()
+        plant = self._robot.plant(scene_graph)
+        inspector = scene_graph.model_inspector()
+        parts = [Part("point", Sphere(_BALL), color)]
+        for body in bodies_of(plant):
+            frame = plant.GetBodyFrameIdOrThrow(body.index())
+            for each in inspector.GetGeometries(frame, Role.kIllustration):
+                shown = inspector.GetIllustrationProperties(each)
+                rgba = shown.GetPropertyOrDefault("phong", "diffuse", _NO_COLOR)
+                parts.append(
+                    Part(
+                        f"{body.name()}/{each.get_value()}",
+                        inspector.GetShape(each),
+                        None if rgba == _NO_COLOR else _hexadecimal(rgba),
+                        inspector.GetPoseInFrame(each),
+                        body.name(),
+                    )
+                )
+        return parts
+
+    @cached_property
+    def _context(self) -> Any:
+        return self._plant.CreateDefaultContext()
+
+    def pose(self, state: Array) -> RigidTransform:
+        """Returns where the point is, turned as its frame, from the state (n,)."""
+        plant, context = self._plant, self._context
+        plant.SetPositions(context, state[: plant.num_positions()])
+        frame = plant.GetFrameByName(self.frame).CalcPoseInWorld(context)
+        return frame @ RigidTransform(self.point)
+
+    def poses(self, state: Array) -> dict[str, RigidTransform]:
+        """Returns where every body is, from the state (n,)."""
+        plant, context = self._plant, self._context
+        plant.SetPositions(context, state[: plant.num_positions()])
+        return super().poses(state) | {
+            body.name(): plant.EvalBodyPoseInWorld(context, body)
+            for body in bodies_of(plant)
+        }
+
+
+_NO_COLOR = Rgba(0.0, 0.0, 0.0, 0.0)
+
+
+def _hexadecimal(color: Rgba) -> str:
+    channels = (color.r(), color.g(), color.b())
+    return "#" + "".join(f"{round(255 * each):02x}" for each in channels)

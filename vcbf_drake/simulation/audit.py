@@ -19,6 +19,7 @@ from vcbf_drake.disturbances import (
 )
 from vcbf_drake.safety import Assumption, FilterStatus, InputSet, SafetyFilter
 from vcbf_drake.safety.decay import DecayRates
+from vcbf_drake.simulation.collision_monitor import TOUCH
 
 # What `audit_margins` has a margin of, in its order.
 PROMISES = {
@@ -44,8 +45,10 @@ BETWEEN_TICKS = "barrier between ticks"
 VOLUME_DECREASE = "volume decrease"
 AUTHORITY = "authority"
 
-# What rounding may take from a margin that is exactly 0.
+# What rounding may take from a margin that is exactly 0, and what integration may take
+# from one that is the state's.
 ROUNDING = 1e-9
+_TOLERANCES = {"barrier": TOUCH, "chain": TOUCH}
 # A row that the whole input range moves by less than this is out of reach.
 LEAST_AUTHORITY = 1e-6
 
@@ -122,7 +125,7 @@ def audit_findings(
     """
     times = log["time"]
     found = {
-        name: _finding(statement, times, margins)
+        name: _finding(statement, times, margins, _TOLERANCES.get(name, ROUNDING))
         for (name, statement), margins in zip(
             PROMISES.items(), log["audit"].T, strict=True
         )
@@ -131,7 +134,7 @@ def audit_findings(
     if observer is not None:
         found |= _of_measurements(log, observer)
     found[BETWEEN_TICKS] = _finding(
-        "h >= 0 at every integrator step", path_time, _least_of_each(heights)
+        "h >= 0 at every integrator step", path_time, _least_of_each(heights), TOUCH
     )
     if "volume" in found and len(times) > 1:
         found[VOLUME_DECREASE] = _information(
@@ -211,8 +214,10 @@ def _decrease_margin(times: Array, volume: Array, gain: float) -> Array:
     return np.nan_to_num(margin, nan=np.inf)
 
 
-def _finding(statement: str, times: Array, margins: Array) -> dict[str, Any]:
-    broken = np.flatnonzero(margins < -ROUNDING)
+def _finding(
+    statement: str, times: Array, margins: Array, tolerance: float = ROUNDING
+) -> dict[str, Any]:
+    broken = np.flatnonzero(margins < -tolerance)
     worst = int(np.argmin(margins))
     return {
         "statement": statement,

@@ -18,9 +18,13 @@ from pydrake.systems.framework import (
 
 from vcbf_drake.barriers import BarrierSet
 
+# A barrier nearer to 0 than this is touched, not crossed, in its unit. A robot may rest
+# at a limit for long; rounding and an integrator's steps know its h no better.
+TOUCH = 1e-7
+
 
 class CollisionMonitor(LeafSystem):
-    """Ends the simulation at the instant the least barrier value becomes negative.
+    """Ends the simulation when the least barrier value becomes negative.
 
     .. pydrake_system::
 
@@ -28,8 +32,9 @@ class CollisionMonitor(LeafSystem):
         input_ports:
         - state
 
-    A witness function finds the instant between integrator steps; the root context
-    needs an accuracy (`Context.SetAccuracy`) for it to be isolated.
+    A witness function finds the instant of the crossing between integrator steps, so
+    that a log of every step has it; another ends the simulation once h < -`TOUCH`. The
+    root context needs an accuracy (`Context.SetAccuracy`) for them to be isolated.
 
     Attributes:
         barrier_set: The barriers it looks at.
@@ -51,12 +56,13 @@ class CollisionMonitor(LeafSystem):
                 EventStatus.ReachedTermination(system, "collision")
             )
         )
-        self._witness = self.MakeWitnessFunction(
-            "least barrier value",
-            WitnessFunctionDirection.kPositiveThenNonPositive,
-            self.least_barrier,
-            stop,
-        )
+        falls = WitnessFunctionDirection.kPositiveThenNonPositive
+        self._witnesses = [
+            self.MakeWitnessFunction("crossing", falls, self.least_barrier),
+            self.MakeWitnessFunction(
+                "beyond touching", falls, lambda c: self.least_barrier(c) + TOUCH, stop
+            ),
+        ]
 
     def least_barrier(self, context: Context) -> float:
         """Returns the least h over the barriers; infinite when there are none."""
@@ -69,4 +75,4 @@ class CollisionMonitor(LeafSystem):
         least.set_value(min(numbers, default=math.inf))
 
     def DoGetWitnessFunctions(self, context: Context) -> list[WitnessFunction]:  # noqa: D102
-        return [self._witness]
+        return self._witnesses

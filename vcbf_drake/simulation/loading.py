@@ -39,6 +39,7 @@ from vcbf_drake.errors import (
     below,
     written,
 )
+from vcbf_drake.files import names_file, resolved
 from vcbf_drake.simulation.python_file import scenario_of
 from vcbf_drake.simulation.scenario import Scenario
 
@@ -254,6 +255,11 @@ def _locate(node: Node, path: KeyPath) -> str:
     return _where(mark)
 
 
+def _directory(mark: Any) -> Path:
+    """What paths are relative to: where a file is, or where an override was written."""
+    return Path() if mark.name == _OVERRIDE else Path(mark.name).parent
+
+
 def _where(mark: Any) -> str:
     # An override is short, and what a program made has no lines.
     has_lines = mark.name != _OVERRIDE and not mark.name.endswith(".py")
@@ -338,6 +344,9 @@ def _build_object(
             _fail(key, (*path, name), f"unknown key{guess}; {advice}")
         values[name] = _build(value, hints[name], (*path, name))
     for each in fields(schema):
+        if names_file(each) and each.name in values:
+            written_in = _directory(_entries(node)[each.name][1].start_mark)
+            values[each.name] = resolved(values[each.name], written_in)
         needed = each.default is each.default_factory is MISSING
         if needed and each.name not in values:
             _fail(node, (*path, each.name), f"missing{guess}")
@@ -377,6 +386,11 @@ def plain(value: Any, hint: Any) -> Any:
     if is_dataclass(value):
         hints, tags = field_types(type(value)), tagged_types(hint)
         data = {key: plain(getattr(value, key), hints[key]) for key in hints}
+        data |= {
+            each.name: resolved(data[each.name], Path())
+            for each in fields(value)
+            if names_file(each)
+        }
         names = [tag for tag, each in tags.items() if each is type(value)]
         is_one_of = len(tags) > 1 or inspect.isabstract(hint)
         return {"_tag": names[0], **data} if is_one_of else data

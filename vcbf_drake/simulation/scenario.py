@@ -25,6 +25,7 @@ from vcbf_drake.disturbances.source import (
     SmoothStep,
 )
 from vcbf_drake.errors import InvalidValueError, Path, below
+from vcbf_drake.files import IS_FILE
 from vcbf_drake.plants import Vehicle
 from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.safety.input_set import InputSet
@@ -190,7 +191,7 @@ class Hardware:
     most_obstacles: int = 16
     max_obstacle_age: float = 1.0
     max_clock_offset: float = 60.0
-    key_file: str = ""
+    key_file: str = field(default="", metadata=IS_FILE)
 
     def __post_init__(self) -> None:
         require_choice("fallback", self.fallback, get_args(Fallback))
@@ -348,6 +349,7 @@ class Scenario(FilterSettings):
     def _check_places(self) -> None:
         with below("faults"):
             self.vehicle.altered(self.faults.mass, self.faults.drag)
+        self.vehicle.make_controller(self.target)  # It may refuse the target.
         for i, obstacle in enumerate(self.obstacles):
             what = f"obstacles[{i}]"
             check_place(obstacle, "initial_state", self.start, what, target=False)

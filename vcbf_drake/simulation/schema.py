@@ -87,8 +87,15 @@ def _all_classes() -> Iterator[tuple[type, str]]:
                 tags = tagged_types(inner)
                 is_union = len(tags) > 1 or inspect.isabstract(inner)
                 waiting += [
-                    (each, tag if is_union else "") for tag, each in tags.items()
+                    (each, tag if is_union else "")
+                    for tag, each in tags.items()
+                    if _is_shipped(each)
                 ]
+
+
+def _is_shipped(kind: Any) -> bool:
+    """Whether a type is no vehicle of somebody's Python file."""
+    return not is_dataclass(kind) or kind.__module__.startswith("vcbf_drake.")
 
 
 def _object_schema(schema: type) -> dict[str, Any]:
@@ -115,7 +122,7 @@ def _object_schema(schema: type) -> dict[str, Any]:
 
 
 def _type_schema(hint: Any) -> dict[str, Any]:
-    found = [_member_schema(each) for each in allowed_types(hint)]
+    found = [_member_schema(each) for each in filter(_is_shipped, allowed_types(hint))]
     return found[0] if len(found) == 1 else {"anyOf": found}
 
 
@@ -172,7 +179,7 @@ def _lines(schema: Any, tag: str) -> Iterator[str]:
 
 def _kind(hint: Any) -> str:
     """A type in words, classes as links."""
-    return " or ".join(_member_kind(each) for each in allowed_types(hint))
+    return " or ".join(map(_member_kind, filter(_is_shipped, allowed_types(hint))))
 
 
 def _member_kind(hint: Any) -> str:

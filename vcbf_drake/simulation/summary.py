@@ -51,7 +51,9 @@ def summarise(
     """
     infeasible = log["status"] == FilterStatus.INFEASIBLE
     infeasible_at = _first(log["time"], infeasible)
-    collided_at = ending.time if ending.monitor == COLLISION_MONITOR else None
+    collided_at = None
+    if ending.monitor == COLLISION_MONITOR:
+        collided_at = _crossing(path_time, heights)
     reached_at = _first(
         path_time, _distance(scenario, path) <= scenario.arrival_tolerance
     )
@@ -116,6 +118,13 @@ def _distance(scenario: Scenario, path: Array) -> Array:
 def _first(times: Array, condition: NDArray[np.bool_]) -> float | None:
     hits = np.flatnonzero(condition)
     return float(times[hits[0]]) if len(hits) else None
+
+
+def _crossing(times: Array, heights: Array) -> float:
+    """When h became 0 or less for the last time: a little before it was found to be."""
+    is_safe = np.fmin.reduce(heights.reshape(len(times), -1), axis=1) > 0.0
+    last = np.flatnonzero(is_safe)[-1] if is_safe.any() else -1
+    return float(times[min(last + 1, len(times) - 1)])
 
 
 def _least(values: Array) -> float | None:

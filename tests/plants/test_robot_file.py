@@ -1,0 +1,137 @@
+"""A robot's file: what is read of it, what may be changed, what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import shutil
+
+import numpy as np
+from pydrake.common import FindResourceOrThrow
+from pydrake.multibody.plant import MultibodyPlant
+import pytest
+
+from vcbf_drake import load_scenario
+from vcbf_drake.errors import InvalidValueError
+from vcbf_drake.plants.robot_file import RobotFile, bodies_of
+from vcbf_drake.simulation import dump_scenario
+from vcbf_drake.simulation.loading import parse_scenario
+
+ROOT = Path(__file__).parents[2]
+ARM = "package://vcbf_drake/models/seven_joint_arm.urdf"
+PLANAR = str(ROOT / "examples" / "models" / "planar_arm.urdf")
+CART_POLE_FILE = "drake/examples/multibody/cart_pole/cart_pole.sdf"
+CART_POLE = f"package://{CART_POLE_FILE}"
+
+
+def mass_matrix(plant: MultibodyPlant) -> np.ndarray:
+    context = plant.CreateDefaultContext()
+    q = np.linspace(0.3, 0.9, plant.num_positions())
+    plant.SetPositions(context, q)
+    return plant.CalcMassMatrix(context)
+
+
+def damping_force(plant: MultibodyPlant) -> np.ndarray:
+    """The generalised force of the dampers at unit speeds, by M dv/dt."""
+    context = plant.CreateDefaultContext()
+    motors = plant.get_actuation_input_port()
+    motors.FixValue(context, np.zeros(plant.num_actuators()))
+    found = []
+    for speed in (1.0, -1.0):
+        plant.SetVelocities(context, speed * np.ones(plant.num_velocities()))
+        rate = plant.EvalTimeDerivatives(context).get_generalized_velocity()
+        found.append(plant.CalcMassMatrix(context) @ rate.CopyToVector())
+    return 0.5 * (found[0] - found[1])  # What is even in the speeds drops out.
+
+
+@pytest.mark.parametrize("file", [ARM, CART_POLE, PLANAR])
+def test_masses_and_dampings_scale(file: str) -> None:
+    weld = "base" if file == ARM else ""
+    whole = RobotFile(file, weld).plant()
+    heavy = RobotFile(file, weld, mass=1.3, drag=0.5).plant()
+    M = mass_matrix(whole)
+    np.testing.assert_allclose(mass_matrix(heavy), 1.3 * M, rtol=1e-12, atol=1e-15)
+    damp = damping_force(whole)
+    np.testing.assert_allclose(damping_force(heavy), 0.5 * damp, rtol=1e-9, atol=1e-9)
+    assert file == CART_POLE or np.abs(damp).min() > 0.01
+    assert heavy.GetStateNames() == whole.GetStateNames()
+
+
+def test_joints_may_be_fixed_and_motors_chosen() -> None:
+    plant = RobotFile(
+        ARM, "base", ["joint_2", "joint_4"], ["joint_6", "joint_7"]
+    ).plant()
+    assert plant.num_positions() == 5
+    motors = map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
+    assert [each.joint().name() for each in motors] == ["joint_2", "joint_4"]
+    assert plant.GetEffortUpperLimits().tolist() == [300.0, 170.0]
+    # All masses are still there.
+    whole = RobotFile(ARM, "base").plant()
+    masses = [sum(each.default_mass() for each in bodies_of(p)) for p in (plant, whole)]
+    assert masses[0] == pytest.approx(masses[1])
+
+
+def test_motors_of_a_file_without_them_keep_its_efforts(tmp_path: Path) -> None:
+    text = Path(PLANAR).read_text()
+    start, end = text.index("<transmission"), text.rindex("</transmission>")
+    file = tmp_path / "planar_arm.urdf"
+    file.write_text(text[:start] + text[end + len("</transmission>") :])
+    plant = RobotFile(str(file), actuators=["shoulder"]).plant()
+    assert plant.GetEffortUpperLimits().tolist() == [80.0]
+    with pytest.raises(InvalidValueError, match="has none: shoulder, elbow"):
+        RobotFile(str(file)).plant()
+
+
+SCENARIO = """
+reach:
+  vehicle: !Multibody {file: robots/arm.urdf, frame: forearm, point: [0.5, 0, 0]}
+  initial_state: [0.5, 0.5, 0, 0]
+  target: [0.8, 0.0, 1.3]
+  method: cbf-qp
+"""
+
+
+def test_a_file_is_found_beside_the_scenario(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "robots").mkdir()
+    shutil.copy(PLANAR, tmp_path / "robots" / "arm.urdf")
+    (tmp_path / "reach.yaml").write_text(SCENARIO)
+    monkeypatch.chdir(ROOT)
+    scenario = load_scenario(tmp_path / "reach.yaml")
+    assert scenario.vehicle.file == str(tmp_path / "robots" / "arm.urdf")
+    # A copy elsewhere still finds it.
+    assert parse_scenario(dump_scenario(scenario), "elsewhere/dump.yaml") == scenario
+    # An override is written where the command runs.
+    override = "{vehicle: {file: examples/models/planar_arm.urdf}}"
+    assert load_scenario(tmp_path / "reach.yaml", override).vehicle.file == PLANAR
+
+
+def test_packages_around_the_file_are_known(tmp_path: Path) -> None:
+    (tmp_path / "package.xml").write_text("<package><name>mine</name></package>")
+    (tmp_path / "sdf").mkdir()
+    shutil.copy(FindResourceOrThrow(CART_POLE_FILE), tmp_path / "sdf" / "cart.sdf")
+    (tmp_path / "two.sdf").write_text(
+        "<sdf version='1.7'><model name='two'><include><uri>package://mine/sdf/cart.sdf"
+        "</uri></include></model></sdf>"
+    )
+    assert RobotFile(str(tmp_path / "two.sdf")).plant().num_positions() == 2
+
+
+@pytest.mark.parametrize(
+    ("robot", "message"),
+    [
+        (RobotFile("package://nowhere/a.urdf"), "packages are drake, "),
+        (
+            RobotFile("package://drake/a.urdf"),
+            "a URDF or SDFormat file .* that there is",
+        ),
+        (RobotFile(__file__), "a URDF or SDFormat file"),
+        (RobotFile(ARM), "it does not move: .* body base"),
+        (RobotFile(ARM, "base", fixed=["joint_9"]), "fixed: 'joint_9'; .* joint_1"),
+        (RobotFile(PLANAR, weld="stand"), "weld: 'stand'; .* has fixed it already"),
+    ],
+)
+def test_wrong_files_are_refused_in_one_line(robot: RobotFile, message: str) -> None:
+    with pytest.raises(InvalidValueError, match=message) as caught:
+        robot.plant()
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,105 @@
+"""Postures of a robot: where its joints are when a point of it is at a place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.multibody.inverse_kinematics import InverseKinematics
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import MultibodyForces_
+from pydrake.solvers import Solve
+
+from vcbf_drake.checks import Array, require
+
+_NEAR = 0.005  # How near the target the posture has to come [m].
+
+
+class Posture(NamedTuple):
+    """Where a robot rests.
+
+    Attributes:
+        positions: q, shape (nq,).
+        effort: The input that holds it there, shape (m,); 0 where none was asked for.
+    """
+
+    positions: Array
+    effort: Array
+
+
+def posture_at(
+    plant: MultibodyPlant,
+    frame: str,
+    point: Sequence[float],
+    target: Sequence[float],
+    near: Sequence[float],
+    at_rest: bool,
+) -> Posture:
+    """Returns a posture within the joints' ranges whose point is at the target.
+
+    A floating base stays where the file has it.
+
+    Args:
+        plant: The robot.
+        frame: The name of the frame or body that carries the point.
+        point: The point in that frame, shape (3,) [m].
+        target: Where it has to be, shape (3,) [m].
+        near: Which of several postures: one near these q, shape (nq,).
+        at_rest: Whether the motors must be able to hold it.
+
+    Raises:
+        InvalidValueError: There is none.
+    """
+    kinematics = InverseKinematics(plant)
+    q, program = kinematics.q(), kinematics.prog()
+    goal, reach = np.array(target), 0.5 * _NEAR
+    kinematics.AddPositionConstraint(
+        *(plant.GetFrameByName(frame), np.array(point), plant.world_frame()),
+        *(goal - reach, goal + reach),
+    )
+    seed = np.array(near, dtype=float)
+    for body in map(plant.get_body, plant.GetFloatingBaseBodies()):
+        base = np.arange(body.floating_positions_start(), len(q))[:7]
+        base = base[: 7 if body.has_quaternion_dofs() else 6]
+        seed[base] = plant.GetDefaultPositions()[base]
+        program.AddBoundingBoxConstraint(seed[base], seed[base], q[base])
+    program.AddQuadraticErrorCost(np.eye(len(q)), seed, q)
+    u = program.NewContinuousVariables(plant.num_actuators(), "u")
+    program.AddBoundingBoxConstraint(
+        plant.GetEffortLowerLimits(), plant.GetEffortUpperLimits(), u
+    )
+    program.AddQuadraticErrorCost(1e-6 * np.eye(len(u)), np.zeros(len(u)), u)
+    rule = "a place that the robot reaches within its joints' ranges"
+    if at_rest:
+        none = np.zeros(plant.num_velocities())
+        still = _StaticBalance(plant)
+        program.AddConstraint(still, none, none, np.concatenate([q, u]))
+        rule += ", and where its motors can hold it"
+    program.SetInitialGuess(q, seed)
+    program.SetInitialGuess(u, np.zeros(len(u)))
+    solved = Solve(program)
+    require(solved.is_success(), "target", [*target], rule)
+    return Posture(solved.GetSolution(q), solved.GetSolution(u))
+
+
+class _StaticBalance:
+    """The generalised forces that are left over at rest, of [q; u]; 0 in balance."""
+
+    def __init__(self, plant: MultibodyPlant) -> None:
+        self._plants = {float: plant, object: plant.ToAutoDiffXd()}
+        self._contexts = {
+            kind: each.CreateDefaultContext() for kind, each in self._plants.items()
+        }
+        self._matrix = plant.MakeActuationMatrix()
+
+    def __call__(self, q_and_u: Any) -> Any:
+        kind = object if q_and_u.dtype == object else float
+        plant, context = self._plants[kind], self._contexts[kind]
+        q, u = np.split(q_and_u, [plant.num_positions()])
+        still = np.zeros(plant.num_velocities())
+        plant.SetPositionsAndVelocities(context, np.concatenate([q, still]))
+        forces = MultibodyForces_[AutoDiffXd if kind is object else float](plant)
+        plant.CalcForceElementsContribution(context, forces)
+        return self._matrix @ u - plant.CalcInverseDynamics(context, still, forces)

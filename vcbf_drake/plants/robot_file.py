@@ -1,0 +1,211 @@
+"""A robot's description in a file, URDF or SDFormat, read into a MultibodyPlant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+import math
+from pathlib import Path
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+from pydrake.geometry import SceneGraph
+from pydrake.multibody.parsing import PackageMap, Parser
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import Joint, ModelInstanceIndex, RigidBody
+
+from vcbf_drake.checks import require
+from vcbf_drake.errors import InvalidValueError
+
+_KINDS = (".urdf", ".sdf", ".xml", ".yaml")  # What Drake's Parser reads.
+_INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+
+
+@dataclass(frozen=True)
+class RobotFile:
+    """A robot as its file has it, and what is changed of that.
+
+    Attributes:
+        file: The file, or its URL (``package://NAME/...``).
+        weld: The body that is fixed to the world; empty for none beside the file's.
+        actuators: The joints that have a motor; empty for those of the file.
+        fixed: The joints that do not move at all.
+        mass: Masses and inertias over those of the file.
+        drag: Dampings of the joints over those of the file.
+    """
+
+    file: str
+    weld: str = ""
+    actuators: Sequence[str] = ()
+    fixed: Sequence[str] = ()
+    mass: float = 1.0
+    drag: float = 1.0
+
+    def plant(self, scene_graph: SceneGraph | None = None) -> MultibodyPlant:
+        """Returns the robot's continuous plant, finalised.
+
+        Args:
+            scene_graph: What its geometry is registered with, if with any.
+
+        Raises:
+            InvalidValueError: There is no such file, body or joint, Drake does not read
+                it, or a part that moves has no mass.
+        """
+        plant = MultibodyPlant(0.0)
+        if scene_graph is not None:
+            plant.RegisterAsSourceForSceneGraph(scene_graph)
+        parser = Parser(plant)
+        path = self._path(parser.package_map())
+        try:
+            if self.fixed or self.mass != 1.0 or self.drag != 1.0:
+                parser.AddModelsFromString(self._changed(path), path.suffix[1:])
+            else:
+                parser.AddModels(str(path))
+        except (RuntimeError, ValueError, ElementTree.ParseError) as error:
+            problem = f"{self.file!r}; Drake does not read it: {error}"
+            raise InvalidValueError("file", " ".join(problem.split())) from None
+        self._choose_actuators(plant, path)
+        self._weld(plant)
+        try:
+            plant.Finalize()
+            context = plant.CreateDefaultContext()
+            plant.get_actuation_input_port().FixValue(
+                context, np.zeros(plant.num_actuators())
+            )
+            plant.EvalTimeDerivatives(context)
+        except RuntimeError as error:
+            reason = " ".join(str(error).split())
+            raise InvalidValueError((), f"it does not move: {reason}") from None
+        return plant
+
+    def _path(self, packages: PackageMap) -> Path:
+        """Where the file is, after the packages around it have been found."""
+        packages.Add("vcbf_drake", str(files("vcbf_drake")))
+        packages.PopulateFromRosPackagePath()
+        rule = f"a URDF or SDFormat file ({', '.join(_KINDS)}) that there is"
+        if self.file.startswith("package://"):
+            name = self.file.removeprefix("package://").partition("/")[0]
+            known = ", ".join(sorted(packages.GetPackageNames()))
+            rule += f"; packages are {known}, and those of ROS_PACKAGE_PATH"
+            require(packages.Contains(name), "file", self.file, rule)
+            try:
+                path = Path(packages.ResolveUrl(self.file))
+            except RuntimeError:
+                path = Path()
+        else:
+            path = Path(self.file).resolve()
+        require(path.is_file() and path.suffix in _KINDS, "file", self.file, rule)
+        for above in path.parents:
+            if (above / "package.xml").is_file() and above.name not in (
+                packages.GetPackageNames()
+            ):
+                packages.AddPackageXml(str(above / "package.xml"))
+        return path
+
+    def _changed(self, path: Path) -> str:
+        """The file's text with joints fixed, other masses and other dampings."""
+        require(
+            path.suffix in (".urdf", ".sdf"),
+            "file",
+            self.file,
+            "URDF or SDFormat, where mass, drag or fixed change something",
+        )
+        robot = ElementTree.parse(path).getroot()
+        joints = {
+            each.attrib["name"]: each
+            for each in robot.iter("joint")
+            if "type" in each.attrib  # A transmission names its joint in one, too.
+        }
+        for name in self.fixed:
+            _require_one("fixed", name, [*joints])
+            joints[name].set("type", "fixed")
+        scales = dict.fromkeys(("mass", "inertia", *_INERTIA), self.mass)
+        scales |= dict.fromkeys(("dynamics", "damping"), self.drag)
+        for each in robot.iter():
+            _multiply(each, scales.get(each.tag, 1.0))
+            if "://" not in (url := each.get("filename", "://")):
+                each.set("filename", str((path.parent / url).resolve()))
+            if each.tag == "uri" and "://" not in (each.text or "://"):
+                each.text = str((path.parent / str(each.text).strip()).resolve())
+        return ElementTree.tostring(robot, "unicode")
+
+    def _choose_actuators(self, plant: MultibodyPlant, path: Path) -> None:
+        """Gives the wanted joints, and them alone, a motor."""
+        joints = {each.name(): each for each in joints_of(plant) if _is_single(each)}
+        has = {
+            actuator.joint().name(): actuator
+            for actuator in map(
+                plant.get_joint_actuator, plant.GetJointActuatorIndices()
+            )
+        }
+        if not self.actuators:
+            rule = (
+                f"the joints with a motor, for the file has none: {', '.join(joints)}"
+            )
+            require(bool(has), "actuators", [], rule)
+            return
+        for name in self.actuators:
+            _require_one("actuators", name, [*joints])
+            if name not in has:
+                effort = _efforts(path).get(name, math.inf)
+                plant.AddJointActuator(name, joints[name], effort)
+        for name, actuator in has.items():
+            if name not in self.actuators:
+                plant.RemoveJointActuator(actuator)
+
+    def _weld(self, plant: MultibodyPlant) -> None:
+        if not self.weld:
+            return
+        bodies = {each.name(): each for each in bodies_of(plant)}
+        _require_one("weld", self.weld, [*bodies])
+        try:
+            plant.WeldFrames(plant.world_frame(), bodies[self.weld].body_frame())
+        except RuntimeError:
+            rule = "empty, for the file has fixed it already"
+            require(False, "weld", self.weld, rule)
+
+
+def bodies_of(plant: MultibodyPlant) -> list[RigidBody]:
+    """Returns all bodies but the world."""
+    return [
+        plant.get_body(index)
+        for instance in range(1, plant.num_model_instances())
+        for index in plant.GetBodyIndices(ModelInstanceIndex(instance))
+    ]
+
+
+def joints_of(plant: MultibodyPlant) -> list[Joint]:
+    """Returns all joints."""
+    return [plant.get_joint(index) for index in plant.GetJointIndices()]
+
+
+def _is_single(joint: Joint) -> bool:
+    return bool(joint.num_velocities() == 1)
+
+
+def _require_one(field: str, name: str, allowed: Sequence[str]) -> None:
+    require(name in allowed, field, name, f"one of {', '.join(allowed)}")
+
+
+def _multiply(element: ElementTree.Element, factor: float) -> None:
+    """Multiplies an element's numbers: attributes in URDF, its text in SDFormat."""
+    if factor == 1.0:
+        return
+    for name in set(element.keys()) & {"value", "damping", *_INERTIA}:
+        element.set(name, repr(factor * float(element.attrib[name])))
+    if (element.text or "").strip():
+        element.text = repr(factor * float(str(element.text)))
+
+
+def _efforts(path: Path) -> dict[str, float]:
+    """The effort limits of a file's joints, which Drake keeps for motors alone."""
+    if path.suffix not in (".urdf", ".sdf"):
+        return {}
+    found = {}
+    for joint in ElementTree.parse(path).getroot().iter("joint"):
+        for limit in joint.iter("limit"):
+            effort = limit.get("effort") or limit.findtext("effort")
+            if effort is not None and float(effort) > 0.0:
+                found[str(joint.get("name"))] = float(effort)
+    return found
