@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import math
 
 import numpy as np
-from scipy.linalg import lapack
 
 from vcbf_drake.checks import Array
 
@@ -93,8 +92,9 @@ def polish(
             # Rows given twice make it singular; shifted, they share their weight.
             matrix.flat[:: len(on) + 1] += 1e-10
             we = w * e
-            _, _, v, failed = lapack.dgesv(matrix, 0.5 - e + 0.5 * (square @ we))
-            if failed:
+            try:
+                v = np.linalg.solve(matrix, 0.5 - e + 0.5 * (square @ we))
+            except np.linalg.LinAlgError:
                 break
             d = v @ n
             multipliers = np.zeros(len(b))
@@ -134,15 +134,13 @@ def _gap(n: Array, e: Array, w: Array) -> float:
 
 def _inside(
     center: Array, frame: Array, multipliers: Array, e: Array, gap: float
-) -> CertifiedEllipsoid | None:
+) -> CertifiedEllipsoid:
     """Scales the ellipsoid until it touches, and takes its symmetric shape (F F')^1/2.
 
     The gap gets the rounding of |B a_i| and b_i - a_i c added, which grows with the
     ratio of the longest to the shortest axis, and that of log det B.
     """
-    axes, half_lengths, _, failed = lapack.dgesdd(frame)
-    if failed:
-        return None
+    axes, half_lengths, _ = np.linalg.svd(frame)
     half_lengths *= 1.0 + e.min()
     root = axes * np.sqrt(half_lengths)
     lengths = half_lengths.tolist()
