@@ -339,8 +339,7 @@ class DisturbanceObserver(LeafSystem):
         """Returns how strongly the disturbed rates depend on the disturbed states."""
         step = _DIFFERENCE * (1.0 + self._size(x))
         rates = [
-            self._model.nominal_rate(moved, u)
-            for moved in x + step * self._directions
+            self._model.nominal_rate(moved, u) for moved in x + step * self._directions
         ]
         changes = np.array(rates).reshape(self._directions.shape) - rate
         size = np.abs(changes @ self._disturbed.T)

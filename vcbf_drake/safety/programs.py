@@ -168,8 +168,8 @@ class NearestPointProgram(FixedProgram):
     ) -> None:
         super().__init__(num_variables, SOLVERS[solver](), _options(solver, 1e-9))
         if solver == "Clarabel":
-            # With its default step length it cycles on some feasible QPs.
-            self._options.SetOption(ClarabelSolver.id(), "max_step_fraction", 0.9)
+            # On some QPs it cycles; on others it is done after a dozen.
+            self._options.SetOption(ClarabelSolver.id(), "max_iter", 30)
         v, self._identity = self.variables, np.eye(num_variables)
         self._below = np.full(num_rows, -np.inf)
         self._cost = self.program.AddQuadraticCost(
