@@ -9,7 +9,7 @@ from pydrake.systems.framework import DiagramBuilder, InputPort, OutputPort, Sys
 from pydrake.systems.primitives import ZeroOrderHold
 
 from vcbf_drake.barriers import Barrier, StateInputLimit
-from vcbf_drake.between_ticks import HeldRows
+from vcbf_drake.between_ticks import BackupGate, HeldRows
 from vcbf_drake.checks import require
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceObserver
 from vcbf_drake.model import ControlAffineModel
@@ -120,6 +120,7 @@ def AddSafetyFilter(
         estimate_gain=observer.estimate_gain,
         longest_hold=observer.certified_interval,
         make_row_holder=HeldRows,
+        make_gate=BackupGate,
     )
     builder.AddNamedSystem(name, safety_filter)
     hold = builder.AddNamedSystem(

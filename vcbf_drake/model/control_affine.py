@@ -24,6 +24,7 @@ from vcbf_drake.model.graph import (
     variable,
     variables_of,
 )
+from vcbf_drake.model.manoeuvre import MakeManoeuvres
 from vcbf_drake.model.numeric_dynamics import has_plant_state, numeric_dynamics
 from vcbf_drake.model.position import Position, named_position
 from vcbf_drake.model.reading import Reader
@@ -96,6 +97,7 @@ class ControlAffineModel:
             for most.
         position: Which states are the position, or a function from x to it; None where
             the plant does not say.
+        make_manoeuvres: Makes the plant's backup manoeuvres; None where it has none.
 
     Raises:
         ModelError: E does not have full column rank.
@@ -165,11 +167,10 @@ class ControlAffineModel:
             np.full(num_inputs, np.inf) if effort_limits is None else effort_limits
         )
         self.wrapping_periods = self._periods(wrapped_states)
-        wraps = np.isfinite(self.wrapping_periods).nonzero()[0].tolist()
-        self._wraps = [(i, float(self.wrapping_periods[i])) for i in wraps]
         self.position = (
             named_position(self.state_names) if position is None else position
         )
+        self.make_manoeuvres: MakeManoeuvres | None = None
 
     @classmethod
     def from_system(
@@ -227,14 +228,17 @@ class ControlAffineModel:
             position=getattr(system, "position_indices", None),
         )
         _require_same_rates(model, dynamics)
+        model.make_manoeuvres = getattr(system, "make_manoeuvres", None)
         return model
 
     def difference(self, x_1: Array, x_0: Array) -> Array:
         """Returns x_1 - x_0, shape (..., n), the short way round in wrapped states."""
         difference: Array = np.subtract(x_1, x_0)
-        for state, period in self._wraps:
-            turns = np.rint(difference[..., state] / period)
-            difference[..., state] -= period * turns
+        wraps = np.isfinite(self.wrapping_periods)
+        if wraps.any():
+            periods = self.wrapping_periods[wraps]
+            turns = np.round(difference[..., wraps] / periods)
+            difference[..., wraps] -= periods * turns
         return difference
 
     def _periods(self, wrapped_states: Sequence[str] | Mapping[str, float]) -> Array:

@@ -14,7 +14,9 @@ from pydrake.math import cos, sin
 from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from vcbf_drake.checks import check_parameter
+from vcbf_drake.checks import Array, check_parameter
+from vcbf_drake.model.manoeuvre import Manoeuvre
+from vcbf_drake.plants.blimp_climb import BlimpClimb
 
 # Position and inertial velocity [m, m/s], heading and its rate [rad, rad/s].
 BlimpState = namedview(
@@ -143,6 +145,18 @@ def Blimp_(T: type) -> type:
 
         def _construct_copy(self, other: Any, converter: Any = None) -> None:
             Impl._construct(self, parameters=other._parameters, converter=converter)
+
+        def make_manoeuvres(
+            self, lower: Array, upper: Array, delta: float, period: float
+        ) -> list[Manoeuvre]:
+            """Returns the backup manoeuvres, if heave is stronger than d."""
+            p = self._parameters
+            if not BlimpClimb.is_possible(p, lower, upper, delta):
+                return []
+            return [
+                BlimpClimb(p, lower, upper, delta, period, is_up)
+                for is_up in (True, False)
+            ]
 
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
             disturbed = self._disturbance.HasValue(context)

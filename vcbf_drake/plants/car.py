@@ -13,7 +13,9 @@ from pydrake.math import cos, sin
 from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from vcbf_drake.checks import check_parameter
+from vcbf_drake.checks import Array, check_parameter
+from vcbf_drake.model.manoeuvre import Manoeuvre
+from vcbf_drake.plants.car_stop import CarStop
 
 # Position [m], signed forward speed [m/s], heading [rad].
 CarState = namedview("CarState", ["x", "y", "speed", "heading"])
@@ -74,6 +76,15 @@ def Car_(T: type) -> type:
 
         def _construct_copy(self, other: Any, converter: Any = None) -> None:
             Impl._construct(self, parameters=other._parameters, converter=converter)
+
+        def make_manoeuvres(
+            self, lower: Array, upper: Array, delta: float, period: float
+        ) -> list[Manoeuvre]:
+            """Returns the car's backup manoeuvre, if the brakes are stronger than d."""
+            mass = self._parameters.mass
+            if not CarStop.is_possible(lower, upper, mass, delta):
+                return []
+            return [CarStop(mass, lower, upper, delta, period)]
 
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
             _, _, v, psi = context.get_continuous_state_vector().CopyToVector().tolist()

@@ -78,6 +78,9 @@ def assumptions(
             safety_filter.thresholds(filter_context)[0],
         ),
     ]
+    if safety_filter.gate is not None:
+        _, certified = safety_filter.GetOutputPort("backup").Eval(filter_context)
+        found += [certified_plan(safety_filter, bool(certified)), _exact_state(noise)]
     return (*found, *_information(safety_filter, filter_context, observer))
 
 
@@ -108,6 +111,33 @@ def start_assumptions(
             yield _start_inside(name, chain)
     yield _input_authority(names, np.where(empty, np.inf, authority))
     yield _volume_at_start(safety_filter, volume, threshold)
+
+
+def certified_plan(safety_filter: SafetyFilter, is_certified: bool) -> Assumption:
+    """Returns the hypothesis that a backup manoeuvre is safe at the start.
+
+    Args:
+        safety_filter: The filter, with a gate.
+        is_certified: Whether one is.
+    """
+    return Assumption(
+        "certified plan",
+        "a backup manoeuvre of the plant, from the start, keeps every barrier for every"
+        " disturbance within its bound (Theorem 5)",
+        is_certified,
+        {"delta1": safety_filter.bounds.delta1},
+        "the filter may run out of inputs; start slower, or farther away",
+    )
+
+
+def _exact_state(noise: float) -> Assumption:
+    return Assumption(
+        "exact state",
+        "the measured state is the state: plans begin there (Theorem 5)",
+        noise == 0.0,
+        {"measurement noise": noise},
+        "the filter may run out of inputs",
+    )
 
 
 def gain_assumptions(observer: DisturbanceObserver) -> Iterator[Assumption]:

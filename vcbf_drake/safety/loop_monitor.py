@@ -16,7 +16,11 @@ from pydrake.systems.framework import (
 
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceEstimate, DisturbanceObserver
-from vcbf_drake.safety.assumptions import gain_assumptions, start_assumptions
+from vcbf_drake.safety.assumptions import (
+    certified_plan,
+    gain_assumptions,
+    start_assumptions,
+)
 from vcbf_drake.safety.packed_feasible_set import unpack_feasible_set
 from vcbf_drake.safety.qp import FilterStatus
 from vcbf_drake.safety.safety_filter import SafetyFilter
@@ -40,6 +44,7 @@ class LoopMonitor(LeafSystem):
         - authority
         - volume
         - row_margin
+        - backup (optional)
         - estimate (optional)
 
     All ports are the filter's, the last the observer's. At the start it logs a line for
@@ -70,6 +75,8 @@ class LoopMonitor(LeafSystem):
                 "row_margin",
             )
         }
+        if safety_filter.gate is not None:
+            self._ports["backup"] = self.DeclareVectorInputPort("backup", 2)
         if safety_filter.HasInputPort("estimate"):
             size = safety_filter.GetInputPort("estimate").size()
             self._ports["estimate"] = self.DeclareVectorInputPort("estimate", size)
@@ -99,6 +106,9 @@ class LoopMonitor(LeafSystem):
         )
         if self._filter.method.disturbance == "estimated":
             found = (*found, *gain_assumptions(self._observer))
+        if "backup" in self._ports:
+            is_certified = bool(self._read(context, "backup")[1])
+            found = (certified_plan(self._filter, is_certified), *found)
         failed = [each for each in found if each.holds is False]
         first = failed[0].verdict if failed else ""
         state.get_mutable_abstract_state(0).set_value((first,))

@@ -28,7 +28,7 @@ from vcbf_drake.safety.tick_qp import (
     state_qp,
 )
 
-InfeasiblePolicy = Literal["stop", "least_violation", "hold", "decay"]
+InfeasiblePolicy = Literal["stop", "least_violation", "hold", "decay", "backup"]
 
 INFEASIBLE_POLICIES: tuple[InfeasiblePolicy, ...] = get_args(InfeasiblePolicy)
 
@@ -65,6 +65,9 @@ class FilterDecision:
             is a QP's solution.
         decay: The largest factor omega on a barrier's last decay rate (E99), 1 where
             the rows hold at their own rates.
+        backup: How far the input gave way to a backup manoeuvre's, from 0 to 1.
+        is_certified: Whether a certified way to safety follows on it (Theorem 5); None
+            where none was sought.
         qp: The QP whose solution the input is, where it is one.
     """
 
@@ -75,6 +78,8 @@ class FilterDecision:
     row_margin: float = math.nan
     soft_slacks: tuple[float, ...] = ()
     decay: float = 1.0
+    backup: float = 0.0
+    is_certified: bool | None = None
     qp: QP | None = field(default=None, compare=False, repr=False)
 
 

@@ -13,6 +13,7 @@ from vcbf_drake.barriers import Barrier, BarrierSet, StateInputLimit
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
 from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.safety.backup import Gate, MakeGate
 from vcbf_drake.safety.cached_system import CachedSystem, held_by
 from vcbf_drake.safety.decay import DecayRates
 from vcbf_drake.safety.feasible_set import (
@@ -64,6 +65,7 @@ class SafetyFilter(CachedSystem):
         - authority
         - row_margin
         - decay
+        - backup (optional)
         - status
         - feasible_set
 
@@ -94,6 +96,8 @@ class SafetyFilter(CachedSystem):
     | ``authority`` | N | how far the inputs move each row; 0 when not at all (R33) |
     | ``row_margin`` | 1 | the rows' least until the next tick (E77); nan unless asked |
     | ``decay`` | 1 | the largest factor on a decay rate (E99); 1 where none grew |
+    | ``backup`` | 2 | how far the input gave way to a backup manoeuvre's, 0 to 1;
+      1 with a certified way to safety after it, else 0 |
     | ``status`` | 1 | a `FilterStatus` |
     | ``feasible_set`` | | A, b, ellipsoid: see `unpack_feasible_set` |
 
@@ -115,6 +119,7 @@ class SafetyFilter(CachedSystem):
             [ControlAffineModel, BarrierSet, float, float], RowHolder
         ]
         | None = None,
+        make_gate: MakeGate | None = None,
     ) -> None:
         """Declares ports and cache entries.
 
@@ -132,6 +137,9 @@ class SafetyFilter(CachedSystem):
             make_row_holder: Makes what holds rows between ticks, of model, barrier set,
                 hold and delta1: `vcbf_drake.between_ticks.HeldRows`. Needed where the
                 settings say ``between_ticks: certified``.
+            make_gate: Makes what keeps a backup manoeuvre certified:
+                `vcbf_drake.between_ticks.BackupGate`. Needed where the settings say
+                ``infeasible: backup``.
 
         Raises:
             ValueError: An argument is outside what is allowed.
@@ -166,6 +174,15 @@ class SafetyFilter(CachedSystem):
             self.row_holder = make_row_holder(
                 model, self.barrier_set, self.certified_hold, self.bounds.delta1
             )
+        self.gate: Gate | None = None
+        if self.settings.infeasible == "backup":
+            if make_gate is None:
+                raise ValueError(
+                    "infeasible: backup; it needs make_gate=BackupGate, of"
+                    " vcbf_drake.between_ticks (AddSafetyFilter gives it)"
+                )
+            known = self.settings.period, self.bounds.delta1
+            self.gate = make_gate(model, self.barrier_set, input_set, *known)
         settings, count = self.settings, len(self.barriers)
         self._weights = settings.one_a_barrier("violation_weights", count, 1.0)
         self._penalties = settings.one_a_barrier("soft_penalties", count, np.inf)
@@ -238,6 +255,13 @@ class SafetyFilter(CachedSystem):
             )
         self._output("status", 1, decision, lambda decided: [decided.status])
         self._output("decay", 1, decision, lambda decided: [decided.decay])
+        if self.gate is not None:
+            self._output(
+                "backup",
+                2,
+                decision,
+                lambda decided: [decided.backup, bool(decided.is_certified)],
+            )
         self._output("row_margin", 1, decision, lambda decided: [decided.row_margin])
         self._output(
             "volume", 1, self._volumes_entry, lambda v: [v[0].value if v[0] else np.nan]
@@ -350,6 +374,19 @@ class SafetyFilter(CachedSystem):
         return found
 
     def _calc_decision(self, context: Context) -> FilterDecision:
+        decision = self._method_decision(context)
+        if self.gate is None or not np.isfinite(self._state.Eval(context)).all():
+            return decision
+        return self.gate.decide(self._tick(context), decision)
+
+    def _tick(self, context: Context) -> Tick:
+        """What is known at a tick."""
+        feasible, x = self.feasible_set(context), self._state.Eval(context)
+        seen = None if self._obstacles is None else self._obstacles.Eval(context)
+        return Tick(feasible.rows, x, context.get_time(), feasible.known, seen)
+
+    def _method_decision(self, context: Context) -> FilterDecision:
+        """The method's own decision."""
         reference, held = self._reference.Eval(context), self._held(context)
         if not np.isfinite(self._state.Eval(context)).all():
             return FilterDecision(self.input_set.project(held), FilterStatus.FAILED)
@@ -390,10 +427,7 @@ class SafetyFilter(CachedSystem):
             return FilterDecision(decision.input, FilterStatus.FAILED)
         if self.row_holder is None:
             return decision
-        seen = None if self._obstacles is None else self._obstacles.Eval(context)
-        x, t = self._state.Eval(context), context.get_time()
-        tick = Tick(feasible.rows, x, t, feasible.known, seen)
-        return self.row_holder.lasting_decision(tick, decision, choose)
+        return self.row_holder.lasting_decision(self._tick(context), decision, choose)
 
     def _held(self, context: Context) -> Array:
         if not self._held_input.HasValue(context):

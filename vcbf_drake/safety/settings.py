@@ -40,8 +40,10 @@ class FilterSettings:
         fidelity: "corrected", or "paper" for the equations as published; or the errata
             to apply.
         infeasible: What to do when no input satisfies the barrier rows: apply the input
-            of "least_violation", "hold" the last one, "stop" the simulation, or let the
-            barriers "decay" faster than their gains say, by as little as helps (E99).
+            of "least_violation", "hold" the last one, "stop" the simulation, let the
+            barriers "decay" faster than their gains say, by as little as helps (E99),
+            or follow a "backup" manoeuvre of the plant, a certified one of which is
+            kept at every tick (Theorem 5).
         volume: The volume barrier, for the methods that have one.
         decay_penalty: What a decay rate's growth (omega - 1)^2 costs beside the squared
             distance to the reference (E99), with optimal-decay or infeasible: decay.

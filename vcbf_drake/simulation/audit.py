@@ -32,6 +32,8 @@ PROMISES = {
     "volume": "V_v >= 0 (Theorem 2)",
     "slack": "the volume row never gave way (Theorem 3)",
     "feasible": "some input satisfies the barrier rows",
+    "plan": "a certified way to safety follows on every input (Theorem 5)",
+    "disturbance": "|d| <= delta1, all that plan knows of it",
     "solver": "every answer was verified",
     "input": "the input is finite and inside its limits",
 }
@@ -42,6 +44,9 @@ QUADRATURE = "quadrature"
 # What an estimate's error bound rests on and a run shows; a certificate needs all.
 KNOWLEDGE = ("estimate", MEASUREMENT, QUADRATURE)
 BETWEEN_TICKS = "barrier between ticks"
+# What Theorem 5 asks of a run or promises of it, and its hypotheses, faults apart.
+FEASIBILITY = ("plan", "disturbance", "barrier", BETWEEN_TICKS, "input")
+FEASIBILITY_HYPOTHESES = ("certified plan", "exact state")
 VOLUME_DECREASE = "volume decrease"
 AUTHORITY = "authority"
 
@@ -81,12 +86,17 @@ def audit_margins(
         # What the law promises is phi' >= -omega lambda phi, for any omega allowed.
         period, watched = safety_filter.settings.period, barriers.barriers
         chi += [DecayRates.at(each, watched, period).room for each in rows.chain]
-    volume = slack = lasting = np.full(len(status), np.nan)
+    volume = slack = lasting = plan = within = np.full(len(status), np.nan)
     if safety_filter.method.has_volume_row:
         volume = _certain(log["volume"])
         slack = log["slack"]
     if safety_filter.certified_hold:
         lasting = _certain(log["least_chi"])
+    if safety_filter.gate is not None:
+        plan = _yes_or_no(log["backup"][:, 1] > 0.0)
+        within = bounds.delta1 - np.linalg.norm(log["disturbance"], axis=1)
+        # The rows ask nothing of an input that gave way to a manoeuvre's.
+        chi[log["backup"][:, 0] > 0.0] = np.inf
     margins = [
         bound - np.linalg.norm(error, axis=1),
         _least_of_each(along - certified),
@@ -97,6 +107,8 @@ def audit_margins(
         volume,
         slack,
         _yes_or_no(status != FilterStatus.INFEASIBLE),
+        plan,
+        within,
         _yes_or_no(status != FilterStatus.FAILED),
         _yes_or_no(_are_inside(log["input"], safety_filter.input_set)),
     ]
@@ -207,6 +219,22 @@ def reasons_against(
     return hypotheses + broken + ["collision"] * collided
 
 
+def reasons_against_feasibility(
+    assumptions: Iterable[Assumption],
+    findings: Mapping[str, Mapping[str, Any]],
+    collided: bool,
+) -> list[str]:
+    """Returns why a run's inputs are not guaranteed; empty when they are (Theorem 5).
+
+    Args:
+        assumptions: The theorem's hypotheses at the start.
+        findings: What `audit_findings` returns.
+        collided: Whether the run ended in a collision.
+    """
+    relevant = {name: findings[name] for name in FEASIBILITY if name in findings}
+    return reasons_against(assumptions, relevant, collided)
+
+
 def _decrease_margin(times: Array, volume: Array, gain: float) -> Array:
     """By how much V_v(t + T) exceeds what the row at t lets it fall to, per second."""
     elapsed = np.diff(times)
@@ -279,6 +307,7 @@ class Audit(LeafSystem):
         - slack
         - least_chi
         - status
+        - backup (optional)
         output_ports:
         - margins
 
@@ -320,6 +349,8 @@ class Audit(LeafSystem):
             "least_chi": 1,
             "status": 1,
         }
+        if safety_filter.gate is not None:
+            sizes["backup"] = 2
         if safety_filter.method.disturbance == "estimated":
             sizes["estimate"] = DisturbanceEstimate.packed_size(model.num_disturbances)
         self._ports: dict[str, InputPort] = {

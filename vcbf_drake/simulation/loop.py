@@ -286,6 +286,8 @@ def logged_ports(
     ports["input"] = safety_filter.GetOutputPort("command")
     if safety_filter.certified_hold:
         ports["least_chi"] = safety_filter.GetOutputPort("row_margin")
+    if safety_filter.gate is not None:
+        ports["backup"] = safety_filter.GetOutputPort("backup")
     ports["reference"] = controller.GetOutputPort("reference")
     ports["estimate"] = observer.GetOutputPort("estimate")
     return ports
@@ -310,6 +312,9 @@ def _add_audit(
     }.items():
         if audit.HasInputPort(name):
             builder.Connect(port, audit.GetInputPort(name))
+    if audit.HasInputPort("backup"):
+        port = loop.filter.GetOutputPort("backup")
+        builder.Connect(port, audit.GetInputPort("backup"))
 
 
 def _add_logs(

@@ -28,7 +28,8 @@ class Result:
             authority (T, N),
             polytope_A (T, rows, m), polytope_b (T, rows), ellipsoid_shape (T, m, m),
             ellipsoid_center (T, m), audit (T, P), the margins of `PROMISES`;
-            least_chi (T,) with `between_ticks: certified`. Mapped from files where
+            least_chi (T,) with `between_ticks: certified`, backup (T, 2), the filter's
+            port of that name, with `infeasible: backup`. Mapped from files where
             the run's log went to disk.
     """
 

@@ -30,10 +30,12 @@ from vcbf_drake.safety import (
 )
 from vcbf_drake.simulation.audit import (
     BETWEEN_TICKS,
+    FEASIBILITY_HYPOTHESES,
     KNOWLEDGE,
     ROUNDING,
     audit_findings,
     reasons_against,
+    reasons_against_feasibility,
 )
 from vcbf_drake.simulation.faults import fault_assumptions
 from vcbf_drake.simulation.loading import load_scenario
@@ -103,6 +105,14 @@ def simulate(
     if _fell_short(scenario, summary["certified_min_barrier"]):
         summary["reasons_against"].append(f"not certified: {BETWEEN_TICKS}")
     summary["guaranteed"] = not summary["reasons_against"]
+    if safety_filter.gate is not None:
+        faults = {each.name for each in fault_assumptions(scenario.faults)}
+        summary["reasons_against_feasible"] = reasons_against_feasibility(
+            [each for each in found if each.name in {*FEASIBILITY_HYPOTHESES, *faults}],
+            summary["audit"],
+            summary["outcome"] == "collision",
+        )
+        summary["guaranteed_feasible"] = not summary["reasons_against_feasible"]
     if step_time:
         summary["step_cpu_ms"] = step_cpu_time(safety_filter, log)
     summary["real_time_factor"] = ending.time / max(cpu_time, 1e-9)

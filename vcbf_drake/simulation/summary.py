@@ -58,6 +58,7 @@ def summarise(
         path_time, _distance(scenario, path) <= scenario.arrival_tolerance
     )
     stopped = ending.monitor.endswith(LOOP_MONITOR)
+    backup = log.get("backup", np.zeros((1, 2)))
     slack, fidelity = np.abs(log["slack"]), scenario.fidelity
     return {
         "scenario": scenario.name,
@@ -81,6 +82,7 @@ def summarise(
         "relaxed_ticks": int(np.sum(log["status"] == FilterStatus.RELAXED)),
         "infeasible_ticks": int(np.sum(infeasible)),
         "decayed_ticks": int(np.sum(log["decay"] > 1.0)),
+        "backup_ticks": int(np.sum(backup[:, 0] > 0.0)),
         "failed_ticks": int(np.sum(log["status"] == FilterStatus.FAILED)),
         "rows_without_authority": _without_authority(safety_filter, log),
         "final_distance": float(_distance(scenario, path[-1:])[0]),

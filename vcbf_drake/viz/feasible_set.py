@@ -166,3 +166,59 @@ def polytope_vertices(A: Array, b: Array, low: Array, high: Array) -> Array:
     sides = np.concatenate([box, box, sides[cuts] / size[cuts]])
     corners = VPolytope(HPolyhedron(rows, sides)).vertices().T
     return np.asarray(middle + scale * corners)
+
+
+def polygon(points: Array) -> Array:
+    """The corners of the convex hull of points in the plane, in order around it.
+
+    Args:
+        points: Shape (k, 2).
+
+    Returns:
+        Shape (j, 2), counter-clockwise.
+    """
+    order = points[np.lexsort(points.T[::-1])]
+    if len(order) < 3:
+        return order
+    lower, upper = _chain(order), _chain(order[::-1])
+    return np.array(lower[:-1] + upper[:-1])
+
+
+def polytope_faces(A: Array, b: Array, corners: Array) -> list[tuple[int, Array]]:
+    """The faces of a polytope in space.
+
+    Args:
+        A: The rows, shape (n, 3).
+        b: The right-hand sides, shape (n,).
+        corners: Its corners, shape (k, 3).
+
+    Returns:
+        The row and the corners in order, shape (j, 3), of every face.
+    """
+    faces = []
+    gap = np.abs(corners @ A.T - b)
+    touching = gap <= 1e-7 * (np.abs(b) + np.abs(corners) @ np.abs(A).T)
+    for row, normal in enumerate(A):
+        face = corners[touching[:, row]]
+        if len(face) < 3:
+            continue
+        across = np.linalg.svd(normal[None])[2][1:]
+        x, y = across @ (face - face.mean(axis=0)).T
+        faces.append((row, face[np.argsort(np.arctan2(y, x))]))
+    return faces
+
+
+def _chain(points: Array) -> list[Array]:
+    """The part of a hull from the first point to the last; it turns left all along."""
+    chain: list[Array] = []
+    for point in points:
+        while len(chain) > 1 and _turn(chain[-2], chain[-1], point) <= 0.0:
+            chain.pop()
+        chain.append(point)
+    return chain
+
+
+def _turn(first: Array, second: Array, third: Array) -> float:
+    """Twice the signed area of a triangle, positive when it turns left."""
+    (a, b), (c, d) = second - first, third - first
+    return float(a * d - b * c)

@@ -190,6 +190,12 @@ def _remarks(summary: Mapping[str, Any]) -> Iterator[str]:
     ]
     if broken:
         yield f"promises broken, first at (see summary.json): {', '.join(broken)}"
+    if summary.get("guaranteed_feasible"):
+        ticks = summary["backup_ticks"]
+        yield f"guaranteed: feasible (Theorem 5); the backup acted at {ticks} ticks"
+    against = summary.get("reasons_against_feasible")
+    if against:
+        yield f"not guaranteed feasible: {', '.join(against)}"
     certified = summary.get("certified_min_barrier")
     if certified is not None:
         least = rounded_down(certified)

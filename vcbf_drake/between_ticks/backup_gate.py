@@ -1,0 +1,204 @@
+"""BackupGate: no input leaves it but with a certified way to safety after it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from vcbf_drake.barriers import BarrierSet
+from vcbf_drake.barriers.rows import RowFunctions
+from vcbf_drake.between_ticks.enclosures import RowEnclosures
+from vcbf_drake.between_ticks.interval import Interval, as_interval, interval_function
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import ModelError
+from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.model.manoeuvre import Box, Manoeuvre, Plan
+from vcbf_drake.safety.input_set import InputSet
+from vcbf_drake.safety.qp import FilterDecision, FilterStatus
+from vcbf_drake.safety.row_holder import Tick
+
+# How often the stretch between a filter's input and a manoeuvre's is halved.
+_HALVINGS = 5
+_TOLERANCE = 1e-9
+
+
+class BackupGate:
+    """Keeps a certified plan at every tick: an input, and a manoeuvre after it.
+
+    A plan is certified where every barrier is at least 0 in all its cells, by interval
+    arithmetic (E121). From a certified plan the manoeuvre leads to another one, so that
+    a filter that had one once has one for ever (Theorem 5).
+
+    Attributes:
+        manoeuvres: The plant's, the first to be preferred.
+    """
+
+    def __init__(
+        self,
+        model: ControlAffineModel,
+        barrier_set: BarrierSet,
+        input_set: InputSet,
+        period: float,
+        disturbance_bound: float,
+    ) -> None:
+        """Makes the plant's manoeuvres.
+
+        Args:
+            model: The plant.
+            barrier_set: What must stay true.
+            input_set: What the actuators can do, a box.
+            period: For how long an input is held [s].
+            disturbance_bound: delta1 [m/s^2].
+
+        Raises:
+            ModelError: The plant has no manoeuvre that is safe under these limits, or a
+                barrier has no enclosure on intervals; or the limits are no box.
+        """
+        RowEnclosures.at(barrier_set, 0.0, np.zeros(barrier_set.obstacles_size))
+        if not input_set.is_box:
+            raise ModelError("infeasible: backup; it needs limits of each input alone")
+        if model.make_manoeuvres is None:
+            raise ModelError(
+                f"infeasible: backup; {model.name} has no backup manoeuvre: give the"
+                " plant a method make_manoeuvres"
+            )
+        lower, upper = -input_set.b[model.num_inputs :], input_set.b[: model.num_inputs]
+        self.manoeuvres = tuple(
+            model.make_manoeuvres(lower, upper, disturbance_bound, period)
+        )
+        if not self.manoeuvres:
+            raise ModelError(
+                f"infeasible: backup; no manoeuvre of {model.name} is safe with these"
+                f" input limits and |d| <= {disturbance_bound:g} m/s^2"
+            )
+        self._barriers, self._input_set = barrier_set, input_set
+        self._disturbance_bound = disturbance_bound
+
+    def decide(self, tick: Tick, decision: FilterDecision) -> FilterDecision:
+        """Returns a decision with a certified plan; where there is none, one without.
+
+        The input gives way to a manoeuvre's by as little as a certified plan takes: at
+        first only those inputs that the manoeuvre names, then all.
+
+        Args:
+            tick: Where it is made.
+            decision: The method's own.
+        """
+        decision = self._found(tick, decision)
+        # Where the observer refutes the bound of d, nothing that rests on it is sure.
+        known, most = tick.known, self._disturbance_bound
+        if np.linalg.norm(known.estimate) - known.bound > most * (1.0 + _TOLERANCE):
+            return replace(decision, is_certified=False)
+        return decision
+
+    def _found(self, tick: Tick, decision: FilterDecision) -> FilterDecision:
+        check = _Check(tick, self._barriers, self._input_set)
+        u = decision.input
+        if any(check.passes(each, u) for each in self.manoeuvres):
+            return replace(decision, is_certified=True)
+        for each in self.manoeuvres:
+            backup = each.input(tick.state)
+            if not check.passes(each, backup):
+                continue
+            partly = u.copy()
+            partly[list(each.first)] = backup[list(each.first)]
+            end = partly if check.passes(each, partly) else backup
+            share = check.least_share(each, u, end)
+            return replace(
+                decision,
+                input=self._input_set.project(u + share * (end - u)),
+                backup=share,
+                is_certified=True,
+                qp=None,
+            )
+        if decision.status < FilterStatus.INFEASIBLE:
+            return replace(decision, is_certified=False)
+        backup = self.manoeuvres[0].input(tick.state)
+        return replace(decision, input=backup, backup=1.0, is_certified=False)
+
+
+class _Check:
+    """What certifies the plans of one tick."""
+
+    def __init__(
+        self, tick: Tick, barrier_set: BarrierSet, input_set: InputSet
+    ) -> None:
+        functions = barrier_set.functions_at(tick.time, tick.obstacles)
+        self._functions = [each for each in functions if each.relative_degree]
+        self._limits = [
+            i for i, each in enumerate(functions) if not each.relative_degree
+        ]
+        self._tick, self._input_set = tick, input_set
+
+    def passes(self, manoeuvre: Manoeuvre, u: Array) -> bool:
+        """Returns whether an input's plan is certified (E121)."""
+        rows, tick = self._tick.rows, self._tick
+        if (self._input_set.A @ u > self._input_set.b + _TOLERANCE).any():
+            return False
+        limits = self._limits
+        if (rows.A[limits] @ u > rows.b[limits] + _TOLERANCE).any():
+            return False
+        plan = manoeuvre.plan(tick.state, tick.time, u)
+        cells = self._cells_before_safety(plan)
+        if cells is None:
+            return False
+        return all(_is_clear(each, plan, 0, cells) for each in self._functions)
+
+    def least_share(self, manoeuvre: Manoeuvre, u: Array, end: Array) -> float:
+        """Returns how far an input has to give way, at least: nearly; from 0 to 1."""
+        low, high = 0.0, 1.0
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            if self.passes(manoeuvre, u + middle * (end - u)):
+                high = middle
+            else:
+                low = middle
+        return high
+
+    def _cells_before_safety(self, plan: Plan) -> int | None:
+        """How many cells come before one from which on nothing is in the way."""
+        if plan.beyond is None:
+            return plan.num_cells
+        if not self._is_safe_beyond(plan, plan.num_cells):
+            return None
+        low, high = 0, plan.num_cells
+        while low + 1 < high:
+            middle = (low + high) // 2
+            if self._is_safe_beyond(plan, middle):
+                high = middle
+            else:
+                low = middle
+        return high
+
+    def _is_safe_beyond(self, plan: Plan, cell: int) -> bool:
+        box = plan.beyond(cell) if plan.beyond else None
+        if box is None:
+            return False
+        return all(_value(each, box).low >= 0.0 for each in self._functions)
+
+
+def _is_clear(function: RowFunctions, plan: Plan, first: int, last: int) -> bool:
+    """Whether a barrier is at least 0 in all cells: in many at once, or each alone."""
+    value = _value(function, plan.box(first, last))
+    if value.low >= 0.0:
+        return True
+    if last - first <= 1 or value.high < 0.0:
+        return False
+    middle = (first + last) // 2
+    return _is_clear(function, plan, first, middle) and _is_clear(
+        function, plan, middle, last
+    )
+
+
+_UNKNOWN = Interval(-1e300, 1e300)
+
+
+def _value(function: RowFunctions, box: Box) -> Interval:
+    """Encloses a barrier over a box; anything where it is singular."""
+    arguments = [Interval(*each) for each in box]
+    try:
+        (h,) = interval_function(function.value)(*arguments, *function.parameters)
+    except (ArithmeticError, ValueError):
+        return _UNKNOWN
+    return as_interval(h)

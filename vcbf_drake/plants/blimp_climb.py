@@ -1,0 +1,179 @@
+"""The blimp's backup manoeuvres: it climbs, or sinks, until nothing is above or below.
+
+Sway has no actuator, so that no law keeps a blimp at rest in a wind. Heave has one.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vcbf_drake.checks import Array
+from vcbf_drake.model.manoeuvre import ANYWHERE, FOREVER, Box, Manoeuvre, Plan
+
+if TYPE_CHECKING:
+    from vcbf_drake.plants.blimp import BlimpParameters
+
+# How far ahead the way up or down is followed [s].
+_HORIZON = 12.0
+_ROUNDING = 1e-12
+
+
+class BlimpClimb(Manoeuvre):
+    """Full heave and no surge (E128): a motion that no heading changes.
+
+    Each coordinate then moves by itself, p'' = a - c p' + d, and what |d| <= delta1 can
+    do to it is known exactly. Once it rises, it rises for ever: where nothing is above,
+    it is safe.
+
+    Args:
+        parameters: Of a blimp with equal masses, and drags, in surge and sway.
+        lower: Least surge force [N], heave force [N] and yaw moment [N m].
+        upper: Greatest ones.
+        disturbance_bound: delta1 [m/s^2].
+        period: For how long an input is held [s].
+        is_up: Whether it climbs; else it sinks.
+    """
+
+    first = (1,)
+
+    def __init__(
+        self,
+        parameters: BlimpParameters,
+        lower: Array,
+        upper: Array,
+        disturbance_bound: float,
+        period: float,
+        is_up: bool,
+    ) -> None:
+        p = parameters
+        self._mass, _, self._heave_mass = p.effective_masses
+        self._drag = p.drag[0] / self._mass
+        self._heave_drag = p.drag[2] / self._heave_mass
+        self._inertia, self._yaw_drag = p.yaw_inertia, p.yaw_drag
+        self._lower, self._upper = lower, upper
+        self._delta, self._period, self._is_up = disturbance_bound, period, is_up
+        self._heave = float(upper[1] if is_up else lower[1])
+        most = np.maximum(np.abs(lower), np.abs(upper))
+        self._surge_most = float(most[0]) / self._mass + disturbance_bound
+        self._heave_most = float(most[1]) / self._heave_mass + disturbance_bound
+        self._num_cells = math.ceil(_HORIZON / period)
+
+    @staticmethod
+    def is_possible(
+        parameters: BlimpParameters, lower: Array, upper: Array, delta: float
+    ) -> bool:
+        """Returns whether no heading matters, and heave is stronger than d."""
+        m_x, m_y, m_z = parameters.effective_masses
+        weakest = min(-float(lower[1]), float(upper[1])) / m_z
+        return (
+            m_x == m_y
+            and parameters.drag[0] == parameters.drag[1]
+            and bool(np.all((lower <= 0.0) & (upper >= 0.0)))
+            and delta < weakest < math.inf
+        )
+
+    def input(self, state: Array) -> Array:
+        """Returns full heave, and a moment that stops the yawing; see `Manoeuvre`."""
+        yaw_rate = float(state[7])
+        stop = (self._yaw_drag - self._inertia / self._period) * yaw_rate
+        moment = min(max(stop, float(self._lower[2])), float(self._upper[2]))
+        return np.array([0.0, self._heave, moment])
+
+    def plan(self, state: Array, time: float, u: Array) -> Plan:
+        """Returns where an input leads; see `Manoeuvre`."""
+        *places, yaw, vx, vy, vz, yaw_rate = state.tolist()
+        surge, heave, moment = u.tolist()
+        T, thrust = self._period, surge / self._mass
+        middle = yaw + 0.5 * yaw_rate * T
+        # By how much the thrust turns while it is held.
+        yawing = (abs(moment) + self._yaw_drag * abs(yaw_rate)) / self._inertia
+        turned = abs(thrust) * (0.5 * abs(yaw_rate) * T + 0.5 * yawing * T * T)
+        c, s = thrust * math.cos(middle), thrust * math.sin(middle)
+        held, led = heave / self._heave_mass, self._heave / self._heave_mass
+        fixed = T, self._delta
+        axes = [
+            _Axis(places[0], vx, c, 0.0, self._drag, *fixed, turned),
+            _Axis(places[1], vy, s, 0.0, self._drag, *fixed, turned),
+            _Axis(places[2], vz, held, led, self._heave_drag, *fixed),
+        ]
+        most = (self._surge_most, self._surge_most, self._heave_most)
+        bends = [
+            a + max(axis.drag * abs(axis.speed), a)
+            for axis, a in zip(axes, most, strict=True)
+        ]
+        anywhere = (-ANYWHERE, ANYWHERE)
+
+        def box(i: int, k: int) -> Box:
+            span, ends = (k - i) * T, []
+            for axis, bend in zip(axes, bends, strict=True):
+                (low_i, high_i), (low_k, high_k) = axis.place(i), axis.place(k)
+                # A curve leaves its chord by no more than this.
+                slack = 0.125 * bend * span * span
+                slack += _ROUNDING * (1.0 + abs(low_i) + abs(high_k))
+                ends.append((min(low_i, low_k) - slack, max(high_i, high_k) + slack))
+            return [*ends, *5 * [anywhere], (time + i * T, time + k * T)]
+
+        def beyond(i: int) -> Box | None:
+            low, high = axes[2].place(i)
+            slowest, fastest = axes[2].velocity(i)
+            if not (slowest > 0.0 if self._is_up else fastest < 0.0):
+                return None  # It does not go the right way yet.
+            height = (low, ANYWHERE) if self._is_up else (-ANYWHERE, high)
+            around = [anywhere, anywhere, height, *5 * [anywhere]]
+            return [*around, (time + i * T, FOREVER)]
+
+        return Plan(self._num_cells, box, beyond)
+
+
+class _Axis:
+    """One coordinate under p'' = a - drag p' + d: `held` for a period, then `led`."""
+
+    def __init__(
+        self,
+        place: float,
+        speed: float,
+        held: float,
+        led: float,
+        drag: float,
+        period: float,
+        disturbance: float,
+        turned: float = 0.0,
+    ) -> None:
+        self.speed, self.drag = speed, drag
+        self._start, self._held, self._led = place, held, led
+        self._period, self._disturbance, self._turned = period, disturbance, turned
+        decay, first, second = _moments(drag, period)
+        self._place = place + first * speed + second * held
+        self._speed = decay * speed + first * held
+
+    def place(self, cell: int) -> tuple[float, float]:
+        """Where it is at the start of a cell, at least and at most."""
+        _, _, spread = _moments(self.drag, cell * self._period)
+        spread *= self._disturbance
+        if cell == 0:
+            return self._start - spread, self._start + spread
+        _, first, second = _moments(self.drag, (cell - 1) * self._period)
+        p = self._place + first * self._speed + second * self._led
+        spread += self._turned * self._period * (self._period + first)
+        return p - spread, p + spread
+
+    def velocity(self, cell: int) -> tuple[float, float]:
+        """How fast it is at the start of a cell; of a cell after the first."""
+        _, spread, _ = _moments(self.drag, cell * self._period)
+        decay, first, _ = _moments(self.drag, max(cell - 1, 0) * self._period)
+        v = decay * self._speed + first * self._led
+        spread = spread * self._disturbance + decay * self._turned * self._period
+        return v - spread, v + spread
+
+
+def _moments(drag: float, t: float) -> tuple[float, float, float]:
+    """exp(-c t), and its first and second integral over [0, t]."""
+    decay, z = math.exp(-drag * t), drag * t
+    if z < 1e-3:  # By series, where the closed form cancels.
+        first = t * (1.0 - z / 2.0 + z * z / 6.0 - z**3 / 24.0)
+        return decay, first, t * t * (0.5 - z / 6.0 + z * z / 24.0 - z**3 / 120.0)
+    first = -math.expm1(-z) / drag
+    return decay, first, (t - first) / drag
