@@ -114,6 +114,7 @@ FOUND = (
     2300, 2301, 2325, 2343, 2352, 2394, 2439, 2460, 2508, 2711, 2730, 2782, 2794,
     2965, 3083, 3085, 3151, 3251, 3372, 3409, 3413, 3524, 3545, 3774, 3950,
     15468, 26094,
+    15613, 55373, 58215, 62442, 82167, 83037, 89925, 96463, 99963,
 )
 # fmt: on
 
@@ -121,6 +122,11 @@ FOUND = (
 @pytest.mark.parametrize("number", FOUND)
 def test_what_was_found(number):
     assert make_example(0, number).broken == ()
+
+
+@pytest.mark.parametrize("number", [1501, 3433, 3811, 8809, 14367])
+def test_slabs_that_are_empty_or_not_by_a_rounding(number):
+    assert make_example(3, number).broken == ()
 
 
 def test_volume_rows_have_no_part_in_a_conflict():

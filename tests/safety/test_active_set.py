@@ -5,7 +5,10 @@ from numpy.testing import assert_allclose
 import pytest
 import quadprog
 
-from vcbf_drake.safety.active_set import nearest_by_active_set
+from vcbf_drake.safety.active_set import (
+    nearest_by_active_set,
+    nearest_in_rationals,
+)
 
 
 def random_problem(rng, m, n):
@@ -54,3 +57,34 @@ def test_rows_without_a_common_point_end_in_farkas_proof():
     assert found.conflict @ b < -0.5 * found.conflict.max()
     b[1] = 2.0
     assert nearest_by_active_set(A, b, np.array([0.3, 0.2])).conflict is None
+
+
+@pytest.mark.parametrize("tilt", [1.0, 1e-8, 1e-15])
+@pytest.mark.parametrize("far", [2.0, 1e12])
+def test_rational_numbers_round_nothing_at_any_angle(tilt, far):
+    """Two rows that meet at (1, 0), as steep as they may be."""
+    A = np.array([[tilt, 1.0], [tilt, -1.0]])
+    found = nearest_in_rationals(A, np.array([tilt, tilt]), np.array([far, 0.0]))
+    assert found.conflict is None
+    assert_allclose(found.point, [1.0, 0.0], rtol=0.0, atol=0.0)
+    assert_allclose(found.multipliers, 0.5 * (far - 1.0) / tilt, rtol=1e-15)
+
+
+def test_rational_numbers_tell_a_gap_of_one_rounding_from_none():
+    A, ulp = np.array([[1.0, 0.0], [-1.0, 0.0]]), np.finfo(float).eps
+    touching = nearest_in_rationals(A, np.array([1.0, -1.0]), np.zeros(2))
+    assert touching.conflict is None
+    assert_allclose(touching.point, [1.0, 0.0], rtol=0.0, atol=0.0)
+    apart = nearest_in_rationals(A, np.array([1.0, -1.0 - ulp]), np.zeros(2))
+    assert_allclose(apart.conflict, [1.0, 1.0], rtol=0.0, atol=0.0)
+
+
+@pytest.mark.parametrize(("m", "n"), [(1, 4), (3, 12), (4, 20)])
+def test_rational_numbers_and_floats_agree(m, n):
+    rng = np.random.default_rng([m, n, 1])
+    for _ in range(20):
+        A, b, reference = random_problem(rng, m, n)
+        floats = nearest_by_active_set(A, b, reference)
+        exact = nearest_in_rationals(A, b, reference)
+        assert_allclose(exact.point, floats.point, atol=1e-9)
+        assert_allclose(exact.multipliers, floats.multipliers, atol=1e-6)

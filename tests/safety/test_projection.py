@@ -246,3 +246,32 @@ def test_no_minimiser_is_said_with_the_rows(rows, bounds, error):
         minimise_linear(np.array([1.0, 1.0]), rows, bounds)
     np.testing.assert_array_equal(raised.value.A, rows)
     np.testing.assert_array_equal(raised.value.b, bounds)
+
+
+def test_the_multipliers_of_far_slacks_prove_nothing():
+    """A slab of next to no width, and a row that gives way at next to no price.
+
+    z = (1/2, 1/2, 1e-9) all but balances the rows, and yet they have a point: the last
+    variable may be as large as it has to.
+    """
+    A = np.array([[1.0, 0.0, 0.0], [-1.0, 2e-9, 0.0], [0.0, -1.0, 1e-4]])
+    b = np.array([0.0, -3e-9, 0.5])
+    point = nearest_point(A, b, np.zeros(3)).point
+    assert (A @ point <= b + 1e-9).all()
+
+
+def test_short_rows_have_a_direction_too():
+    """Of limits of 1e-12, a row u <= 3e-13 is one: no unit makes it a blank."""
+    A = 1e-12 * np.array([[1.0, 0.0], [0.0, -1.0]])
+    point = nearest_point(A, 1e-12 * np.array([0.3, 0.2]), np.ones(2)).point
+    np.testing.assert_allclose(point, [0.3, 1.0], atol=1e-15)
+
+
+@pytest.mark.parametrize("tilt", [1e-6, 1e-9, 1e-12])
+def test_the_least_on_a_wedge_is_its_tip(tilt):
+    """Rows opposite but for an angle: its multipliers are as large as 1 / tilt."""
+    A = np.array([[tilt, 1.0], [tilt, -1.0], [-1.0, 0.0], [1.0, 0.0]])
+    b = np.array([0.5 * tilt, 0.5 * tilt, 1.0, 1.0])
+    point = minimise_linear(np.array([-1.0, 0.0]), A, b)
+    np.testing.assert_allclose(point, [0.5, 0.0], atol=1e-15 / tilt + 1e-12)
+    assert (A @ point <= b + 1e-10).all()

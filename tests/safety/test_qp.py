@@ -3,7 +3,7 @@ import pytest
 from scipy.optimize import linprog
 
 from vcbf_drake.barriers import BarrierRows
-from vcbf_drake.errors import SolverError
+from vcbf_drake.errors import EmptySetError, SolverError
 from vcbf_drake.safety import (
     DisturbanceKnowledge,
     FilterStatus,
@@ -218,10 +218,23 @@ def failing(*arguments):
     raise SolverError("no answer", np.zeros((1, 2)), np.zeros(1))
 
 
-def test_an_emptiness_that_cannot_be_proven_is_a_failure(monkeypatch):
+def test_an_emptiness_that_floats_cannot_prove_is_proven_in_rationals(monkeypatch):
+    monkeypatch.setattr(projection, "BALANCE_TOLERANCE", -1.0)
+    feasible = set_of([[1.0, 0.0], [-1.0, 0.0]], [-0.5, 0.2])
+    decision = choose(feasible, [0.0, 0.5])
+    assert decision.status == FilterStatus.INFEASIBLE and decision.conflict == (4, 5)
+    np.testing.assert_allclose(decision.input, [-0.35, 0.5], atol=1e-6)
+
+
+def test_no_answer_at_all_is_a_failure(monkeypatch):
     """Not called infeasible without a certificate; the least violation acts."""
-    monkeypatch.setattr(projection, "_proven_empty", lambda *_: None)
-    monkeypatch.setattr(projection, "emptiness_certificate", failing)
+    attempts = []
+
+    def but_the_first(*arguments):
+        attempts.append(arguments)
+        return nearest_point(*arguments) if len(attempts) > 1 else failing()
+
+    monkeypatch.setattr(tick_qp, "nearest_point", but_the_first)
     feasible = set_of([[1.0, 0.0], [-1.0, 0.0]], [-0.5, 0.2])
     decision = choose(feasible, [0.0, 0.5])
     assert decision.status == FilterStatus.FAILED and decision.conflict == ()
@@ -239,12 +252,14 @@ def test_the_fallback_on_a_set_that_is_not_empty_stays_near_the_reference():
 
 
 def test_a_volume_row_that_holds_after_all_has_no_slack(monkeypatch):
-    """The first attempt finds nothing and proves nothing; the second keeps all."""
+    """The first attempt finds no point, by rounding alone; the second keeps all."""
     attempts = []
 
-    def at_the_second(*arguments):
-        attempts.append(arguments)
-        return nearest_point(*arguments) if len(attempts) > 1 else failing()
+    def at_the_second(A, b, *others):
+        attempts.append(others)
+        if len(attempts) == 1:
+            raise EmptySetError(A, b, -1e-9)
+        return nearest_point(A, b, *others)
 
     monkeypatch.setattr(tick_qp, "nearest_point", at_the_second)
     row = VolumeRow(a=np.array([1.0, 0.0]), c=-0.5, slack_penalty=1e3)

@@ -38,12 +38,11 @@ class UnitRows:
     """Rows ``A u <= b`` scaled to unit length, which measure a violation as a distance.
 
     A row without a direction to speak of is a blank: zeros, and what stood to its
-    right. Blanks are those shorter than `shortest`, or further away than 1e20.
+    right. Blanks are rows of zeros, and those further away than 1e20.
 
     Args:
         A: The rows, shape (n, m).
         b: The right-hand sides, shape (n,).
-        shortest: The least length of a row that has a direction.
 
     Attributes:
         A: The rows, of unit length or zeros, shape (n, m).
@@ -53,12 +52,11 @@ class UnitRows:
         given: A and b as given.
     """
 
-    def __init__(self, A: Array, b: Array, shortest: float = 0.0) -> None:
+    def __init__(self, A: Array, b: Array) -> None:
         self.given = A, b
         self.length = _lengths(A)
         # Not so by a quotient, which may overflow.
-        is_far = ~(np.abs(b) < _FARTHEST * self.length)
-        self.is_blank = is_far | (self.length <= shortest)
+        self.is_blank = ~(np.abs(b) < _FARTHEST * self.length)
         if self.is_blank.any():
             self.length[self.is_blank] = 1.0
             A = np.where(self.is_blank[:, None], 0.0, A)

@@ -2,7 +2,7 @@
 
 A MathematicalProgram proposes, the active set makes the proposal exact on the rows it
 touches, and arithmetic decides: the optimality conditions hold, or Farkas' multipliers
-prove that there is no point.
+prove that there is no point. What floats leave open is decided in rational numbers.
 """
 
 from __future__ import annotations
@@ -16,13 +16,15 @@ from numpy.typing import NDArray
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import EmptySetError, SolverError
-from vcbf_drake.safety.active_set import ActiveSetSolution, nearest_by_active_set
+from vcbf_drake.safety.active_set import (
+    ActiveSetSolution,
+    nearest_by_active_set,
+    nearest_in_rationals,
+)
 from vcbf_drake.safety.polytope import (
     BALANCE_TOLERANCE,
     FEASIBILITY_TOLERANCE,
-    Emptiness,
     UnitRows,
-    emptiness_certificate,
 )
 from vcbf_drake.safety.programs import (
     DEFAULT_SOLVER,
@@ -30,8 +32,6 @@ from vcbf_drake.safety.programs import (
     NearestPointProgram,
 )
 
-# A row shorter than this, which moves by no more over all normalised inputs, is blank.
-SHORTEST = 1e-12
 # Rows of sets that may have no interior are opened by so much of the tolerance, ...
 _OPENING = 0.6 * FEASIBILITY_TOLERANCE
 # ... and a verified solution leaves the opened rows by no more than so much of it.
@@ -39,22 +39,25 @@ _EXCESS = 0.1 * FEASIBILITY_TOLERANCE
 # No point of the set as given is better by more, relative to the distance from the
 # reference.
 _GAP = 1e-9
+# Rows of a conflict that are lighter have no part in it.
+_LIGHTEST = 1e-10
 # How well A v is known, relative to its terms.
 _ROUNDING = 1e-15
 # Rows this close to a solver's answer may be active. A wider reach forgives a solver's
 # tolerance, a narrower one keeps apart rows that nearly meet.
 _REACHES = (1e-7, 1e-4, math.inf)
-# Of a linear program: rows with larger multipliers carry the cost; its solution leaves
-# no row by more than ...
-_CARRYING = 1e-3
+# Of a linear program: its solution leaves no row by more than ...
 _EXACT = 1e-10
-# ... or, where the last zoom does not get there, than ...
-_NEARLY_EXACT = 1e-7
-# No point's cost is lower by more than this, relative to where they are.
-_LP_GAP = 1e-9
-_ZOOMS = (1.0, 1e4, 1e8)
+# ... and no point's cost is lower by more than this, relative to where they are.
+_LP_GAP = 5e-11
+# How long its proximal steps are; after these rational numbers decide.
+_STEPS = (1e4, 1e8, 1e8)
 # The scale of its cost: Clp's tolerance on multipliers is absolute.
 _SHARPNESS = 1e4
+# The point of a set that is nearest to one so far downhill is a minimiser; one that is
+# as far as this has none.
+_DOWNHILL = 1e60
+_FARTHEST = 1e30
 
 
 @dataclass(frozen=True)
@@ -94,11 +97,10 @@ def nearest_point(
 
     Raises:
         EmptySetError: No point satisfies the rows; certified, not guessed.
-        SolverError: No proposal could be made exact and verified.
     """
     if (A @ reference <= b).all():
         return NearestPoint(reference, np.zeros(len(b)))
-    rows = UnitRows(A, b, SHORTEST)
+    rows = UnitRows(A, b)
     program = NearestPointProgram.of_size(*A.shape, solver)
     bounds = rows.b + opening(rows, num_firm)
     for right in (rows.b, bounds):
@@ -107,66 +109,64 @@ def nearest_point(
             found = _made_exact(rows.A, right, reference, near)
             if _is_optimal(found, rows.A, rows.b, right, reference):
                 return NearestPoint(found.point, found.multipliers / rows.length)
-        if _excludes_all(found, rows.A, bounds):
-            break  # Opening the rows would not help.
-    raise _no_answer(rows, found.conflict)
+        _raise_if_empty(found, rows, bounds)
+    found = _in_rationals(rows, bounds, reference)
+    return NearestPoint(found.point, found.multipliers / rows.length)
 
 
-def minimise_linear(cost: Array, A: Array, b: Array) -> Array:
+def minimise_linear(
+    cost: Array, A: Array, b: Array, num_firm: int | None = None
+) -> Array:
     """Returns a minimiser of cost'v over ``{v : A v <= b}``.
 
-    The solver's tolerance on rows is absolute. So its answer is made exact on the rows
-    that carry the cost and, while others are left by it, sought again around itself, in
-    ever larger coordinates.
+    The solver's answer is made exact by proximal steps (Rockafellar 1976): the point
+    nearest to one downhill of the last is a minimiser after finitely many, from a
+    solver's answer after one or two.
 
     Args:
         cost: Shape (m,).
         A: The rows, shape (n, m).
         b: The right-hand sides, shape (n,).
+        num_firm: How many rows, the first, are not opened as those of `nearest_point`
+            are; by default all.
 
     Raises:
         EmptySetError: No point satisfies the rows; certified, not guessed.
-        SolverError: No minimiser was verified: perhaps the cost has no least.
+        SolverError: The cost has no least.
     """
-    rows = UnitRows(A, b, SHORTEST)
-    cost = _SHARPNESS * cost / (float(np.linalg.norm(cost)) or 1.0)
-    program, point = LinearProgram.of_size(*A.shape), np.zeros(len(cost))
-    size, excess, is_least = 1.0, math.inf, False
-    for zoom in _ZOOMS:
-        bounds = zoom * (rows.b - rows.A @ point)
-        found = program.solve(cost, rows.A, bounds)
-        if found is None and zoom == _ZOOMS[0]:
-            # Of a set without interior Clp may say that it is empty.
-            other = LinearProgram.of_size(*A.shape, math.inf, DEFAULT_SOLVER)
-            found = other.solve(cost, rows.A, bounds)
-        if found is None:
-            break
-        move, multipliers = found
-        point = _touching(rows, point + move / zoom, multipliers > _CARRYING)
-        slack = rows.b - rows.A @ point
-        excess = -float(slack.min())
-        # No point is better by more than weak duality allows.
+    rows = UnitRows(A, b)
+    bounds = rows.b + opening(rows, len(b) if num_firm is None else num_firm)
+    cost = cost / (float(np.linalg.norm(cost)) or 1.0)
+    found = LinearProgram.of_size(*A.shape).solve(_SHARPNESS * cost, rows.A, bounds)
+    point = np.zeros(len(cost)) if found is None else found[0]
+    for step in _STEPS:
+        nearest = nearest_by_active_set(rows.A, bounds, point - step * cost)
+        _raise_if_empty(nearest, rows, bounds)
+        point, multipliers = nearest.point, nearest.multipliers / step
+        slack = bounds - rows.A @ point
+        # No point's cost is lower by more than weak duality allows (E88).
         size = 1.0 + float(np.abs(point).max())
         pull = float(np.abs(cost + multipliers @ rows.A).sum()) * size
-        is_least = float(multipliers @ slack) + pull <= _LP_GAP * _SHARPNESS * size
-        if excess <= _EXACT and is_least:
+        gap = float(multipliers @ np.abs(slack)) + pull
+        if gap <= _LP_GAP * size and slack.min() >= -_EXACT:
             return point
-    error = _no_answer(rows, None)
-    is_near = is_least and excess <= _NEARLY_EXACT * size
-    if isinstance(error, SolverError) and is_near:
-        return point
-    raise error
+    point = _in_rationals(rows, bounds, -_DOWNHILL * cost).point
+    if np.abs(point).max() > _FARTHEST:
+        raise SolverError("a linear program without a least", A, b)
+    return point
 
 
-def _touching(rows: UnitRows, point: Array, carry: NDArray[np.bool_]) -> Array:
-    """Moves a point, by little, onto the rows that carry a linear program's cost."""
-    slack = rows.b - rows.A @ point
-    if not slack[carry].any():
-        return point
-    move = np.linalg.lstsq(rows.A[carry], slack[carry], rcond=1e-9)[0]
-    # Rows that nearly coincide, but for the solver's tolerance, meet elsewhere.
-    is_worse = np.max(rows.A @ move - slack) > max(_EXACT, -float(slack.min()))
-    return point if is_worse else point + move
+def _in_rationals(rows: UnitRows, b: Array, reference: Array) -> ActiveSetSolution:
+    """What floats leave open, decided.
+
+    Raises:
+        EmptySetError: No point satisfies the rows.
+    """
+    found = nearest_in_rationals(rows.A, b, reference)
+    _raise_if_empty(found, rows, b)
+    if found.conflict is not None:
+        raise _empty(rows, found.conflict)
+    return found
 
 
 def opening(rows: UnitRows, num_firm: int) -> Array:
@@ -220,47 +220,30 @@ def _is_optimal(
     return gap <= _GAP * size and bool((product <= opened + _EXCESS).all())
 
 
-def _excludes_all(found: ActiveSetSolution, A: Array, b: Array) -> bool:
-    """Whether the conflict that the active set ended in is Farkas' proof."""
-    return _proof(found.conflict, A, b) is not None
+def _raise_if_empty(found: ActiveSetSolution, rows: UnitRows, b: Array) -> None:
+    """Raises if the conflict that the active set ended in is Farkas' proof in floats.
 
+    That is z of sum 1 with z'A = 0 to rounding, and z'b < 0.
 
-def _proof(conflict: Array | None, A: Array, b: Array) -> tuple[Array, float] | None:
-    """Multipliers z of sum 1 with z'A = 0 to rounding, and z'b < 0; None if they fail.
-
-    Args:
-        conflict: z, of any length.
-        A: The rows, of unit length or zeros.
-        b: Their right-hand sides.
+    Raises:
+        EmptySetError: No point satisfies the rows.
     """
-    if conflict is None:
-        return None
-    z = np.where(conflict > BALANCE_TOLERANCE * conflict.max(), conflict, 0.0)
+    if found.conflict is None:
+        return
+    z = found.conflict
+    z = np.where(z > _LIGHTEST * z.max(), z, 0.0)
     z /= z.sum()
-    imbalance, value = max(map(abs, (z @ A).tolist())), float(z @ b)
-    if imbalance > BALANCE_TOLERANCE or value >= -10.0 * BALANCE_TOLERANCE:
-        return None
-    return z, value
+    # Relative to what is in a column: a slack's may be small, and the slack large.
+    balance = BALANCE_TOLERANCE * np.abs(rows.A).max(axis=0)
+    is_balanced = bool((np.abs(z @ rows.A) <= balance).all())
+    if is_balanced and float(z @ b) < -10.0 * BALANCE_TOLERANCE:
+        raise _empty(rows, z)
 
 
-def _no_answer(rows: UnitRows, conflict: Array | None) -> EmptySetError | SolverError:
-    """Returns the error that says why: with a proof that the set is empty, or none."""
+def _empty(rows: UnitRows, conflict: Array) -> EmptySetError:
+    """Returns the error that names the rows of Farkas' proof, an irreducible one."""
     A, b = rows.given
-    proof = _proven_empty(rows, conflict) or emptiness_certificate(A, b)
-    if proof is not None:
-        return EmptySetError(A, b, proof.inradius, proof.rows.tolist())
-    return SolverError("no proposal of a solver could be verified", A, b)
-
-
-def _proven_empty(rows: UnitRows, conflict: Array | None) -> Emptiness | None:
-    """Farkas' proof by the active set's conflict."""
-    proof = _proof(conflict, rows.A, rows.b)
-    if proof is None:
-        return None
-    z, value = proof
-    involved = z.nonzero()[0]
-    if rows.A[involved].any():
-        return Emptiness(z, involved, value)
-    # A blank row that is not quite zero is met far outside: no proof by itself.
-    is_zero = not rows.given[0][involved].any()
-    return Emptiness(z, involved, -math.inf) if is_zero else None
+    involved = np.flatnonzero(conflict)
+    value = float(conflict @ rows.b) / float(conflict.sum())
+    radius = value if rows.A[involved].any() else -math.inf
+    return EmptySetError(A, b, radius, involved.tolist())

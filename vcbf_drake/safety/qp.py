@@ -219,16 +219,13 @@ def _better(
     try:
         return finer.solved(solver), finer
     except EmptySetError:
-        # A conflict with volume rows says nothing of the others: are they empty?
-        try:
-            finer.hard.solved(solver)
-        except EmptySetError as error:
-            if _excludes_every_input(feasible, error.conflict):
-                raise
-        except (SolverError, LinAlgError):
-            pass
-    except (SolverError, LinAlgError):
         pass
+    try:
+        # A conflict with volume rows says nothing of the others: are they empty?
+        finer.hard.solved(solver)
+    except EmptySetError as error:
+        if _excludes_every_input(feasible, error.conflict):
+            raise
     return found, qp
 
 

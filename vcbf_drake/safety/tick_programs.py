@@ -11,7 +11,6 @@ from vcbf_drake.checks import Array
 from vcbf_drake.safety.feasible_set import FeasibleSet, cutting_rows
 from vcbf_drake.safety.polytope import UnitRows
 from vcbf_drake.safety.programs import EllipsoidProgram, NearestPointProgram
-from vcbf_drake.safety.projection import SHORTEST
 from vcbf_drake.safety.tick_qp import QP, Frame
 
 
@@ -68,7 +67,7 @@ def state_programs(
         widening: kappa of the volume barrier.
     """
     A, reference, back = qp.as_projection()
-    rows = UnitRows(A, qp.b, SHORTEST)
+    rows = UnitRows(A, qp.b)
     nearest = NearestPointProgram(*A.shape)
     nearest.state(rows.A, rows.b, reference)
     bounds = feasible.b_v.copy()

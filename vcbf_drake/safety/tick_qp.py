@@ -15,13 +15,10 @@ from vcbf_drake.checks import Array, require
 from vcbf_drake.errors import EmptySetError, SolverError
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.polytope import FEASIBILITY_TOLERANCE, UnitRows
 from vcbf_drake.safety.projection import (
-    SHORTEST,
     NearestPoint,
     minimise_linear,
     nearest_point,
-    opening,
 )
 
 # A reference this many input ranges away is as good as one infinitely far; without
@@ -32,9 +29,8 @@ _FARTHEST_IN_UNITS = 1e15
 # coordinates, it is solved again in coordinates of their size.
 _SMALL = 1e-3
 # The least slack or violation leaves a set without interior. Its rows are opened by
-# this distance, in normalised inputs; at narrow angles it takes more.
+# this distance, in normalised inputs.
 _MARGIN = 1e-10
-_WIDER = (0.0, 1e-8, 1e-7, 1e-6)
 
 
 @dataclass(frozen=True)
@@ -163,17 +159,9 @@ class QP:
 
         Raises:
             EmptySetError: No point satisfies the hard rows, certified.
-            SolverError: No solver's answer was verified.
         """
         A, reference, back = self.as_projection()
-        try:
-            found = nearest_point(A, self.b, reference, self.num_firm, solver)
-        except EmptySetError as error:
-            if self.num_hard == len(self.b):
-                raise
-            # With free slacks it is empty only where the hard rows are.
-            self.hard.solved(solver)
-            raise SolverError("no solution with slacks", A, self.b) from error
+        found = nearest_point(A, self.b, reference, self.num_firm, solver)
         return found if back is None else replace(found, point=back @ found.point)
 
     def as_projection(self) -> tuple[Array, Array, Array | None]:
@@ -293,56 +281,31 @@ def solve_qp(qp: QP, solver: str) -> tuple[NearestPoint, QP]:
 
     Raises:
         EmptySetError: No input satisfies the rows that never give way, certified.
-        SolverError: No solver's answer was verified.
+        SolverError: The least slack was not verified.
     """
     try:
         return qp.solved(solver), qp
-    except (EmptySetError, SolverError, LinAlgError):
+    except EmptySetError:
         if not qp.num_volume:
             raise
+    relaxed = _relaxed(qp)
     try:
-        return _relaxed(qp, solver)
-    except (EmptySetError, SolverError, LinAlgError) as error:
-        # A conflict with volume rows says nothing of the others: are they empty?
-        qp.hard.solved(solver)
+        return relaxed.solved(solver), relaxed
+    except EmptySetError as error:
         raise SolverError("no least slack was verified", qp.A, qp.b) from error
 
 
-def _relaxed(qp: QP, solver: str) -> tuple[NearestPoint, QP]:
-    """The minimiser of a QP whose volume rows give way, and what it minimises."""
-    first = qp.num_hard - qp.num_volume
-    rows = UnitRows(qp.A, qp.b, SHORTEST)
-    bounds, opened = qp.b.copy(), rows.length * opening(rows, qp.num_firm)
-    for i in range(first, qp.num_hard):
-        z = minimise_linear(qp.A[i], qp.A[:i], bounds[:i] + opened[:i])
-        margin = 0.0 if rows.is_blank[i] else _MARGIN * rows.length[i]
-        bounds[i] = max(bounds[i], float(qp.A[i] @ z) + margin)
-    may_open = np.zeros(len(bounds))
-    may_open[first : qp.num_hard] = rows.length[first : qp.num_hard]
-    found, relaxed = _opened(replace(qp, b=bounds), may_open, z, solver)
-    excess = (qp.A[:first] @ found.point - bounds[:first]) / rows.length[:first]
-    if (excess > FEASIBILITY_TOLERANCE).any():
-        raise SolverError("no least slack that leaves the other rows alone", qp.A, qp.b)
-    return found, relaxed
+def _relaxed(qp: QP) -> QP:
+    """A QP whose volume rows give way, one after the other, by as little as each can.
 
-
-def _opened(qp: QP, may_open: Array, z: Array, solver: str) -> tuple[NearestPoint, QP]:
-    """The minimiser of a QP with next to no interior, near its feasible point z.
-
-    Args:
-        qp: Its rows opened already.
-        may_open: How far a row may be opened, in units of `_WIDER`, shape (n,).
-        z: What is returned where the QP fails and z leaves no row.
-        solver: The solver's name.
+    Raises:
+        EmptySetError: No input satisfies the rows before them, certified.
     """
-    for wider in _WIDER:
-        attempt = replace(qp, b=qp.b + wider * may_open)
-        try:
-            return attempt.solved(solver), attempt
-        except (EmptySetError, SolverError, LinAlgError):
-            if (qp.A @ z <= qp.b).all():
-                break
-    return NearestPoint(z, np.zeros(len(qp.b))), qp
+    bounds, lengths = qp.b.copy(), np.linalg.norm(qp.A, axis=1)
+    for i in range(qp.num_hard - qp.num_volume, qp.num_hard):
+        z = minimise_linear(qp.A[i], qp.A[:i], bounds[:i], qp.num_firm)
+        bounds[i] = max(bounds[i], float(qp.A[i] @ z) + _MARGIN * lengths[i])
+    return replace(qp, b=bounds)
 
 
 def finer_frame(
@@ -426,5 +389,4 @@ def _least_violation(feasible: FeasibleSet, qp: QP, solver: str) -> Array:
     rows = np.vstack([np.column_stack([A, -give]), -last])
     z = minimise_linear(last, rows, np.append(b, 0.0))[:-1]
     b[k:] += np.max(A[k:] @ z - b[k:], initial=0.0) + _MARGIN
-    found, _ = _opened(replace(qp, A=A, b=b), give, z, solver)
-    return found.point
+    return replace(qp, A=A, b=b).solved(solver).point
