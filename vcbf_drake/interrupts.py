@@ -18,8 +18,16 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 def end_at_once(number: int, frame: object) -> None:
     """Ends the process in one line; a signal's handler until there is work to undo."""
-    os.write(2, b"vcbf-drake: interrupted\n")
+    say_interrupted()
     os._exit(128 + number)
+
+
+def say_interrupted() -> None:
+    """Writes the one line, unless nobody can read it any more."""
+    try:
+        os.write(2, b"vcbf-drake: interrupted\n")
+    except OSError:
+        pass
 
 
 def end_at_once_on_signals() -> None:

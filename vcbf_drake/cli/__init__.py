@@ -23,7 +23,7 @@ from vcbf_drake.cli.simulations import (
     show,
 )
 from vcbf_drake.cli.studies import faults, monte_carlo
-from vcbf_drake.interrupts import handle
+from vcbf_drake.interrupts import handle, say_interrupted
 
 _COMMANDS: dict[str, Callable[..., Any]] = {
     "list": list_scenarios,
@@ -61,4 +61,5 @@ def main() -> None:
 
 
 def _terminate(number: int, frame: object) -> NoReturn:
+    say_interrupted()
     sys.exit(128 + number)
