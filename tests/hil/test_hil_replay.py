@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 import struct
 
 import numpy as np
@@ -34,6 +35,7 @@ from vcbf_drake.simulation.loading import dump_scenario
 import vcbf_drake.viz.figures as figures_module
 import vcbf_drake.viz.replay as replay_module
 
+OWN_ROBOT = Path(__file__).parents[2] / "examples" / "own_robot.py"
 BAD_LINK = LinkFaults(drop=0.2, delay=0.03, jitter=0.01)
 
 
@@ -273,6 +275,38 @@ def test_a_log_of_a_vehicle_of_one_s_own_asks_for_its_scenario() -> None:
     said = [Event(1, "VCBF_SCENARIO", b"vehicle: !Puck {}\n")]
     with pytest.raises(ScenarioError, match=r"of your own needs its SCENARIO$"):
         logged_scenario("puck.log", said)
+
+
+def test_a_log_of_a_vehicle_of_one_s_own_is_replayed_with_its_scenario(
+    tmp_path, monkeypatch, capfd
+) -> None:
+    """Who writes the log says that it will be needed."""
+    own = str(OWN_ROBOT)
+    bus = Bus(DrakeLcm("memq://"), SimulatedClock())
+    monkeypatch.setattr(hardware_module, "_open_bus", lambda *options: bus)
+    monkeypatch.setattr(hardware_module, "_run", lambda *arguments: 0)
+    path = tmp_path / "a.log"
+    CliRunner().invoke(app, ["plant", own, "--log", str(path)])
+    said = capfd.readouterr().err
+    assert said.endswith(f"is your own: vcbf-drake replay-log {path} SCENARIO\n")
+    loaded = load_scenario(OWN_ROBOT)
+    write(path, recorded(loaded, 0.5), loaded)
+    told = replay_log(path, load_scenario(OWN_ROBOT)).report["commands"]
+    assert told["same"] == told["logged"] > 20
+
+
+@pytest.mark.parametrize("factor", [0.25, 0.5, 2.0])
+def test_another_period_than_the_log_s_is_said(factor, tmp_path) -> None:
+    loaded = scenario("car-avoidance")
+    path = write(tmp_path / "a.log", recorded(loaded, 0.3), loaded)
+    other = f"{{period: {factor * loaded.period}}}"
+    arguments = ["replay-log", str(path), "car-avoidance", "--override", other]
+    out = ["--out", str(tmp_path / "out"), "--no-replay", "--no-figures"]
+    found = CliRunner().invoke(app, [*arguments, *out])
+    assert found.exit_code == 0, found.output
+    period = f"the control period is {1e3 * factor * loaded.period:.4g} ms"
+    assert f"commands are 20 ms apart, and {period}" in found.output
+    assert '--override "{period: 0.02}"' in found.output
 
 
 def test_a_spoiled_log_ends_in_a_result_or_in_one_line(tmp_path) -> None:

@@ -263,7 +263,7 @@ def _logging(
     if path is None:
         yield
         return
-    from vcbf_drake.hil import EventLogError, start_log
+    from vcbf_drake.hil import EventLogError, carries_scenario, start_log
 
     try:
         log = start_log(bus, scenario, path, force=force)
@@ -274,6 +274,8 @@ def _logging(
             yield
     finally:
         tell(f"log written to {log.path}")
+        if not carries_scenario(scenario):
+            tell(f"its vehicle is your own: vcbf-drake replay-log {log.path} SCENARIO")
         if log.failure:
             tell(log.failure)
 

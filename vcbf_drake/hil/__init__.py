@@ -37,7 +37,12 @@ from vcbf_drake.hil.event_log import (
     EventLogWriter,
     read_event_log,
 )
-from vcbf_drake.hil.log_replay import LogReplay, replay_log, start_log
+from vcbf_drake.hil.log_replay import (
+    LogReplay,
+    carries_scenario,
+    replay_log,
+    start_log,
+)
 from vcbf_drake.hil.logged_controller import LoggedController
 from vcbf_drake.hil.mailbox import Inbox, Outbox
 from vcbf_drake.hil.obstacles import ObstacleReceiver
@@ -80,6 +85,7 @@ __all__ = [
     "Verdict",
     "WallClock",
     "Watchdog",
+    "carries_scenario",
     "check_bus",
     "command_format",
     "command_message",

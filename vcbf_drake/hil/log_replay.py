@@ -133,6 +133,11 @@ def start_log(
     return log
 
 
+def carries_scenario(scenario: Scenario) -> bool:
+    """Returns whether its log can be replayed alone: not where a user's class is."""
+    return type(scenario.vehicle).__module__.startswith("vcbf_drake.")
+
+
 @dataclass(frozen=True)
 class LogReplay:
     """A run on hardware, as its log tells it.
