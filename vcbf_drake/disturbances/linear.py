@@ -68,8 +68,8 @@ class LinearDisturbanceObserver(DisturbanceObserver):
             rate: l, how fast the estimate follows [1/s].
             noise: Standard deviation of the measured disturbed channels [m/s].
             longest_interval: The longest time between measurements that is bridged,
-                and that the bound is for [s]. By default every time is bridged, and
-                the bound is for the period.
+                and that the bound is for, whatever shorter ones come [s]. By default
+                every time is bridged, and the bound is for the period.
 
         Raises:
             ModelError: Two disturbances act on the state in the same way.

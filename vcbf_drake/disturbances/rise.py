@@ -17,10 +17,12 @@ from vcbf_drake.disturbances.bounds import (
 from vcbf_drake.disturbances.observer import DisturbanceObserver, nearest_in_ball
 from vcbf_drake.disturbances.rise_bound import (
     STEPS,
+    Intervals,
     ObserverStep,
     RiseGains,
     error_bound,
     gain_conditions,
+    least_beta,
     with_quadrature,
 )
 
@@ -67,6 +69,10 @@ class ObserverSettings:
             check_parameter("beta", self.beta)
         check_parameter("period", self.period, zero_allowed=True)
         require_choice("step", self.step, STEPS)
+
+
+# The shortest interval that is counted on where intervals differ, in periods.
+_SHORTEST = 0.9
 
 
 class RiseObserver(DisturbanceObserver):
@@ -131,9 +137,11 @@ class RiseObserver(DisturbanceObserver):
             floor: Whether the error bound has its floor. Without, it is (E13) as
                 published, which no sampled observer meets.
             longest_interval: The longest time between measurements that is bridged,
-                and that the bound is for [s]; proven for equal intervals, measured for
-                others. By default every time is bridged, and the bound is for the
-                period.
+                and that the bound is for [s]. By default every time is bridged, and
+                the bound is for the period. Where it is longer than that, the bound is
+                proven (E150) if beta is large enough for intervals of 0.9 periods to
+                the longest (E151), as a computed one is without noise; else
+                calibrated.
 
         Raises:
             ModelError: Two disturbances act on the state in the same way.
@@ -144,21 +152,26 @@ class RiseObserver(DisturbanceObserver):
         check_parameter("noise", noise, zero_allowed=True)
         self.settings = settings = settings or ObserverSettings()
         interval = max(period, longest_interval or 0.0)
-        gains = RiseGains.for_bounds(bounds, interval, settings.alpha, settings.gamma)
-        self.gains = gains = replace(gains, beta=settings.beta or gains.beta)
+        self.gains, self._intervals = _resolved(
+            settings, bounds, period, interval, noise
+        )
+        gains = self.gains
         self._steadiness = noise, model.num_disturbances
         failed = [
             each
-            for each in gain_conditions(gains, bounds, interval, settings.step)
+            for each in gain_conditions(gains, bounds, self._intervals, settings.step)
             if not each.holds
         ]
+        is_even = self._intervals.shortest == self._intervals.longest
+        is_calibrated = bool(noise) or settings.step == "explicit"
         basis: Basis
         if failed and not settings.uncertified:
             raise ValueError(_refusal(gains, failed))
         if failed:
             basis, bound = "worst case", ErrorBound(0.0, 0.0, 2.0 * bounds.delta1)
         elif floor:
-            basis = "calibrated" if noise or settings.step == "explicit" else "proven"
+            is_calibrated |= is_even and interval > period
+            basis = "calibrated" if is_calibrated else "proven"
             bound = self._bound(bounds, interval)
         else:
             rate = gains.decay_rate / 2.0
@@ -186,9 +199,9 @@ class RiseObserver(DisturbanceObserver):
         Args:
             quadrature: How far off a mean may be [m/s^2].
         """
-        period = self.certified_interval
-        bounds = with_quadrature(self.bounds, quadrature, period)
-        return gain_conditions(self.gains, bounds, period, self.settings.step)
+        intervals = self._intervals
+        bounds = with_quadrature(self.bounds, quadrature, intervals.shortest)
+        return gain_conditions(self.gains, bounds, intervals, self.settings.step)
 
     def _advance(self, memory: Array, mean: Array, elapsed: float) -> Array:
         step = self._forward if self.settings.step == "explicit" else self._backward
@@ -249,6 +262,29 @@ class RiseObserver(DisturbanceObserver):
     def _estimate_rate(self, memory: Array) -> Array:
         xtil, _, s = memory.reshape(3, -1)
         return xtil + self.gains.beta * s
+
+
+def _resolved(
+    settings: ObserverSettings,
+    bounds: DisturbanceBounds,
+    period: float,
+    longest: float,
+    noise: float,
+) -> tuple[RiseGains, Intervals]:
+    """Returns the gains, and the intervals that their bound is proven for.
+
+    Equal ones if unequal ones do not come, or are not proven.
+    """
+    even = Intervals(longest, longest)
+    uneven = Intervals(_SHORTEST * period, longest) if longest > period else even
+    if noise or settings.step != "implicit":
+        uneven = even
+    gains = RiseGains.for_bounds(
+        bounds, uneven.shortest, settings.alpha, settings.gamma, longest
+    )
+    gains = replace(gains, beta=settings.beta or gains.beta)
+    is_enough = gains.beta > least_beta(gains, bounds, uneven)
+    return gains, uneven if is_enough else even
 
 
 def _refusal(gains: RiseGains, failed: list[Condition]) -> str:

@@ -19,9 +19,13 @@ P_k >= β |x_k|_1 - x_k . dbar'_k >= 0 if (E49) (α - κ)(β - δ2) >= δ3 (1 + 
 saturated step has the Huber function of width φ for the 1-norm. There P_k may fall
 below 0, which costs the further floor (E51).
 
-Calibrated, not proven: what measurement noise adds (E52), and all of the explicit step,
-which chatters (E36). Where the conditions fail, nothing but |d| <= δ1 is left: the
-estimate is kept within δ1, so that it is off by 2 δ1 at most (E94).
+Over unequal intervals the implicit step's bound is that of the longest, under a gain
+condition of its own (E151): a mean's rate may then jump from interval to interval.
+
+Calibrated, not proven: what measurement noise adds (E52), the saturated step over
+unequal intervals, and all of the explicit step, which chatters (E36). Where the
+conditions fail, nothing but |d| <= δ1 is left: the estimate is kept within δ1, so that
+it is off by 2 δ1 at most (E94).
 """
 
 from __future__ import annotations
@@ -29,7 +33,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 import math
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -78,6 +82,7 @@ class RiseGains:
         period: float,
         alpha: float = 5.0,
         gamma: float = 4.0,
+        longest: float | None = None,
     ) -> RiseGains:
         """Returns gains whose beta satisfies (E49), whatever the disturbance's unit.
 
@@ -86,12 +91,13 @@ class RiseGains:
 
         Args:
             bounds: Bounds of the disturbance.
-            period: Time between measurements [s].
+            period: Time between measurements, the shortest if they differ [s].
             alpha: As above; more than 1 [1/s].
             gamma: As above [1/s].
+            longest: The longest time between measurements, if they differ (E151) [s].
         """
         gains = cls(alpha, gamma=gamma)
-        least = least_beta(gains, bounds, period)
+        least = least_beta(gains, bounds, Intervals(period, longest or period))
         return gains if gains.beta > least else cls(alpha, _GAIN_MARGIN * least, gamma)
 
     @property
@@ -109,38 +115,57 @@ class RiseGains:
         return 1.0 + dt * (self.alpha + self.gamma) + dt**2 * self.stiffness
 
 
-def least_beta(gains: RiseGains, bounds: DisturbanceBounds, period: float) -> float:
-    """Returns what beta has to exceed (E49); with period 0, (E13) [m/s^3]."""
-    stretch = 1.0 + gains.decay_rate * period
+class Intervals(NamedTuple):
+    """The times that may lie between one measurement and the next.
+
+    Attributes:
+        shortest: The shortest [s].
+        longest: The longest; the same, if all are equal [s].
+    """
+
+    shortest: float
+    longest: float
+
+
+def least_beta(
+    gains: RiseGains, bounds: DisturbanceBounds, intervals: Intervals
+) -> float:
+    """Returns what beta has to exceed, (E49) or (E151); at once, (E13) [m/s^3]."""
+    shortest, longest = intervals
+    size, change = bounds.delta2, bounds.delta3
+    if longest > shortest:
+        ratio = longest / shortest
+        size = bounds.delta2 * (1.0 + ratio) / 2.0
+        jump = bounds.delta2 * (ratio - 1.0 / ratio) / 2.0
+        change = jump / shortest + bounds.delta3 * ratio * (1.0 + ratio) / 2.0
+    stretch = 1.0 + gains.decay_rate * shortest
     slack = max(1.0, gains.alpha - gains.gamma)
-    return bounds.delta2 + stretch * bounds.delta3 / slack
+    return size + stretch * change / slack
 
 
 def gain_conditions(
-    gains: RiseGains, bounds: DisturbanceBounds, period: float, step: str
+    gains: RiseGains, bounds: DisturbanceBounds, intervals: Intervals, step: str
 ) -> tuple[Condition, ...]:
-    """Returns what (E13) asks of the gains, in sampled time (E49).
+    """Returns what (E13) asks of the gains, in sampled time (E49), (E151).
 
     Args:
         gains: The gains.
         bounds: Bounds of the disturbance.
-        period: Time between measurements [s].
+        intervals: The times between measurements.
         step: Which step; the explicit one has the conditions of continuous time, and
             its linear part has to be stable (E94).
     """
     alpha, beta, gamma = gains.alpha, gains.beta, gains.gamma
     sampled = step != "explicit"
-    least = least_beta(gains, bounds, period if sampled else 0.0)
+    least = least_beta(gains, bounds, intervals if sampled else Intervals(0.0, 0.0))
     factor = "(1 + lambda_V dt) " if sampled else ""
+    name = f"beta > delta2 + {factor}delta3 / max(1, alpha - gamma)"
+    if sampled and intervals.longest > intervals.shortest:
+        name = "beta > least beta of unequal intervals (E151)"
     conditions = (
         Condition("alpha > 1", alpha, 1.0, alpha > 1.0),
         Condition("gamma > 0", gamma, 0.0, gamma > 0.0),
-        Condition(
-            f"beta > delta2 + {factor}delta3 / max(1, alpha - gamma)",
-            beta,
-            least,
-            beta > least,
-        ),
+        Condition(name, beta, least, beta > least),
     )
     if sampled:
         return conditions
@@ -148,6 +173,7 @@ def gain_conditions(
     oscillation = math.sqrt(max(0.0, damping**2 - 4.0 * gains.stiffness))
     longest = (damping - oscillation) / gains.stiffness
     name = "longest stable period > dt"
+    period = intervals.longest
     return (*conditions, Condition(name, longest, period, longest > period))
 
 
@@ -159,7 +185,7 @@ def with_quadrature(
     Args:
         bounds: Bounds of the disturbance.
         quadrature: How far off a mean is at most [m/s^2].
-        period: Time between measurements [s].
+        period: Time between measurements, the shortest if they differ [s].
     """
     return DisturbanceBounds(
         bounds.delta1 + quadrature,
