@@ -270,7 +270,7 @@ def test_a_coarse_sensor_is_found_unless_its_noise_is_declared(step) -> None:
         message.state = (step * np.round(np.divide(message.state, step))).tolist()
         return message
 
-    noise = {"std": [step / np.sqrt(12.0)] * 8, "seed": 1}
+    noise = {"std": [step / 12.0**0.5] * 8, "seed": 1}
     findings = []
     for known in (scenario(), scenario(noise=noise)):
         run = RelayedLoop(scenario(), state_changed(rounded), known=known)
