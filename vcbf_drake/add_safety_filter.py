@@ -17,6 +17,7 @@ from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.loop_monitor import LoopMonitor
 from vcbf_drake.safety.safety_filter import SafetyFilter
 from vcbf_drake.safety.settings import FilterSettings
+from vcbf_drake.typed import typed
 
 # What the monitor is called, after the filter's name.
 LOOP_MONITOR = "loop_monitor"
@@ -36,6 +37,7 @@ class AddedSafetyFilter(NamedTuple):
     observer: DisturbanceObserver
 
 
+@typed
 def AddSafetyFilter(
     builder: DiagramBuilder,
     *,

@@ -92,6 +92,8 @@ def require(allowed: bool, name: str | Path, value: object, rule: str) -> None:
         InvalidValueError: It is not allowed.
     """
     if not allowed:
+        if isinstance(value, np.ndarray):
+            value = value.tolist()
         shown = f"{value:g}" if isinstance(value, float) else reprlib.repr(value)
         raise InvalidValueError(name, f"{shown}; it must be {rule}")
 
@@ -107,7 +109,8 @@ def require_choice(name: str | Path, value: object, allowed: Collection[str]) ->
     Raises:
         InvalidValueError: It is not allowed.
     """
-    require(value in allowed, name, value, f"one of {', '.join(allowed)}")
+    known = isinstance(value, str) and value in allowed
+    require(known, name, value, f"one of {', '.join(allowed)}")
 
 
 def _check_numbers(
@@ -127,6 +130,27 @@ def _check_numbers(
         _check_numbers((*path, index), each, None, is_allowed, rule)
 
 
+def finite_array(values: Any, name: str | Path, dimensions: int, rule: str) -> Array:
+    """Returns a copy of the values as floats.
+
+    Args:
+        values: The numbers.
+        name: What they are, or the path to them, for the error message.
+        dimensions: How many the array must have.
+        rule: What it must be, for the error message.
+
+    Raises:
+        InvalidValueError: Not numbers, in rows of other lengths, or not finite.
+    """
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        array = np.full((1,) * dimensions, math.nan)
+    fits = array.ndim == dimensions and bool(np.isfinite(array).all())
+    require(fits, name, values, rule)
+    return array
+
+
 def finite_vector(values: Sequence[float] | Array, name: str) -> Array:
     """Returns a read-only copy of the values as floats, shape (k,).
 
@@ -137,9 +161,6 @@ def finite_vector(values: Sequence[float] | Array, name: str) -> Array:
     Raises:
         InvalidValueError: Not one-dimensional, or not finite.
     """
-    vector = np.array(values, dtype=float)
-    require(vector.ndim == 1, name, vector.shape, "a flat list of numbers")
-    finite = bool(np.isfinite(vector).all())
-    require(finite, name, vector.tolist(), "made of finite numbers")
+    vector = finite_array(values, name, 1, "a flat list of finite numbers")
     vector.flags.writeable = False
     return vector

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import Field
+import json
 import math
 import os
 from pathlib import Path
@@ -100,11 +101,20 @@ def _is_alive(process: int) -> bool:
     return True
 
 
-def plain_json(value: Any) -> Any:
-    """Returns the value with None for what JSON has no number for."""
+def json_text(value: Any, indent: int | None = 2) -> str:
+    """Returns JSON, a line break after it, with null for nan and infinity.
+
+    Args:
+        value: Dictionaries, lists, tuples, texts and numbers.
+        indent: How far an inner line is indented; None for one line.
+    """
+    return json.dumps(_plain(value), indent=indent, allow_nan=False) + "\n"
+
+
+def _plain(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: plain_json(item) for key, item in value.items()}
+        return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain_json(item) for item in value]
+        return [_plain(item) for item in value]
     finite = not isinstance(value, float) or math.isfinite(value)
     return value if finite else None

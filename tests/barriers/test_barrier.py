@@ -295,7 +295,7 @@ def test_decay_rates_come_largest_first(gains, rates) -> None:
         ([1.0, 0.0], "must be real and positive"),
         ([0.0], "must be real and positive"),
         ([np.nan, 1.0], "finite"),
-        ([[1.0]], r".*a flat list of numbers"),
+        ([[1.0]], r".*a flat list of finite numbers"),
     ],
 )
 def test_bad_gains_are_refused(gains, message) -> None:
@@ -320,7 +320,9 @@ def test_bad_states_are_refused(car: ControlAffineModel) -> None:
 
 
 def test_a_set_takes_barriers_and_limits_only(car: ControlAffineModel) -> None:
-    with pytest.raises(TypeError, match="got SphereObstacle"):
+    with pytest.raises(
+        ValueError, match=r"barriers\[0\].*a Barrier or a StateInputLimit"
+    ):
         BarrierSet(car, [SphereObstacle([1.0, 0.0], 0.3)])
 
 

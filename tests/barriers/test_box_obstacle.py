@@ -93,7 +93,7 @@ def test_rows_are_derivatives(start) -> None:
         ({"velocity": [1.0]}, "velocity must have 2 numbers like center, got 1"),
         ({"margin": -0.1}, "margin: -0.1"),
         ({"smoothing": 0.0}, "smoothing: 0"),
-        ({"rotation": np.eye(3)}, r"rotation must have shape \(2, 2\)"),
+        ({"rotation": np.eye(3)}, r"rotation.*2 rows of 2"),
         ({"rotation": [[1.0, 0.1], [0.0, 1.0]]}, "rotation must have orthonormal"),
     ],
 )

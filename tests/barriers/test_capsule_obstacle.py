@@ -77,7 +77,7 @@ def test_rows_are_derivatives(start) -> None:
         ({"start": [1.0], "end": [2.0]}, "center must have 2 or 3 numbers, got 1"),
         ({"end": [1.0, 2.0]}, "two different points of one size"),
         ({"end": [1.0, 2.0, 3.0]}, "two different points of one size"),
-        ({"end": [1.0, np.nan]}, r"end: .*made of finite numbers"),
+        ({"end": [1.0, np.nan]}, r"end: .*finite numbers"),
         ({"velocity": [1.0]}, "velocity must have 2 numbers like center, got 1"),
         ({"radius": -1.0}, "radius: -1"),
         ({"margin": -0.1}, "margin: -0.1"),

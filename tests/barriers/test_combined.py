@@ -284,7 +284,18 @@ def test_a_class_k_function_of_relative_degree_1(car):
 
 
 @pytest.mark.parametrize(
-    "class_k", [lambda s: s**2, lambda s: 1.0 + s, lambda s: -s, lambda s: 0.0 * s]
+    "class_k",
+    [
+        lambda s: s**2,
+        lambda s: 1.0 + s,
+        lambda s: -s,
+        lambda s: 0.0 * s,
+        lambda s: None,
+        lambda s: "s",
+        lambda s: s + 0.3 * np.sin(30.0 * s),
+        # It falls between 0.52 and 0.55 alone.
+        lambda s: s * (1.0 - 0.999 * np.exp(-(((s - 0.55) / 0.02) ** 2))),
+    ],
 )
 def test_what_is_no_class_k_function_is_refused(class_k):
     barrier = Barrier(lambda x, t, p: x[0], GAINS, name="b")

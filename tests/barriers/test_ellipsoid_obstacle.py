@@ -98,14 +98,14 @@ def test_at_the_centre_the_row_is_nan(blimp) -> None:
     ("arguments", "message"),
     [
         ({"center": [1.0]}, "center must have 2 or 3 numbers, got 1"),
-        ({"center": [1.0, np.inf]}, r"center: .*made of finite numbers"),
+        ({"center": [1.0, np.inf]}, r"center: .*finite numbers"),
         ({"semi_axes": [1.0]}, r"semi_axes: \[1.0\]; it must be a list of 2"),
         ({"semi_axes": [1.0, 0.0]}, r"semi_axes\[1\]: .* finite and above 0"),
         ({"velocity": [1.0]}, "velocity must have 2 numbers like center, got 1"),
         ({"margin": -0.1}, "margin: -0.1"),
-        ({"rotation": np.eye(3)}, r"rotation must have shape \(2, 2\)"),
+        ({"rotation": np.eye(3)}, r"rotation.*2 rows of 2"),
         ({"rotation": [[1.0, 0.1], [0.0, 1.0]]}, "rotation must have orthonormal"),
-        ({"rotation": np.full((2, 2), np.nan)}, "rotation must have orthonormal"),
+        ({"rotation": np.full((2, 2), np.nan)}, "rotation.*finite"),
     ],
 )
 def test_bad_ellipsoids_are_refused(arguments, message) -> None:

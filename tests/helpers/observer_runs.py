@@ -16,9 +16,10 @@ from vcbf_drake.disturbances import (
     RiseGains,
     RiseObserver,
 )
+from vcbf_drake.model import ControlAffineModel
 
 
-class DragModel:
+class DragModel(ControlAffineModel):
     """A point mass in q dimensions with drag that grows with speed; state (p, v)."""
 
     def __init__(self, q: int = 2, linear: float = 0.4, cubic: float = 0.2) -> None:

@@ -18,6 +18,7 @@ from vcbf_drake import (
     InputSet,
     ObserverSettings,
     RiseObserver,
+    SafetyFilter,
     SphereObstacle,
     StateLimit,
     VolumeBarrier,
@@ -265,3 +266,26 @@ def test_an_observer_that_refuses_what_is_measured_is_told_once(caplog):
     (line,) = [each for each in lines if "refuses most intervals" in each]
     assert "by 0.2 s" in line or "by 0.22 s" in line
     assert "check the bounds" in line
+
+
+def test_a_state_that_is_not_finite_is_said_and_nothing_misleading(caplog):
+    loop = car_loop([AHEAD], [np.nan, 0.0, 0.5, 0.0], method="vcbf-qp")
+    lines, _ = warned(caplog, loop)
+    about_start, about_tick = lines
+    assert "is the measured state finite?" in about_start
+    assert "FAILED at 0 s: data are not finite" in about_tick
+
+
+def test_the_first_tick_is_decided_once(monkeypatch):
+    """Its threshold is known before its decision: a certified one takes its time."""
+    decided = []
+    calc = SafetyFilter._calc_decision
+
+    def counted(self, context):
+        decided.append(context.get_time())
+        return calc(self, context)
+
+    monkeypatch.setattr(SafetyFilter, "_calc_decision", counted)
+    loop = car_loop([AHEAD], [0.0, 0.0, 0.5, 0.0], between_ticks="certified")
+    loop.AdvanceTo(0.05)
+    assert decided == pytest.approx([0.0, 0.02, 0.04])

@@ -1,6 +1,7 @@
 """A tick's programs: who answers, and what another of Drake's solvers makes of them."""
 
 from collections import Counter
+import logging
 
 import numpy as np
 from pydrake.solvers import (
@@ -25,7 +26,11 @@ from vcbf_drake.safety import (
     ellipsoid,
     qp,
 )
-from vcbf_drake.safety.programs import EllipsoidProgram, NearestPointProgram
+from vcbf_drake.safety.programs import (
+    EllipsoidProgram,
+    FixedProgram,
+    NearestPointProgram,
+)
 
 LIMITS = InputSet.box([-0.05, -0.2, -0.02], [0.25, 0.2, 0.02])
 
@@ -175,3 +180,30 @@ def test_the_solver_is_a_choice_that_changes_no_answer(solver):
 def test_a_solver_without_a_license_is_refused_when_the_settings_are_made():
     with pytest.raises(ValueError, match=r"solver: 'Mosek'; .* no license here"):
         FilterSettings(solver="Mosek")
+
+
+class OneProgram(FixedProgram):
+    """The bounds |v_j| <= 1, and rows of sizes that no solver likes."""
+
+    def __init__(self, seed: int) -> None:
+        super().__init__(4, ClarabelSolver(), SolverOptions())
+        random = np.random.default_rng(seed)
+        A = random.normal(size=(8, 4)) * 10.0 ** random.uniform(-9, 9, (8, 1))
+        b = random.normal(size=8) * 10.0 ** random.uniform(-9, 9, 8)
+        cost = random.normal(size=4) * 1e6
+        self.program.AddLinearConstraint(A, np.full(8, -np.inf), b, self.variables)
+        self.program.AddQuadraticCost(1e6 * np.eye(4), cost, self.variables)
+
+    def solve(self) -> None:
+        self._solve()
+
+
+def test_a_solver_that_gives_up_says_nothing_to_the_user(caplog):
+    caplog.set_level(logging.INFO, logger="drake")
+    programs = [OneProgram(seed) for seed in (25, 35, 66)]
+    for each in programs:
+        each.solve()
+    assert not caplog.records
+    for each in programs:  # The user's own programs say what they always said.
+        ClarabelSolver().Solve(each.program)
+    assert any("Clarabel returns" in each.message for each in caplog.records)

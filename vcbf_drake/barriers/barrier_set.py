@@ -26,6 +26,7 @@ from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.compiled import CompiledFunction
 from vcbf_drake.model.control_affine import ControlAffineModel
+from vcbf_drake.typed import typed
 
 
 class BarrierSet:
@@ -39,6 +40,7 @@ class BarrierSet:
         num_entries: How many entries [A, b, w] a row has, m + 1 + q.
     """
 
+    @typed
     def __init__(
         self, model: ControlAffineModel, barriers: Sequence[Barrier | StateInputLimit]
     ) -> None:
@@ -53,15 +55,9 @@ class BarrierSet:
                 the disturbance enters it at another derivative than its gains say, or
                 pydrake's expressions give other numbers than it does; the message names
                 the barrier.
-            TypeError: One of them is neither a barrier nor a limit.
-            ValueError: Perceived obstacles of different capacities or dimensions.
+            ValueError: One of them is neither a barrier nor a limit; or perceived
+                obstacles of different capacities or dimensions.
         """
-        for barrier in barriers:
-            if not isinstance(barrier, Barrier | StateInputLimit):
-                raise TypeError(
-                    "expected a Barrier or a StateInputLimit, got"
-                    f" {type(barrier).__name__}"
-                )
         self.barriers = tuple(barriers)
         self.names = _numbered([barrier.name for barrier in barriers])
         self._model = model

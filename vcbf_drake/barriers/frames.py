@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pydrake.symbolic import Expression
 
-from vcbf_drake.checks import Array, finite_vector
+from vcbf_drake.checks import Array, finite_array, finite_vector, require
 from vcbf_drake.model.compiled import Expressions
 
 _TOLERANCE = 1e-9
@@ -134,11 +134,9 @@ def rotation_matrix(
     """
     if rotation is None:
         return np.eye(size)
-    matrix = np.array(rotation, dtype=float)
-    if matrix.shape != (size, size):
-        raise ValueError(
-            f"{name}: rotation must have shape ({size}, {size}), got {matrix.shape}"
-        )
+    rule = f"{size} rows of {size} finite numbers each"
+    matrix = finite_array(rotation, f"{name}: rotation", 2, rule)
+    require(matrix.shape == (size, size), f"{name}: rotation", rotation, rule)
     if not np.abs(matrix.T @ matrix - np.eye(size)).max() <= _TOLERANCE:
         raise ValueError(
             f"{name}: rotation must have orthonormal columns, got {matrix.tolist()}"

@@ -10,8 +10,9 @@ import numpy as np
 from pydrake.symbolic import Expression
 
 from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
-from vcbf_drake.checks import Array, check_parameter, finite_vector
+from vcbf_drake.checks import Array, check_parameter, finite_vector, require
 from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.typed import check_fields, check_type, typed
 
 LimitFunction: TypeAlias = Callable[
     [Expressions, Expression, Expressions], tuple[Expressions, Expression]
@@ -39,11 +40,15 @@ class StateInputLimit:
         Raises:
             ValueError: A parameter is not finite.
         """
+        check_type("name", name, str)
+        rule = "a function of x, t and p"
+        require(callable(function), f"function of limit '{name}'", function, rule)
         self.function = function
         self.parameters = finite_vector(parameters, f"parameters of limit '{name}'")
         self.name = name
 
 
+@typed
 def ackermann_limit(
     curvature: float,
     smoothing_speed: float,
@@ -131,6 +136,7 @@ class StateLimit:
         Raises:
             ValueError: No room between the limits, no limit at all, or nan.
         """
+        check_fields(self, "state limit: ")
         if not self.lower < self.upper:
             raise ValueError(
                 "state limit: lower must be below upper,"
@@ -139,6 +145,7 @@ class StateLimit:
         if not np.isfinite([self.lower, self.upper]).any():
             raise ValueError("state limit: give lower, upper or both")
 
+    @typed
     def barriers(
         self, gains: Sequence[float] | Array, name: str = "state limit"
     ) -> list[Barrier]:

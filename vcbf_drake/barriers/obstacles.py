@@ -19,6 +19,7 @@ from vcbf_drake.barriers.frames import (
 from vcbf_drake.barriers.shapes import Shape, ShapeFunction
 from vcbf_drake.checks import Array, check_parameter, finite_vector, require_choice
 from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.typed import check_fields
 
 SphereForm = Literal["distance", "squared"]
 
@@ -86,6 +87,7 @@ class SphereObstacle(CentredObstacle):
                 size, nothing to stay clear of (R = 0), an unknown form, or a number
                 that is not finite.
         """
+        check_fields(self, "obstacle: ")
         MovingPoint.of(self.center, self.velocity, "obstacle")
         check_parameter("obstacle: radius", self.radius, zero_allowed=True)
         check_parameter("obstacle: margin", self.margin, zero_allowed=True)
@@ -159,6 +161,7 @@ class EllipsoidObstacle(CentredObstacle):
                 that are not orthonormal, a negative margin, or a number that is not
                 finite.
         """
+        check_fields(self, "ellipsoid: ")
         size = self.moving_center.size
         check_parameter("ellipsoid: semi_axes", self.semi_axes, size=size)
         rotation_matrix(self.rotation, size, "ellipsoid")
@@ -228,6 +231,7 @@ class BoxObstacle(CentredObstacle):
                 that are not orthonormal, a smoothing that is not positive, or a number
                 that is not finite.
         """
+        check_fields(self, "box: ")
         size = self.moving_center.size
         check_parameter(
             "box: half_widths", self.half_widths, size=size, zero_allowed=True
@@ -301,6 +305,7 @@ class CapsuleObstacle(Obstacle):
                 radius or margin, a smoothing that is not positive, or a number that is
                 not finite.
         """
+        check_fields(self, "capsule: ")
         start = finite_vector(self.start, "capsule: start")
         end = finite_vector(self.end, "capsule: end")
         if start.shape != end.shape or (start == end).all():

@@ -13,6 +13,7 @@ from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.obstacles import SphereForm, SphereObstacle
 from vcbf_drake.checks import Array, check_parameter
 from vcbf_drake.model.position import Position
+from vcbf_drake.typed import check_fields, typed
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,7 @@ class PerceivedSpheres:
             ValueError: No slot, not 2 or 3 dimensions, an unknown form, or a margin
                 that is negative or not finite.
         """
+        check_fields(self, "perceived: ")
         if self.capacity < 1:
             raise ValueError(f"perceived: capacity must be >= 1, got {self.capacity}")
         check_parameter("perceived: margin", self.margin, zero_allowed=True)
@@ -65,6 +67,7 @@ class PerceivedSpheres:
         """The size of the port ``obstacles``."""
         return self.capacity * self.slot_size
 
+    @typed
     def barriers(
         self,
         gains: Sequence[float] | Array,
@@ -85,6 +88,7 @@ class PerceivedSpheres:
         example = self._example().barrier(gains, position, name)
         return [PerceivedBarrier(example, self, i) for i in range(self.capacity)]
 
+    @typed
     def pack(
         self, centers: ArrayLike, velocities: ArrayLike, radii: ArrayLike
     ) -> Array:

@@ -13,9 +13,10 @@ from pydrake.symbolic import Expression
 from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.shapes import Shape, ShapeFunction, barrier_of_position
 from vcbf_drake.barriers.unions import in_pairs, smooth_maximum, smooth_minimum
-from vcbf_drake.checks import Array, check_parameter, require
+from vcbf_drake.checks import Array, check_parameter, finite_array, require
 from vcbf_drake.model.compiled import Expressions
 from vcbf_drake.model.position import Position
+from vcbf_drake.typed import check_fields, typed
 
 _Piece = list[int]  # Indices of vertices, anticlockwise.
 
@@ -54,15 +55,11 @@ class PolygonObstacle(Shape):
                 finite, sides that meet where they must not, a negative margin, or a
                 smoothing that is not positive.
         """
-        corners = np.array(self.vertices, dtype=float)
-        flat = corners.ndim == 2 and corners.shape[1] == 2 and len(corners) >= 3
+        check_fields(self, "polygon: ")
         rule = "at least 3 corners of 2 finite numbers each"
-        require(
-            flat and bool(np.isfinite(corners).all()),
-            "polygon: vertices",
-            self.vertices,
-            rule,
-        )
+        corners = finite_array(self.vertices, "polygon: vertices", 2, rule)
+        flat = corners.shape[1] == 2 and len(corners) >= 3
+        require(flat, "polygon: vertices", self.vertices, rule)
         for i, j in combinations(range(len(corners)), 2):
             if np.array_equal(corners[i], corners[j]):
                 raise ValueError(
@@ -84,6 +81,7 @@ class PolygonObstacle(Shape):
         """Returns 2, h(position, t, p) with p = (sides, smoothing, margin), and p."""
         return _formula(self.pieces, self.smoothing, self.margin)
 
+    @typed
     def barriers(
         self,
         gains: Sequence[float] | Array,

@@ -5,16 +5,18 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 from pydrake.symbolic import Expression
+from pydrake.trajectories import Trajectory
 
 from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
 from vcbf_drake.barriers.followed import TrajectoryBarrier, carried
 from vcbf_drake.checks import Array, check_parameter, finite_vector, require
 from vcbf_drake.model.compiled import Expressions
 from vcbf_drake.model.position import Position, PositionFunction
+from vcbf_drake.typed import check_fields, typed
 
 ShapeFunction: TypeAlias = BarrierFunction
 """``h(position, t, p)``: like a barrier's function, of the position (k,)."""
@@ -35,6 +37,7 @@ class Shape(ABC):
     def formula(self) -> tuple[int, ShapeFunction, list[float]]:
         """Returns the number k of dimensions, h(position, t, p), and p's values."""
 
+    @typed
     def barrier(
         self,
         gains: Sequence[float] | Array,
@@ -55,9 +58,10 @@ class Shape(ABC):
         """
         return barrier_of_position(*self.formula(), gains, position, name or self.kind)
 
+    @typed
     def barrier_along(
         self,
-        trajectory: Any,
+        trajectory: Trajectory,
         gains: Sequence[float] | Array,
         position: Position | None = None,
         name: str | None = None,
@@ -190,6 +194,7 @@ class HalfSpace(Shape):
             ValueError: Not 2 or 3 dimensions, a normal of no length, a negative margin,
                 or a number that is not finite.
         """
+        check_fields(self, "half-space: ")
         normal = finite_vector(self.normal, "half-space: normal")
         if len(normal) not in (2, 3) or not normal.any():
             raise ValueError(
@@ -238,6 +243,7 @@ class Geofence:
             ValueError: Not 2 or 3 dimensions, no room inside, every side open, a
                 negative margin, or a number that is nan.
         """
+        check_fields(self, "geofence: ")
         check_parameter("geofence: margin", self.margin, zero_allowed=True)
         lower, upper = (np.asarray(v, dtype=float) for v in (self.lower, self.upper))
         if lower.shape not in ((2,), (3,)) or upper.shape != lower.shape:
@@ -267,6 +273,7 @@ class Geofence:
                 sides[f"{letter} high"] = HalfSpace(-axis, -high, self.margin)
         return sides
 
+    @typed
     def barriers(
         self,
         gains: Sequence[float] | Array,
@@ -313,8 +320,10 @@ class PairDistance:
         Raises:
             ValueError: It is not positive and finite.
         """
+        check_fields(self, "pair: ")
         check_parameter("pair: distance", self.distance)
 
+    @typed
     def barrier(
         self,
         gains: Sequence[float] | Array,

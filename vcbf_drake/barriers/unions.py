@@ -72,12 +72,12 @@ def in_pairs(values: Sequence[Any], smoothing: Any, combine: Any) -> Any:
 def _combined(
     barriers: Sequence[Barrier], smoothing: float, name: str, combine: Any
 ) -> Barrier:
-    barriers = list(barriers)
-    require(len(barriers) > 0, f"{name}: barriers", barriers, "one at least")
+    some = isinstance(barriers, Sequence) and len(barriers) > 0
+    require(some, f"{name}: barriers", barriers, "a list of one at least")
     check_parameter(f"{name}: smoothing", smoothing)
     for each in barriers:
         rule = "a Barrier, as shape.barrier(gains) makes it"
-        require(isinstance(each, Barrier), f"{name}: barrier", each, rule)
+        require(isinstance(each, Barrier), f"{name}: barriers", each, rule)
     first = barriers[0]
     for each in barriers:
         fixed = type(each) is Barrier and each.early_disturbance is None

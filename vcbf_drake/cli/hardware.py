@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-import json
 import math
 import os
 from pathlib import Path
@@ -22,7 +21,7 @@ from vcbf_drake.cli.options import (
     ScenarioArgument,
     load,
 )
-from vcbf_drake.files import plain_json
+from vcbf_drake.files import json_text
 from vcbf_drake.interrupts import SIGNALS, end_at_once, handle
 
 if TYPE_CHECKING:
@@ -350,7 +349,7 @@ def _run(
     report = {"scenario": scenario.name, "ending": process.ending, **process.report()}
     with _heard_or_not(sys.stdout):
         if as_json:
-            typer.echo(json.dumps(plain_json(report), indent=2))
+            typer.echo(json_text(report), nl=False)
         else:
             print_hardware_report(side, report)
     return EXIT_STATUSES[process.ending] + (signals[0] if signals else 0)

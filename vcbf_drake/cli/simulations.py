@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import dataclasses
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,7 +19,7 @@ from vcbf_drake.cli.options import (
     out_option,
 )
 from vcbf_drake.cli.progress import Advance, progress
-from vcbf_drake.files import plain_json, whole_directory
+from vcbf_drake.files import json_text, whole_directory
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.result import Result
@@ -52,7 +51,7 @@ def schema() -> None:
     """Print the JSON schema of scenario files, for editors."""
     from vcbf_drake.simulation.schema import scenario_schema
 
-    typer.echo(json.dumps(scenario_schema(), indent=2))
+    typer.echo(json_text(scenario_schema()), nl=False)
 
 
 def run(
@@ -129,8 +128,8 @@ def check(
     chosen = load(scenario, override, method, scenario_name)
     assumptions = check_assumptions(chosen)
     if as_json:
-        plain = [plain_json(dataclasses.asdict(each)) for each in assumptions]
-        typer.echo(json.dumps(plain, indent=2))
+        numbers = [dataclasses.asdict(each) for each in assumptions]
+        typer.echo(json_text(numbers), nl=False)
     else:
         print_assumptions(chosen, assumptions)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
-import json
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -68,7 +67,7 @@ def monte_carlo(
     out: Annotated[Path | None, out_option("out/SCENARIO-monte-carlo")] = None,
 ) -> None:
     """Simulate random variations of one scenario, each under every method."""
-    from vcbf_drake.files import whole_directory
+    from vcbf_drake.files import json_text, whole_directory
     from vcbf_drake.studies import Trial, load_variation, summarise_study
     from vcbf_drake.viz.running_time_figure import write_running_times
     from vcbf_drake.viz.study_table import print_study
@@ -103,8 +102,7 @@ def monte_carlo(
             records = _run_trials(plan, path, executor)
     summary = summarise_study(plan, records)
     with whole_directory(directory) as staging:
-        text = json.dumps(summary, indent=2) + "\n"
-        (staging / "summary.json").write_text(text)
+        (staging / "summary.json").write_text(json_text(summary))
         write_running_times(records, summary, staging)
     print_study(summary)
     typer.echo(f"written to {directory}")
@@ -126,7 +124,7 @@ def faults(
 
     Goes on with what DIR holds; with more of it where TRIALS is greater.
     """
-    from vcbf_drake.files import whole_directory
+    from vcbf_drake.files import json_text, whole_directory
     from vcbf_drake.studies.fault_campaign import fault_trials, summarise_faults
     from vcbf_drake.studies.fault_report import campaign_markdown, headline
 
@@ -151,7 +149,7 @@ def faults(
     with whole_directory(out) as staging:
         page = campaign_markdown(summaries, trials, seed, command)
         (staging / "faults.md").write_text(page, encoding="utf-8")
-        (staging / "summary.json").write_text(json.dumps(rows, indent=2) + "\n")
+        (staging / "summary.json").write_text(json_text(rows))
     for sentence in headline(summaries):
         typer.echo(sentence)
     typer.echo(f"written to {out}")

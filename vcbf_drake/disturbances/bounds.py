@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from vcbf_drake.checks import Array, check_parameter
+from vcbf_drake.typed import check_fields
 
 # What a bound of an estimate's error rests on: a ``proven`` inequality for exact
 # measurements; nothing but |d| <= delta1, also proven (``worst case``); formulas that
@@ -34,6 +35,7 @@ class DisturbanceBounds:
     delta3: float
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name, value in vars(self).items():
             check_parameter(name, value, zero_allowed=True)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,9 +13,8 @@ from vcbf_drake.disturbances.bounds import (
     noise_peak,
 )
 from vcbf_drake.disturbances.observer import DisturbanceObserver
-
-if TYPE_CHECKING:
-    from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.typed import typed
 
 
 class LinearDisturbanceObserver(DisturbanceObserver):
@@ -50,6 +48,7 @@ class LinearDisturbanceObserver(DisturbanceObserver):
     Source: Wang and Xu (2023) for the observer; its sampled form and bound are ours.
     """
 
+    @typed
     def __init__(
         self,
         model: ControlAffineModel,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from pydrake.common.value import Value
@@ -17,7 +17,7 @@ from pydrake.systems.framework import (
     ValueProducer,
 )
 
-from vcbf_drake.checks import Array
+from vcbf_drake.checks import Array, check_parameter
 from vcbf_drake.disturbances.bounds import (
     Basis,
     Condition,
@@ -26,10 +26,7 @@ from vcbf_drake.disturbances.bounds import (
     ErrorBound,
 )
 from vcbf_drake.errors import ModelError
-
-if TYPE_CHECKING:
-    from vcbf_drake.model import ControlAffineModel
-
+from vcbf_drake.model import ControlAffineModel
 
 # By how much an interval's mean may exceed delta1 before it is refused.
 _EXCEEDED = 1.05
@@ -159,6 +156,8 @@ class DisturbanceObserver(LeafSystem):
         self.bounds = bounds
         self.basis = basis
         self.estimate_gain = estimate_gain
+        if longest_interval is not None:
+            check_parameter("longest_interval", longest_interval)
         self.longest_interval = max(period, longest_interval or math.inf)
         self._model = model
         self._period = period

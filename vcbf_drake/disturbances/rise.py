@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,9 +24,8 @@ from vcbf_drake.disturbances.rise_bound import (
     least_beta,
     with_quadrature,
 )
-
-if TYPE_CHECKING:
-    from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.typed import check_fields, typed
 
 
 @dataclass
@@ -63,6 +61,7 @@ class ObserverSettings:
     linear_rate: float = 4.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name in ("alpha", "gamma", "boundary_layer", "linear_rate"):
             check_parameter(name, getattr(self, name))
         if self.beta is not None:
@@ -115,6 +114,7 @@ class RiseObserver(DisturbanceObserver):
     Source: (E9), (E13) are the paper's; the sampled steps and their bounds are ours.
     """
 
+    @typed
     def __init__(
         self,
         model: ControlAffineModel,

@@ -8,13 +8,18 @@ annotations. A field that has only the empty list as default has to be given.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 import math
-import reprlib
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from vcbf_drake.checks import Array, check_finite, check_parameter, require
+from vcbf_drake.checks import (
+    Array,
+    check_finite,
+    check_parameter,
+    finite_array,
+    require,
+)
 from vcbf_drake.disturbances.bounds import DisturbanceBounds
 from vcbf_drake.disturbances.signals import (
     Curve,
@@ -25,11 +30,13 @@ from vcbf_drake.disturbances.signals import (
     supremum,
 )
 from vcbf_drake.errors import InvalidValueError, ModelError
+from vcbf_drake.typed import check_fields, typed
 
 # Between two samples [s]; a spline's third derivative goes with its inverse cube.
 _SHORTEST_INTERVAL = 1e-9
 
 
+@runtime_checkable
 class Signal(Protocol):
     """A disturbance signal as a scenario describes it."""
 
@@ -56,6 +63,7 @@ class Constant:
 
     def curve(self, horizon: float) -> Tones:
         """Returns the signal as a function of time; see `Signal`."""
+        check_fields(self)
         value = _vector("value", self.value)
         return Tones(value[None], np.zeros(1), np.full(1, np.pi / 2))
 
@@ -76,6 +84,7 @@ class Sinusoid:
 
     def curve(self, horizon: float) -> Tones:
         """Returns the signal as a function of time; see `Signal`."""
+        check_fields(self)
         amplitude = _vector("amplitude", self.amplitude)
         check_finite("frequency", self.frequency)
         check_finite("phase", self.phase)
@@ -100,6 +109,7 @@ class SmoothStep:
 
     def curve(self, horizon: float) -> Transition:
         """Returns the signal as a function of time; see `Signal`."""
+        check_fields(self)
         amplitude = _vector("amplitude", self.amplitude)
         check_finite("start", self.start)
         check_parameter("duration", self.duration)
@@ -124,6 +134,7 @@ class BandLimitedNoise:
 
     def curve(self, horizon: float) -> Tones:
         """Returns the signal as a function of time; see `Signal`."""
+        check_fields(self)
         std = _vector("std", self.std)
         require(bool(np.all(std >= 0.0)), "std", self.std, "not below 0")
         check_parameter("bandwidth", self.bandwidth)
@@ -156,6 +167,7 @@ class Recorded:
 
     def curve(self, horizon: float) -> Spline:
         """Returns the signal as a function of time; see `Signal`."""
+        check_fields(self)
         times = _vector("times", self.times)
         require(len(times) >= 3, "times", self.times, "three at least")
         apart = bool(np.all(np.diff(times) >= _SHORTEST_INTERVAL))
@@ -167,20 +179,9 @@ class Recorded:
                 f"from {times[0]:g} to {times[-1]:g} s; it must span"
                 f" [0, {horizon:g}] s, for where a recording ends it is not C2",
             )
-        try:
-            values = np.array(self.values, dtype=float)
-        except ValueError:
-            values = np.empty(0)
-        if (
-            values.ndim != 2
-            or len(values) != len(times)
-            or not np.isfinite(values).all()
-        ):
-            raise InvalidValueError(
-                "values",
-                f"{reprlib.repr(self.values)}; it must be {len(times)} rows, one a"
-                " time, of equally many finite numbers",
-            )
+        rule = f"{len(times)} rows, one a time, of equally many finite numbers"
+        values = finite_array(self.values, "values", 2, rule)
+        require(len(values) == len(times), "values", self.values, rule)
         return Spline(times, values)
 
 
@@ -204,6 +205,7 @@ class DisturbanceSource(Diagram):
 
     bounds: DisturbanceBounds
 
+    @typed
     def __init__(
         self,
         signals: Sequence[Signal],
@@ -265,10 +267,6 @@ def _curve(index: int, signal: Signal, horizon: float) -> Curve:
 
 
 def _vector(name: str, numbers: Sequence[float]) -> Array:
-    try:
-        vector = np.array(numbers, dtype=float)
-    except ValueError:
-        vector = np.empty(0)
-    finite = vector.ndim == 1 and vector.size > 0 and bool(np.isfinite(vector).all())
-    require(finite, name, numbers, "a list of finite numbers")
+    vector = finite_array(numbers, name, 1, "a list of finite numbers")
+    require(vector.size > 0, name, numbers, "a list of finite numbers")
     return vector

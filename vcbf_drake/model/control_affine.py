@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-import math
 from numbers import Real
 from typing import NamedTuple
 
 import numpy as np
+from pydrake.systems.framework import Context, System
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.agreement import require_agreement, sample_points
 from vcbf_drake.model.compiled import Expressions, compile_nodes
+from vcbf_drake.model.declared import declared_states, wrapping
 from vcbf_drake.model.graph import (
     ONE,
     ZERO,
@@ -29,12 +30,11 @@ from vcbf_drake.model.numeric_dynamics import has_plant_state, numeric_dynamics
 from vcbf_drake.model.position import Position, named_position
 from vcbf_drake.model.reading import Reader
 from vcbf_drake.model.symbolic_dynamics import (
-    Context,
     PortChoice,
     SymbolicDynamics,
-    System,
     symbolic_dynamics,
 )
+from vcbf_drake.typed import typed
 
 
 class Dynamics(NamedTuple):
@@ -59,11 +59,17 @@ class Dynamics(NamedTuple):
 
     def input_rates(self, phi: Node) -> Nodes:
         """Returns L_g phi, shape (m,)."""
-        return gradients([phi], self.x)[0] @ np.array(self.g, dtype=object)
+        return self._rates(phi, self.g)
 
     def disturbance_rates(self, phi: Node) -> Nodes:
         """Returns E' grad phi, shape (q,)."""
-        return gradients([phi], self.x)[0] @ np.array(self.E, dtype=object)
+        return self._rates(phi, self.E)
+
+    def _rates(self, phi: Node, columns: Sequence[Sequence[Node | float]]) -> Nodes:
+        """Returns grad phi times the columns, of those states alone that phi has."""
+        slopes = gradients([phi], self.x)[0]
+        moves = [i for i, slope in enumerate(slopes) if slope is not ZERO] or [0]
+        return slopes[moves] @ np.array([columns[i] for i in moves], dtype=object)
 
 
 class ControlAffineModel:
@@ -104,6 +110,7 @@ class ControlAffineModel:
         ValueError: The shapes do not fit.
     """
 
+    @typed
     def __init__(
         self,
         state: Expressions,
@@ -173,12 +180,13 @@ class ControlAffineModel:
         self.make_manoeuvres: MakeManoeuvres | None = None
 
     @classmethod
+    @typed
     def from_system(
         cls,
         system: System,
         input_port: PortChoice = None,
         disturbance_port: PortChoice = None,
-        context: Context = None,
+        context: Context | None = None,
         symbolic: bool = False,
     ) -> ControlAffineModel:
         """Derives the model of a Drake System or Diagram.
@@ -214,7 +222,7 @@ class ControlAffineModel:
         if not symbolic and has_plant_state(system):
             return MultibodyModel(numeric_dynamics(*choices))
         dynamics = symbolic_dynamics(*choices)
-        m = len(dynamics.input)
+        m, said = len(dynamics.input), declared_states(system)
         parts = _solve(dynamics.mass_matrix, _affine_parts(dynamics))
         model = cls(
             state=dynamics.variables,
@@ -224,8 +232,8 @@ class ControlAffineModel:
             state_names=dynamics.state_names,
             name=dynamics.name,
             effort_limits=dynamics.effort_limits,
-            wrapped_states=getattr(system, "wrapped_states", ()),
-            position=getattr(system, "position_indices", None),
+            wrapped_states=said.periods,
+            position=said.position,
         )
         _require_same_rates(model, dynamics)
         model.make_manoeuvres = getattr(system, "make_manoeuvres", None)
@@ -242,10 +250,8 @@ class ControlAffineModel:
         return difference
 
     def _periods(self, wrapped_states: Sequence[str] | Mapping[str, float]) -> Array:
-        if not isinstance(wrapped_states, Mapping):
-            wrapped_states = dict.fromkeys(wrapped_states, 2.0 * math.pi)
         periods = np.full(self.num_states, np.inf)
-        for state, period in wrapped_states.items():
+        for state, period in wrapping(wrapped_states).items():
             is_period = isinstance(period, Real) and float(period) > 0.0
             if state not in self.state_names or not is_period:
                 raise ModelError(

@@ -299,7 +299,9 @@ def gradients(nodes: Iterable[Node], variables: Iterable[Node]) -> Nodes:
         ValueError: One of them has no derivative.
     """
     nodes = list(nodes)
-    columns = [along(nodes, {each: ONE}) for each in variables]
+    # A robot among many is in few of the formulas: most columns are known.
+    known, none = variables_of(nodes), [ZERO] * len(nodes)
+    columns = [along(nodes, {v: ONE}) if v in known else none for v in variables]
     return np.array(columns, dtype=object).T.reshape(len(nodes), -1)
 
 

@@ -23,6 +23,7 @@ from pydrake.multibody.tree import (
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
+from vcbf_drake.model.declared import declared_states
 from vcbf_drake.model.symbolic_dynamics import (
     PortChoice,
     default_context,
@@ -337,7 +338,7 @@ def numeric_dynamics(
         disturbance=None if disturbance is None else int(disturbance.get_index()),
         context=context,
         effort_limits=effort_limits_of(system, port),
-        wrapped_states=getattr(system, "wrapped_states", ()),
+        wrapped_states=declared_states(system).periods,
         forces=_port_forces(system, port, disturbance, context),
     )
 

@@ -15,6 +15,7 @@ from vcbf_drake.model.compiled import Expressions
 from vcbf_drake.model.explained import first_line
 from vcbf_drake.model.massless_bodies import give_mass
 from vcbf_drake.model.outputs import OutputSymbols
+from vcbf_drake.typed import typed
 
 PositionFunction: TypeAlias = Callable[[Expressions], Expressions]
 Position: TypeAlias = Sequence[int] | PositionFunction
@@ -39,6 +40,7 @@ def named_position(state_names: Sequence[str]) -> tuple[int, ...] | None:
     return tuple(found) if len(found) >= 2 else None
 
 
+@typed
 def point_position(
     plant: Any,
     frame: str,

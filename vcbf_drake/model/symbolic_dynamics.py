@@ -9,11 +9,12 @@ from typing import Any, TypeAlias
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.symbolic import Expression, Variable
-from pydrake.systems.framework import InputPort, PortDataType
+from pydrake.systems.framework import Context, InputPort, PortDataType, System
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.model.declared import declared_states
 from vcbf_drake.model.explained import explained, first_line
 from vcbf_drake.model.graph import (
     ZERO,
@@ -27,10 +28,8 @@ from vcbf_drake.model.massless_bodies import give_mass
 from vcbf_drake.model.reading import Reader
 
 # pydrake's classes carry no types that a checker can use.
-System: TypeAlias = Any
-Context: TypeAlias = Any
 Port: TypeAlias = Any
-PortChoice: TypeAlias = Any  # an InputPort, its name, its index, or None
+PortChoice: TypeAlias = InputPort | str | int | None
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ def symbolic_dynamics(
     system: System,
     input_port: PortChoice = None,
     disturbance_port: PortChoice = None,
-    context: Context = None,
+    context: Context | None = None,
 ) -> SymbolicDynamics:
     """Derives the dynamics of a System, or Diagram, that converts to symbolic.
 
@@ -94,7 +93,7 @@ def symbolic_dynamics(
     input_ = find_input_port(system, name, input_port, disturbance)
     symbolic = _to_symbolic(system, name)
     target = default_context(symbolic, name)
-    state_names = _state_names(system, target.num_continuous_states())
+    state_names = declared_states(system).names
 
     time = Variable("t")
     x = np.array([Variable(state) for state in state_names])
@@ -195,8 +194,8 @@ def _chosen_port(system: System, name: str, choice: PortChoice) -> Port:
         port = choice
     elif isinstance(choice, str) and system.HasInputPort(choice):
         port = system.GetInputPort(choice)
-    elif not isinstance(choice, str) and 0 <= int(choice) < system.num_input_ports():
-        port = system.get_input_port(int(choice))
+    elif isinstance(choice, int) and 0 <= choice < system.num_input_ports():
+        port = system.get_input_port(choice)
     else:
         raise ModelError(
             f"{name}: there is no input port {choice!r}; {_list_ports(system)}"
@@ -310,14 +309,6 @@ def _own_rate(
         return values
 
     return rate
-
-
-def _state_names(system: System, size: int) -> tuple[str, ...]:
-    """The names the System declares, as `state_names` or like a MultibodyPlant."""
-    names = getattr(system, "state_names", None)
-    if names is None and hasattr(system, "GetStateNames"):
-        names = system.GetStateNames()
-    return tuple(names) if names else tuple(f"x{i}" for i in range(size))
 
 
 def _variables(prefix: str, size: int) -> Expressions:

@@ -17,6 +17,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 from vcbf_drake.checks import Array, check_parameter
 from vcbf_drake.model.manoeuvre import Manoeuvre
 from vcbf_drake.plants.blimp_climb import BlimpClimb
+from vcbf_drake.typed import check_fields, check_type
 
 # Position and inertial velocity [m, m/s], heading and its rate [rad, rad/s].
 BlimpState = namedview(
@@ -48,6 +49,7 @@ class BlimpParameters:
     yaw_drag: float = 0.000862
 
     def __post_init__(self) -> None:
+        check_fields(self)
         check_parameter("mass", self.mass)
         check_parameter("yaw_inertia", self.yaw_inertia)
         check_parameter("added_mass", self.added_mass, size=3, zero_allowed=True)
@@ -137,6 +139,7 @@ def Blimp_(T: type) -> type:
             self, parameters: BlimpParameters | None = None, converter: Any = None
         ) -> None:
             LeafSystem_[T].__init__(self, converter=converter)
+            check_type("parameters", parameters, BlimpParameters | None)
             self._parameters = copy.deepcopy(parameters) or BlimpParameters()
             self.DeclareNumericParameter(BasicVector_[T](self._parameters.to_vector()))
             self._input = self.DeclareVectorInputPort("input", 3)

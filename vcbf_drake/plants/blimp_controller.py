@@ -18,6 +18,7 @@ from vcbf_drake.plants.target import (
     forward_component,
     heading_error,
 )
+from vcbf_drake.typed import check_fields, typed
 
 
 @dataclass
@@ -48,6 +49,7 @@ class BlimpControllerParameters:
     height_error_cap: float = math.inf
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name, value in vars(self).items():
             is_cap = name.endswith("_cap")
             check_parameter(
@@ -87,6 +89,7 @@ class BlimpController(LeafSystem):
         ValueError: A number is not finite, or out of range.
     """
 
+    @typed
     def __init__(
         self,
         target: ArrayLike,

@@ -16,6 +16,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 from vcbf_drake.checks import Array, check_parameter
 from vcbf_drake.model.manoeuvre import Manoeuvre
 from vcbf_drake.plants.car_stop import CarStop
+from vcbf_drake.typed import check_fields, check_type
 
 # Position [m], signed forward speed [m/s], heading [rad].
 CarState = namedview("CarState", ["x", "y", "speed", "heading"])
@@ -34,6 +35,7 @@ class CarParameters:
     mass: float = 2.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         check_parameter("mass", self.mass)
 
 
@@ -68,6 +70,7 @@ def Car_(T: type) -> type:
             self, parameters: CarParameters | None = None, converter: Any = None
         ) -> None:
             LeafSystem_[T].__init__(self, converter=converter)
+            check_type("parameters", parameters, CarParameters | None)
             self._parameters = copy.deepcopy(parameters) or CarParameters()
             self.DeclareNumericParameter(BasicVector_[T]([self._parameters.mass]))
             self._input = self.DeclareVectorInputPort("input", 2)

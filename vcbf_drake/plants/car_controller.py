@@ -18,6 +18,7 @@ from vcbf_drake.plants.target import (
     forward_component,
     heading_error,
 )
+from vcbf_drake.typed import check_fields, typed
 
 
 @dataclass
@@ -35,6 +36,7 @@ class CarControllerParameters:
     approach_gain: float = 0.6
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name, value in vars(self).items():
             check_parameter(name, value, zero_allowed=True)
 
@@ -63,6 +65,7 @@ class CarController(LeafSystem):
         ValueError: A number is not finite, or out of range.
     """
 
+    @typed
     def __init__(
         self,
         target: ArrayLike,

@@ -11,6 +11,7 @@ from vcbf_drake.plants.car import Car, CarParameters
 from vcbf_drake.plants.car_controller import CarController, CarControllerParameters
 from vcbf_drake.plants.shapes import Part, painted_model
 from vcbf_drake.plants.vehicle import Vehicle
+from vcbf_drake.typed import check_fields
 
 
 @dataclass
@@ -27,6 +28,7 @@ class TurnLimit:
     smoothing_speed: float = 0.1
 
     def __post_init__(self) -> None:
+        check_fields(self)
         check_parameter("curvature", self.curvature)
         check_parameter("smoothing_speed", self.smoothing_speed)
 

@@ -27,6 +27,7 @@ from vcbf_drake.plants.robot_controllers import (
 from vcbf_drake.plants.robot_file import RobotFile, bodies_of
 from vcbf_drake.plants.shapes import Part
 from vcbf_drake.plants.vehicle import Vehicle
+from vcbf_drake.typed import check_fields
 
 _BALL = 0.02  # What stands for the point in pictures [m].
 
@@ -77,6 +78,7 @@ class MultibodyVehicle(Vehicle):
     drag: float = 1.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         check_finite("point", self.point, size=3)
         check_parameter("range_gains", self.range_gains, size=2)
         check_parameter("speed_gain", self.speed_gain)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numpy.typing import ArrayLike
+
+from vcbf_drake.checks import finite_array, require
 
 # Nearer than this the direction to the target means nothing, and the heading is left
 # as it is [m] (R39).
@@ -18,9 +19,9 @@ def check_target(target: ArrayLike, size: int) -> tuple[float, ...]:
     Raises:
         ValueError: It does not.
     """
-    array = np.asarray(target, dtype=float)
-    if array.shape != (size,) or not np.all(np.isfinite(array)):
-        raise ValueError(f"the target is {target!r}; it must be {size} finite numbers")
+    rule = f"{size} finite numbers"
+    array = finite_array(target, "target", 1, rule)
+    require(array.shape == (size,), "target", target, rule)
     return tuple(array.tolist())
 
 

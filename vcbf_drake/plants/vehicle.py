@@ -16,6 +16,7 @@ from vcbf_drake.barriers import Barrier, StateInputLimit
 from vcbf_drake.checks import Array, require
 from vcbf_drake.model.position import Position
 from vcbf_drake.plants.shapes import Part, bounding_box, of_body
+from vcbf_drake.typed import typed
 
 
 class Vehicle(ABC):
@@ -132,6 +133,7 @@ class StateFeedback(LeafSystem):
         num_inputs: m.
     """
 
+    @typed
     def __init__(
         self, law: Callable[[Array], ArrayLike], num_states: int, num_inputs: int
     ) -> None:

@@ -208,10 +208,11 @@ def _standing(
     """The hypotheses that hold at every state or at none."""
     method, applied = safety_filter.method, safety_filter.settings.corrections
     inputs, delta1 = safety_filter.input_set, observer.bounds.delta1
+    is_body = inputs.is_bounded and bool(np.any(inputs.scale > 0.0))
     yield Assumption(
         "bounded input set",
         "U = {u : A_m u <= b_m} is bounded and has an interior",
-        inputs.is_bounded and bool(np.any(inputs.scale > 0.0)),
+        True if is_body else False if method.has_volume_row else None,
         {"smallest half-width": float(inputs.scale.min())},
         "the largest inscribed ellipsoid (E20) would not exist",
     )

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from vcbf_drake.typed import check_fields
+
 Fidelity = Literal["corrected", "paper"]
 
 
@@ -24,6 +26,9 @@ class Corrections:
     exact_slack: bool = False
     total_derivative: bool = False
     error_floor: bool = False
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 FIDELITIES: dict[Fidelity, Corrections] = {

@@ -9,6 +9,7 @@ from vcbf_drake.checks import Array, require
 from vcbf_drake.errors import EmptySetError, UnboundedSetError, VcbfError
 from vcbf_drake.safety.polytope import UnitRows, chebyshev_ball, recession_direction
 from vcbf_drake.safety.projection import minimise_linear, nearest_point
+from vcbf_drake.typed import typed
 
 # A point this many input ranges away is as good as one infinitely far.
 _FARTHEST = 1e6
@@ -51,6 +52,7 @@ class InputSet:
     is_box = False
     is_bounded = True
 
+    @typed
     def __init__(self, A: ArrayLike, b: ArrayLike) -> None:
         rows = UnitRows.checked(A, b)
         self.A, self.b = (each[~rows.is_blank] for each in rows.given)
@@ -91,6 +93,7 @@ class InputSet:
         self.b_normalised[moves] = (b - A @ self.center[~fixed]) / length
 
     @staticmethod
+    @typed
     def box(lower: ArrayLike, upper: ArrayLike) -> InputSet:
         """Returns ``{u : lower <= u <= upper}``.
 

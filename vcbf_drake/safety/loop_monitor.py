@@ -85,6 +85,8 @@ class LoopMonitor(LeafSystem):
         self._failed = self.DeclareAbstractState(Value[object](("",)))
         self.DeclareDiscreteState(2)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._check_start)
+        # When the tick is decided: by then the filter knows its threshold.
+        self.DeclareInitializationPublishEvent(self._check_enclosure)
         period = self._settings.period
         self.DeclarePeriodicPublishEvent(period, 0.0, self._check)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._remember)
@@ -95,6 +97,12 @@ class LoopMonitor(LeafSystem):
 
     def _check_start(self, context: Context, state: State) -> EventStatus:
         levels = self._read(context, "levels")
+        if len(levels) and np.isnan(levels).all():
+            self._warn(
+                "at the start no barrier has a value: is the measured state finite?"
+                " None of the hypotheses could be checked"
+            )
+            return EventStatus.Succeeded()
         authority = self._read(context, "authority")
         has_volume = self._filter.method.has_volume_row
         volume = self._read(context, "volume")[0] if has_volume else np.nan
@@ -114,6 +122,9 @@ class LoopMonitor(LeafSystem):
         state.get_mutable_abstract_state(0).set_value((first,))
         for each in failed:
             self._warn(f"{each.verdict}: {each.consequence}")
+        return EventStatus.Succeeded()
+
+    def _check_enclosure(self, context: Context) -> EventStatus:
         is_certified = self._filter.certified_hold > 0.0
         if is_certified and self._read(context, "row_margin")[0] == -np.inf:
             self._warn(

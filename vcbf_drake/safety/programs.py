@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from functools import lru_cache
+import logging
 import math
-from threading import Lock
+from threading import Lock, local
 from typing import Any, Self, cast
 
 import numpy as np
@@ -80,6 +81,17 @@ def _options(name: str, tolerance: float) -> SolverOptions:
     return options
 
 
+_ours = local()
+
+
+def _is_of_others(record: logging.LogRecord) -> bool:
+    """Whether a message is none of a solver whose answer is verified here anyway."""
+    return record.levelno >= logging.WARNING or not getattr(_ours, "solving", False)
+
+
+logging.getLogger("drake").addFilter(_is_of_others)
+
+
 class FixedProgram:
     """A MathematicalProgram of fixed size with its solver, its options and a lock.
 
@@ -105,7 +117,11 @@ class FixedProgram:
 
     def _solve(self) -> MathematicalProgramResult:
         start = np.zeros(self.program.num_vars())
-        return self._solver.Solve(self.program, start, self._options)
+        _ours.solving = True
+        try:
+            return self._solver.Solve(self.program, start, self._options)
+        finally:
+            _ours.solving = False
 
 
 @lru_cache(maxsize=512)

@@ -7,10 +7,17 @@ from copy import deepcopy
 from typing import TypeAlias
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, InputPort
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    DiscreteValues,
+    EventStatus,
+    InputPort,
+    State,
+)
 
 from vcbf_drake.barriers import Barrier, BarrierSet, StateInputLimit
-from vcbf_drake.checks import Array
+from vcbf_drake.checks import Array, check_parameter
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.backup import Gate, MakeGate
@@ -37,6 +44,7 @@ from vcbf_drake.safety.tick_programs import TickPrograms, state_programs
 from vcbf_drake.safety.tick_qp import Frame, VolumeRow
 from vcbf_drake.safety.volume import Volume, threshold_of
 from vcbf_drake.safety.volume_rows import VolumeRows, above
+from vcbf_drake.typed import typed
 
 # V_v of the volume row, and of its guard.
 _Volumes: TypeAlias = tuple[Volume | None, Volume | None]
@@ -105,6 +113,7 @@ class SafetyFilter(CachedSystem):
     there is no port ``obstacles``.
     """
 
+    @typed
     def __init__(
         self,
         model: ControlAffineModel,
@@ -151,6 +160,8 @@ class SafetyFilter(CachedSystem):
         self.settings = deepcopy(settings or FilterSettings())
         self.method = METHODS[self.settings.method]
         self.bounds = bounds or DisturbanceBounds(0.0, 0.0, 0.0)
+        check_parameter("estimate_gain", estimate_gain, zero_allowed=True)
+        check_parameter("longest_hold", longest_hold, zero_allowed=True)
         check_inputs(input_set, model.num_inputs, model.effort_limits)
         self.model = model
         self.barriers = tuple(barriers)
@@ -220,8 +231,10 @@ class SafetyFilter(CachedSystem):
         )
         needs = {self._determinants_entry.ticket()}
         if self.settings.volume.threshold is None:
-            # xi of volume and guard, from the first tick on.
+            # xi of volume and guard, from the first tick on: known before anything
+            # else happens there, so that the tick is decided once.
             self.DeclareDiscreteState([np.nan, np.nan])
+            self.DeclareInitializationUnrestrictedUpdateEvent(self._take_thresholds)
             self.DeclarePeriodicDiscreteUpdateEvent(
                 self.settings.period, 0.0, self._keep_thresholds
             )
@@ -354,6 +367,10 @@ class SafetyFilter(CachedSystem):
             m = self.input_set.num_inputs
             kept = [threshold_of(v.value if v else np.nan, m) for v in found]
         return float(kept[0]), float(kept[1])
+
+    def _take_thresholds(self, context: Context, state: State) -> EventStatus:
+        state.get_mutable_discrete_state().set_value(self.thresholds(context))
+        return EventStatus.Succeeded()
 
     def _keep_thresholds(self, context: Context, discrete: DiscreteValues) -> None:
         discrete.set_value(self.thresholds(context))

@@ -7,7 +7,13 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from vcbf_drake.checks import Array, check_parameter, require, require_choice
+from vcbf_drake.checks import (
+    Array,
+    check_parameter,
+    finite_array,
+    require,
+    require_choice,
+)
 from vcbf_drake.disturbances import (
     DisturbanceBounds,
     DisturbanceObserver,
@@ -20,8 +26,9 @@ from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
 from vcbf_drake.safety.decay import DEFAULT_PENALTY
 from vcbf_drake.safety.methods import METHODS
 from vcbf_drake.safety.programs import DEFAULT_SOLVER, check_solver
-from vcbf_drake.safety.qp import INFEASIBLE_POLICIES, InfeasiblePolicy
+from vcbf_drake.safety.qp import InfeasiblePolicy
 from vcbf_drake.safety.volume import VolumeBarrier
+from vcbf_drake.typed import check_fields
 
 BetweenTicks = Literal["none", "certified"]
 BETWEEN_TICKS: tuple[BetweenTicks, ...] = get_args(BetweenTicks)
@@ -76,23 +83,23 @@ class FilterSettings:
     decay_penalty: float = DEFAULT_PENALTY
     between_ticks: BetweenTicks = "none"
     violation_weights: list[float] = field(default_factory=list)
-    input_weights: list[float] = field(default_factory=list)
+    input_weights: list[float] | list[list[float]] = field(default_factory=list)
     soft_penalties: list[float] = field(default_factory=list)
     observer: ObserverSettings = field(default_factory=ObserverSettings)
     solver: str = DEFAULT_SOLVER
     warn: bool = True
 
     def __post_init__(self) -> None:
+        check_fields(self)
         check_solver(self.solver)
         check_parameter("period", self.period)
         check_parameter("decay_penalty", self.decay_penalty)
         require_choice("method", self.method, METHODS)
-        if not isinstance(self.fidelity, Corrections):
-            require_choice("fidelity", self.fidelity, FIDELITIES)
-        require_choice("infeasible", self.infeasible, INFEASIBLE_POLICIES)
-        require_choice("between_ticks", self.between_ticks, BETWEEN_TICKS)
         weights = self.violation_weights
         check_parameter("violation_weights", weights, size=len(weights))
+        rule = "positive numbers, one an input, or the rows of a matrix of them"
+        dimensions = np.ndim(self.input_weights[:1])  # A matrix may be ragged.
+        finite_array(self.input_weights, "input_weights", dimensions, rule)
         penalties = self.soft_penalties
         check_parameter(
             "soft_penalties", penalties, size=len(penalties), infinity_allowed=True

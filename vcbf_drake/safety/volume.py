@@ -18,6 +18,7 @@ from vcbf_drake.safety.ellipsoid import (
 from vcbf_drake.safety.feasible_set import DisturbanceKnowledge, FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.programs import DEFAULT_SOLVER
+from vcbf_drake.typed import check_fields
 
 GUARDS = ("none", "volume")
 # The thresholds that a start can lead to: the least is a ball of this radius.
@@ -51,6 +52,7 @@ class VolumeBarrier:
     guard_gain: float = 3.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name in ("gain", "slack_penalty", "guard_gain"):
             check_parameter(name, getattr(self, name))
         if self.threshold is not None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from vcbf_drake.checks import check_finite, check_parameter
 from vcbf_drake.errors import InvalidValueError
 from vcbf_drake.safety.assumptions import Assumption
+from vcbf_drake.typed import check_fields
 
 
 @dataclass
@@ -25,6 +26,7 @@ class StepGust:
     duration: float = 1.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         check_finite("amplitude", self.amplitude, size=len(self.amplitude))
         check_finite("start", self.start)
         check_parameter("duration", self.duration)
@@ -73,6 +75,7 @@ class Faults:
     outage_duration: float = 0.5
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name in ("measurement_loss", "solver_failure", "outage"):
             _check_share(name, getattr(self, name))
         for name in (

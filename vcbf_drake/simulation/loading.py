@@ -42,6 +42,7 @@ from vcbf_drake.errors import (
 from vcbf_drake.files import names_file, resolved
 from vcbf_drake.simulation.python_file import scenario_of
 from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.typed import typed
 
 Node: TypeAlias = Any  # A yaml.Node; PyYAML has no type stubs.
 
@@ -74,6 +75,7 @@ def scenario_path(name_or_path: str | Path) -> Path:
     return path
 
 
+@typed
 def load_scenario(
     name_or_path: str | Path,
     overrides: str | Mapping[str, Any] | None = None,

@@ -45,12 +45,14 @@ from vcbf_drake.simulation.obstacles import (
 )
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.sensors import MeasurementNoise, ObstaclesInSight
+from vcbf_drake.typed import typed
 
 LOG_PREFIX = "log_"
 COLLISION_MONITOR = "collision_monitor"
 AUDIT = "audit"
 
 
+@typed
 def make_loop(scenario: Scenario) -> Diagram:
     """Returns the whole closed loop of a scenario as a Drake diagram.
 

@@ -24,6 +24,7 @@ from vcbf_drake.barriers import (
 )
 from vcbf_drake.barriers.shapes import Shape
 from vcbf_drake.checks import check_finite, check_parameter, require, require_choice
+from vcbf_drake.typed import check_fields
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.scenario import Scenario
@@ -48,6 +49,7 @@ class Obstacle:
     margin: float = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         check_finite("center", self.center, size=len(self.center))
         check_parameter("radius", self.radius)
         if len(self.velocity):
@@ -74,6 +76,7 @@ class StateRange:
     gains: list[float] = field(default_factory=lambda: [1.0])
 
     def __post_init__(self) -> None:
+        check_fields(self)
         StateLimit(0, self.lower, self.upper)
         check_parameter("gains", self.gains, size=len(self.gains))
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from vcbf_drake.checks import Array
-from vcbf_drake.files import replacing
+from vcbf_drake.files import json_text, replacing
 from vcbf_drake.simulation.loading import dump_scenario, load_scenario
 from vcbf_drake.simulation.scenario import Scenario
 
@@ -41,13 +41,12 @@ class Result:
         """Writes summary.json, log.npz and scenario.yaml; each whole or not at all."""
         directory = Path(directory)
         directory.mkdir(parents=True, exist_ok=True)
-        summary = json.dumps(self.summary, indent=2, allow_nan=True) + "\n"
         with replacing(directory / "log.npz") as file:
             np.savez_compressed(file, **self.log)  # type: ignore[arg-type]
         with replacing(directory / "scenario.yaml") as file:
             file.write(dump_scenario(self.scenario).encode())
         with replacing(directory / "summary.json") as file:
-            file.write(summary.encode())
+            file.write(json_text(self.summary).encode())
 
 
 def load_result(directory: str | Path) -> Result:

@@ -44,6 +44,7 @@ from vcbf_drake.simulation.loop import make_loop, measurement_noise
 from vcbf_drake.simulation.result import Result
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.summary import Ending, summarise
+from vcbf_drake.typed import typed
 
 Progress = Callable[[float], None]
 
@@ -56,6 +57,7 @@ _WITNESS_ACCURACY = 1e-4
 _LONGEST_PIECE, _MOST_TICKS = 10.0, 250
 
 
+@typed
 def simulate(
     scenario: Scenario | str | Path,
     progress: Progress | None = None,

@@ -38,6 +38,7 @@ from vcbf_drake.simulation.obstacles import (
     check_fits,
     check_place,
 )
+from vcbf_drake.typed import check_fields
 
 Fallback = Literal["zero", "brake"]
 AuditPolicy = Literal["fallback", "report"]
@@ -64,6 +65,7 @@ class InputLimits:
     b: list[float] = field(default_factory=list)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for name, limits in (("lower", self.lower), ("upper", self.upper)):
             check_finite(name, limits, size=len(limits), infinity_allowed=True)
         if len(self.lower) != len(self.upper):
@@ -110,6 +112,7 @@ class BarrierGains:
     gains: list[float] = field(default_factory=lambda: [10.0, 3.55])
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require_choice("form", self.form, get_args(SphereForm))
         check_parameter("gains", self.gains, size=len(self.gains))
         try:
@@ -131,6 +134,7 @@ class Integrator:
     max_step: float = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require_choice("scheme", self.scheme, GetIntegrationSchemes())
         check_parameter("max_step", self.max_step, zero_allowed=True)
 
@@ -148,6 +152,7 @@ class MeasurementNoise:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        check_fields(self)
         check_parameter("std", self.std, size=len(self.std), zero_allowed=True)
         check_parameter("seed", self.seed, zero_allowed=True)
 
@@ -194,6 +199,7 @@ class Hardware:
     key_file: str = field(default="", metadata=IS_FILE)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require_choice("fallback", self.fallback, get_args(Fallback))
         require_choice("audit", self.audit, get_args(AuditPolicy))
         require_choice("obstacles", self.obstacles, get_args(ObstacleSource))
@@ -264,6 +270,7 @@ class Scenario(FilterSettings):
     hardware: Hardware = field(default_factory=Hardware)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require(
             not self.name or _NAME.fullmatch(self.name) is not None,
             "name",

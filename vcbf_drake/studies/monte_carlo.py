@@ -10,7 +10,7 @@ from pathlib import Path
 from queue import SimpleQueue
 
 from vcbf_drake.errors import ScenarioError
-from vcbf_drake.files import atomic_write
+from vcbf_drake.files import atomic_write, json_text
 from vcbf_drake.studies.trial import Record, Trial, error_record, run_trial
 from vcbf_drake.studies.worker_processes import TRIALS_A_PROCESS, run_in_processes
 
@@ -152,4 +152,4 @@ def _write(path: Path, records: Iterable[Record]) -> None:
 
 
 def _line(record: Record) -> str:
-    return json.dumps(record, allow_nan=False) + "\n"
+    return json_text(record, indent=None)

@@ -1,0 +1,188 @@
+"""Arguments and fields beside the types that they are declared with.
+
+A number in quotes, None, or a list of lists where a list belongs is answered where it
+is given, in one line, and not by whatever trips over it later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache, wraps
+import inspect
+from numbers import Integral, Real
+import types
+from typing import (
+    Any,
+    Literal,
+    ParamSpec,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vcbf_drake.checks import Array, require
+from vcbf_drake.errors import Path
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+_BOOLEANS = (bool, np.bool_)
+_WORDS = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
+_PLURALS = {float: "numbers", int: "whole numbers", str: "texts"}
+
+
+def typed(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Makes a function refuse arguments that are not of its parameters' types.
+
+    Raises:
+        InvalidValueError: When it is called with one; the path is the parameter.
+    """
+    signature = inspect.signature(function)
+    hints: dict[str, Any] = {}
+
+    @wraps(function)
+    def checked(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        if not hints:
+            hints.update(get_type_hints(function))
+        for name, value in signature.bind(*args, **kwargs).arguments.items():
+            if name in hints:
+                check_type(name, value, hints[name])
+        return function(*args, **kwargs)
+
+    return checked
+
+
+def check_fields(made: Any, prefix: str = "") -> None:
+    """Checks the fields of a dataclass against their types.
+
+    Args:
+        made: What was made.
+        prefix: What the path begins with: "box: " for example.
+
+    Raises:
+        InvalidValueError: A field is of another type.
+    """
+    kind: Any = type(made)
+    for name, hint in _field_hints(kind).items():
+        check_type(prefix + name, getattr(made, name), hint)
+
+
+def check_type(path: str | Path, value: Any, hint: Any) -> None:
+    """Checks one value against a type hint; callables, and what has no check, pass.
+
+    Raises:
+        InvalidValueError: It is of another type.
+    """
+    path = (path,) if isinstance(path, str) else path
+    members = _members(hint)
+    if any(_is(value, each) for each in members):
+        return
+    items = [_item(each) for each in members if _item(each) is not None]
+    if items and _is_list(value):
+        nested = len(value) > 0 and _is_list(value[0])
+        deeper = [each for each in items if _item(_members(each)[0]) is not None]
+        for index, item in enumerate(value):
+            check_type(
+                (*path, index), item, deeper[0] if nested and deeper else items[0]
+            )
+        return
+    rule = " or ".join(dict.fromkeys(map(_in_words, members)))
+    require(False, path, value, rule)
+
+
+@cache
+def _field_hints(kind: Any) -> dict[str, Any]:
+    hints = get_type_hints(kind)
+    return {name: hints[name] for name in kind.__dataclass_fields__}
+
+
+def _members(hint: Any) -> list[Any]:
+    """The types a hint allows; an array beside lists is one of them."""
+    if hint == ArrayLike:
+        return [Array]
+    is_union = get_origin(hint) in (types.UnionType, Union)
+    members = [*get_args(hint)] if is_union else [hint]
+    lists = [each for each in members if _item(each) is not None]
+    return [each for each in members if not (lists and get_origin(each) is np.ndarray)]
+
+
+def _item(hint: Any) -> Any:
+    """The type of a list's items; None for what is no list of one type."""
+    if get_origin(hint) in (list, Sequence, Iterable):
+        return get_args(hint)[0]
+    return None
+
+
+def _is_list(value: Any) -> bool:
+    is_array = isinstance(value, np.ndarray) and value.ndim > 0
+    return is_array or (isinstance(value, Sequence) and not isinstance(value, str))
+
+
+def _is(value: Any, hint: Any) -> bool:
+    """Whether a value is of one type, its items left to be looked at."""
+    origin = get_origin(hint) or hint
+    if hint is Any:
+        return True
+    if hint is None or hint is types.NoneType:
+        return value is None
+    if origin is Literal:
+        return isinstance(value, str) and value in get_args(hint)
+    if hint is float:
+        return isinstance(value, Real) and not isinstance(value, _BOOLEANS)
+    if hint is int:
+        return isinstance(value, Integral) and not isinstance(value, _BOOLEANS)
+    if hint is bool:
+        return isinstance(value, _BOOLEANS)
+    if origin is np.ndarray:
+        return _is_array(value, hint)
+    if origin is Callable:
+        return callable(value)
+    if origin in (dict, Mapping):
+        return isinstance(value, Mapping)
+    if _item(hint) is not None:
+        return False  # Its items are looked at one by one.
+    if isinstance(origin, type) and not _is_unchecked(origin):
+        return isinstance(value, origin)
+    return True
+
+
+def _is_unchecked(kind: Any) -> bool:
+    is_protocol = getattr(kind, "_is_protocol", False)
+    return bool(is_protocol and not getattr(kind, "_is_runtime_protocol", False))
+
+
+def _is_array(value: Any, hint: Any) -> bool:
+    of_numbers = np.float64 in get_args(get_args(hint)[-1])
+    try:
+        array = np.asarray(value)
+        if of_numbers and array.dtype.kind == "O":
+            array = array.astype(float)
+    except (TypeError, ValueError):  # Lists of different lengths, for example.
+        return False
+    return array.dtype.kind in "fiuO"
+
+
+def _in_words(hint: Any) -> str:
+    item = _item(hint)
+    if item is not None:
+        inner = _members(item)[0]
+        lists = _item(inner) is not None
+        name = "lists" if lists else _PLURALS.get(inner, "")
+        name = name or getattr(inner, "__name__", "values") + "s"
+        return f"a list of {name}" + (" of numbers" if lists else "")
+    if hint is None or hint is types.NoneType:
+        return "None"
+    if get_origin(hint) is Literal:
+        return f"one of {', '.join(get_args(hint))}"
+    if get_origin(hint) is np.ndarray:
+        return "numbers"
+    if get_origin(hint) is Callable:
+        return "a function"
+    kind = get_origin(hint) or hint
+    name = getattr(kind, "__name__", str(kind)).removesuffix("_[float]")
+    return _WORDS.get(kind) or f"a{'n' * (name[0] in 'AEIOU')} {name}"
