@@ -133,3 +133,14 @@ def test_a_point_of_an_arm_is_compared_by_its_kinematics_in_numbers():
     BarrierSet(model, [floor.barrier(GAINS, position=hand)])
     with pytest.raises(ModelError, match="makes of its symbols"):
         BarrierSet(model, [floor.barrier(GAINS, position=folded)])
+
+
+def test_a_formula_without_a_value_at_one_place_is_no_other_formula(model):
+    """A logarithm of 0: NumPy goes on to exp(-inf), plain Python does not."""
+    formula = lambda x, t, p: np.exp(0.5 * np.log(x[0] ** 2)) - 1.0  # noqa: E731
+    barrier = Barrier(formula, GAINS)
+    rows = BarrierSet(model, [barrier]).rows
+    state = np.zeros(model.num_states)
+    assert np.isnan(rows(state, 0.0).value[0])
+    state[0] = -3.0
+    assert rows(state, 0.0).value[0] == pytest.approx(2.0)

@@ -25,7 +25,11 @@ from pydrake.systems.framework import (
     LeafSystem,
     LeafSystem_,
 )
-from pydrake.systems.primitives import Integrator, LinearSystem
+from pydrake.systems.primitives import (
+    FirstOrderLowPassFilter,
+    Integrator,
+    LinearSystem,
+)
 from pydrake.systems.scalar_conversion import TemplateSystem
 import pytest
 
@@ -435,3 +439,23 @@ def test_a_plant_names_its_wrapped_states_in_any_unit():
     plant.wrapped_states = ["theta"]
     with pytest.raises(ModelError, match=r"has 'theta'.*one of x0, x1"):
         ControlAffineModel.from_system(plant)
+
+
+def test_a_diagram_says_what_the_system_in_it_says():
+    builder = DiagramBuilder()
+    car = builder.AddNamedSystem("car", Car())
+    lag = builder.AddNamedSystem("lag", FirstOrderLowPassFilter([0.1, 0.1]))
+    builder.Connect(lag.get_output_port(), car.GetInputPort("input"))
+    builder.ExportInput(lag.get_input_port(), "input")
+    builder.ExportInput(car.GetInputPort("disturbance"), "disturbance")
+    diagram = builder.Build()
+    model = ControlAffineModel.from_system(diagram)
+    heading = model.state_names.index("car_heading")
+    periods = model.wrapping_periods
+    assert periods[heading] == 2.0 * np.pi and np.isfinite(periods).sum() == 1
+    assert model.position == (0, 1)
+    # Where Drake itself keeps the heading.
+    context = diagram.CreateDefaultContext()
+    mine = car.GetMyMutableContextFromRoot(context)
+    mine.SetContinuousState([0.0, 0.0, 0.0, 0.5])
+    assert context.get_continuous_state_vector()[heading] == 0.5

@@ -1,5 +1,7 @@
 """Logs that grow on disk: whole at any time, and what the memory would hold."""
 
+import json
+import math
 import os
 from pathlib import Path
 import signal
@@ -122,3 +124,18 @@ def wait_for(path: Path, process: subprocess.Popen[bytes]) -> None:
             return
         time.sleep(0.05)
     raise TimeoutError(path)
+
+
+def test_a_summary_of_what_has_no_number_is_json(tmp_path):
+    """Infinite limits have no largest ellipsoid: V_v(0) is null, and loads."""
+    limits = {"lower": [-math.inf] * 2, "upper": [math.inf] * 2}
+    chosen = {"duration": 0.1, "method": "dob-cbf-qp", "input_set": limits}
+    simulate(load_scenario("car-avoidance", chosen)).save(tmp_path)
+    text = (tmp_path / "summary.json").read_text()
+
+    def refuse(constant):
+        raise AssertionError(f"{constant} is no JSON")
+
+    json.loads(text, parse_constant=refuse)
+    assert '"V_v(0)": null' in text
+    assert load_result(tmp_path).summary["guaranteed"] is True

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -194,8 +195,8 @@ def _chosen_port(system: System, name: str, choice: PortChoice) -> Port:
         port = choice
     elif isinstance(choice, str) and system.HasInputPort(choice):
         port = system.GetInputPort(choice)
-    elif isinstance(choice, int) and 0 <= choice < system.num_input_ports():
-        port = system.get_input_port(choice)
+    elif isinstance(choice, Integral) and 0 <= int(choice) < system.num_input_ports():
+        port = system.get_input_port(int(choice))
     else:
         raise ModelError(
             f"{name}: there is no input port {choice!r}; {_list_ports(system)}"
