@@ -12,7 +12,6 @@ from vcbf_drake.checks import Array
 from vcbf_drake.simulation.result import Result
 from vcbf_drake.studies import Record
 from vcbf_drake.viz.feasible_set_figure import feasible_set_figure
-from vcbf_drake.viz.feasible_solid_figure import feasible_solid_figure
 from vcbf_drake.viz.path_figure import path_figure
 from vcbf_drake.viz.series_figures import input_figure, slack_figure, volume_figure
 
@@ -30,6 +29,7 @@ from .experiment import (
     entries,
     runs_under,
 )
+from .feasible_solid_figure import feasible_solid_figure
 from .one_obstacle import estimation
 from .report import Block, Figure, Replay
 from .words import (

@@ -15,14 +15,13 @@ from vcbf_drake.simulation import InputLimits, Obstacle
 from vcbf_drake.viz import write_figures
 from vcbf_drake.viz.feasible_set import (
     feasible_set_at,
-    polygon,
-    polytope_faces,
     polytope_vertices,
     telling_times,
 )
 from vcbf_drake.viz.runs import label_runs
 from vcbf_drake.viz.series_figures import volume_figure
-from vcbf_drake.viz.space_figure import ParallelView
+from vcbf_drake.viz.solids import hull
+from vcbf_drake.viz.space_figure import ConvexBody, ParallelView
 from vcbf_drake.viz.style import METHOD_STYLES, figure_style, save_figure
 
 BLIMP_FIGURES = [
@@ -34,7 +33,6 @@ BLIMP_FIGURES = [
     "disturbance",
     "inputs",
     "feasible_sets",
-    "feasible_solids",
 ]
 
 
@@ -79,7 +77,7 @@ def test_a_blimps_figures(tmp_path):
 def test_a_cars_figures_are_those_of_two_inputs(tmp_path):
     runs = [car_result("cbf-qp", 4.0, "collision", 0.3), car_result()]
     paths = write_figures(runs, tmp_path, times=[1.0])
-    assert {p.stem for p in paths} == set(BLIMP_FIGURES) - {"feasible_solids"}
+    assert {p.stem for p in paths} == set(BLIMP_FIGURES)
 
 
 def test_the_same_result_gives_the_same_bytes(tmp_path):
@@ -187,7 +185,7 @@ def test_an_input_that_is_fixed_leaves_a_flat_set():
     corners = polytope_vertices(A, b, low, high)
     np.testing.assert_allclose(corners[:, 2], 0.3)
     around = [[-1, -1], [1, -1], [1, -0.5], [-0.5, 1], [-1, 1]]
-    assert same_points(polygon(corners[:, :2]), np.array(around))
+    assert same_points(hull(corners[:, :2]), np.array(around))
 
 
 def test_an_empty_set_has_no_corners():
@@ -195,31 +193,6 @@ def test_an_empty_set_has_no_corners():
     assert polytope_vertices(A, -np.ones(2), -reach, reach).shape == (0, 2)
     impossible = polytope_vertices(np.zeros((1, 2)), -np.ones(1), -reach, reach)
     assert impossible.shape == (0, 2)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_a_polygon_is_the_convex_hull_in_order(seed):
-    points = np.random.default_rng(seed).normal(size=(30, 2))
-    corners = polygon(points)
-    hull = ConvexHull(points)
-    assert same_points(corners, points[hull.vertices])
-    x, y = corners.T
-    area = 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
-    assert area == pytest.approx(hull.volume)  # Positive: counter-clockwise.
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_faces_close_the_polytope(seed):
-    A, b = random_polytope(np.random.default_rng(seed), 3)
-    corners = polytope_vertices(A, b, -np.ones(3), np.ones(3))
-    volume, edges, faces = 0.0, 0, polytope_faces(A, b, corners)
-    for row, face in faces:
-        np.testing.assert_allclose(face @ A[row], b[row], atol=1e-9)
-        around = np.cross(face, np.roll(face, -1, axis=0)).sum(axis=0)
-        volume += abs(face[0] @ around) / 6.0  # A pyramid up from the origin.
-        edges += len(face)
-    assert len(corners) - edges // 2 + len(faces) == 2  # Euler.
-    assert volume == pytest.approx(ConvexHull(corners).volume)
 
 
 def test_the_telling_times():
@@ -271,7 +244,9 @@ def test_a_ball_hides_what_it_covers():
     way = points + steps * view.toward
     expected = np.any(np.linalg.norm(way - center, axis=2) < radius, axis=0)
     assert 0.1 < expected.mean() < 0.6
-    disagree = view.hidden(points, center, radius) != expected
+    fine = np.random.default_rng(1).normal(size=(4000, 3))
+    ball = center + radius * fine / np.linalg.norm(fine, axis=1)[:, None]
+    disagree = view.hidden(points, ConvexBody.of(ball)) != expected
     assert disagree.mean() < 0.01  # Grazing lines, between two steps of the march.
 
 

@@ -1,15 +1,24 @@
-"""Obstacles that are no spheres, as pictures show them."""
+"""Obstacles as pictures show them: sizes, margins, walls."""
 
 from __future__ import annotations
 
 import numpy as np
+from pydrake.symbolic import Expression
 import pytest
+from scipy.spatial import ConvexHull
 
 from tests.helpers.obstacle_kinds import EVERY_KIND
 from vcbf_drake import load_scenario
+from vcbf_drake.barriers import (
+    BoxObstacle,
+    CapsuleObstacle,
+    EllipsoidObstacle,
+    PolygonObstacle,
+    SphereObstacle,
+)
 from vcbf_drake.simulation import simulate
 from vcbf_drake.viz import write_figures, write_replay
-from vcbf_drake.viz.solids import hull, solids_of, walls_of
+from vcbf_drake.viz.solids import hull, outline, solids, solids_of, walls_of
 
 
 @pytest.fixture(scope="module")
@@ -23,37 +32,79 @@ def area(corners):
 
 
 def test_outlines_have_the_true_size(scenario):
-    ellipse, capsule, box = solids_of(scenario, height=0.2)
-    sizes = [area(each.outline([0, 1], 0.0)) for each in (ellipse, capsule, box)]
-    length = np.hypot(4.0, 0.5)
+    found = [outline(each.body.surface, [0, 1]) for each in solids_of(scenario, 0.2)]
+    length, disc = np.hypot(4.0, 0.5), np.pi * 0.4**2
     true = [np.pi * 0.5 * 0.3, 2 * 0.2 * length + np.pi * 0.2**2, 4 * 0.4 * 0.2]
-    np.testing.assert_allclose(sizes, true, rtol=0.01)
+    np.testing.assert_allclose(list(map(area, found)), [disc, disc, *true], rtol=0.01)
     # The box is turned by a right angle.
-    low, high = (
-        box.outline([0, 1], 0.0).min(axis=0),
-        box.outline([0, 1], 0.0).max(axis=0),
-    )
+    low, high = found[-1].min(axis=0), found[-1].max(axis=0)
     np.testing.assert_allclose(high - low, [0.4, 0.8])
     np.testing.assert_allclose((high + low) / 2.0, [2.5, -2.0])
 
 
+MARGIN = 0.3
+
+
+@pytest.mark.parametrize(
+    "obstacle",
+    [
+        SphereObstacle([1.0, -2.0], 0.4, margin=MARGIN),
+        SphereObstacle([1.0, -2.0, 0.5], 0.4, margin=MARGIN),
+        EllipsoidObstacle([1.0, -2.0], [0.5, 0.3], margin=MARGIN),
+        EllipsoidObstacle([1.0, 0.0, 2.0], [0.5, 0.3, 0.9], margin=MARGIN),
+        CapsuleObstacle([0.0, 2.0], [4.0, 2.5], 0.2, margin=MARGIN),
+        CapsuleObstacle([0.0, 2.0, 1.0], [4.0, 2.5, 0.0], 0.2, margin=MARGIN),
+        BoxObstacle([2.5, -2.0], [0.4, 0.2], [[0, -1], [1, 0]], margin=MARGIN),
+        BoxObstacle([2.5, -2.0, 1.0], [0.4, 0.2, 0.7], margin=MARGIN),
+        PolygonObstacle([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]], MARGIN),
+    ],
+    ids=lambda each: f"{type(each).__name__} of {each.formula()[0]}",
+)
+def test_the_margin_is_drawn_where_the_barrier_ends(obstacle):
+    """What is drawn reaches as far as h = 0 does, but for its smoothed edges."""
+    size, h, parameters = obstacle.formula()
+
+    def height(point):
+        return h(np.array(point, float), Expression(0.0), np.array(parameters))
+
+    def value(point):
+        found = height(point)
+        return found.Evaluate() if isinstance(found, Expression) else float(found)
+
+    drawn = list(solids(obstacle, 0.2))
+    corners = [each.keep_out.surface[:, :size] for each in drawn]
+    corners = np.vstack([each[ConvexHull(each).vertices] for each in corners])
+    heights = np.array([value(point) for point in corners])
+    assert heights.max() < 1e-6
+    if isinstance(obstacle, PolygonObstacle):
+        # Sharp corners are drawn rounded; some of the corners are inside the union.
+        assert heights.max() > -0.13
+    else:
+        rounding = 2.0 * getattr(obstacle, "smoothing", 0.0)
+        assert heights.min() > -rounding - 1e-6
+    bare = np.vstack([each.body.surface for each in drawn])[:, :size]
+    assert max(map(value, bare)) < -MARGIN + 1e-6
+
+
 def test_moving_solids_move(scenario):
-    _, capsule, _ = solids_of(scenario, height=0.2)
-    offset = capsule.pose_at(5.0).translation() - capsule.pose.translation()
-    np.testing.assert_allclose(offset, [0.0, 0.05, 0.0])
-    before, after = (capsule.outline([0, 1], time) for time in (0.0, 5.0))
-    np.testing.assert_allclose(after - before, 0.0 * before + [0.0, 0.05], atol=1e-12)
+    capsule = solids_of(scenario, height=0.2)[3]
+    assert capsule.moves
+    np.testing.assert_allclose(capsule.offset_at(5.0), [0.0, 0.05, 0.0])
 
 
 def test_walls_are_where_the_half_spaces_end(scenario):
-    normals = [each.normal.tolist() for each in walls_of(scenario)]
+    walls = walls_of(scenario)
+    normals = [each.normal.tolist() for each in walls]
     assert normals == [[0, 1, 0], [1, 0, 0], [-1, 0, 0], [0, -1, 0]]
-    assert [each.offset for each in walls_of(scenario)] == [-3.0, -1.0, -20.0, -4.0]
-    for wall in walls_of(scenario):
-        slab, matrix = wall.slab(np.zeros(3), size=10.0, height=0.5)
-        face = matrix[:3, 3] + 0.5 * slab.width() * wall.normal
-        assert wall.normal @ face == pytest.approx(wall.offset)
-        assert matrix[2, 3] == pytest.approx(0.25)
+    assert [each.offset for each in walls] == [-3.0, -1.0, -20.0, -4.0]
+    assert [each.margin for each in walls] == [0.0, 0.1, 0.1, 0.1]
+    for wall in walls:
+        for thick in (-0.05, 0.1):
+            slab, pose = wall.slab(np.zeros(3), 10.0, 0.5, thick)
+            assert slab.width() == abs(thick)
+            face = pose.translation() - 0.5 * thick * wall.normal
+            assert wall.normal @ face == pytest.approx(wall.offset)
+            assert pose.translation()[2] == pytest.approx(0.25)
 
 
 def test_hull_is_the_smallest_convex_polygon():

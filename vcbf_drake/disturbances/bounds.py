@@ -114,13 +114,13 @@ class DisturbanceEstimate(NamedTuple):
             packed: One value or many, shape (..., 2 q + 4).
         """
         q = packed.shape[-1] // 2 - 2
-        numbers = np.moveaxis(packed[..., 2 * q :], -1, 0)
+        numbers = [packed[..., i] for i in range(2 * q, 2 * q + 4)]
         return DisturbanceEstimate(packed[..., :q], packed[..., q : 2 * q], *numbers)
 
     def pack(self) -> Array:
         """Returns the value of the port, shape (..., 2 q + 4)."""
-        numbers = np.stack(self[2:], axis=-1)
-        return np.concatenate((self.disturbance, self.rate, numbers), axis=-1)
+        numbers = [np.asarray(number)[..., None] for number in self[2:]]
+        return np.concatenate((self.disturbance, self.rate, *numbers), axis=-1)
 
     def log_arrays(self) -> dict[str, Array]:
         """Returns the parts by their names in a log."""

@@ -37,6 +37,9 @@ _ROUNDING = 1e-9
 # By which share the curvature of f + g u changes within an interval, but for what the
 # plant's own rate makes of it (E97).
 _CHANGE = 0.05
+# Of a function's values at both ends and in the middle: its mean, and its bend.
+_SIMPSON = np.array((1.0, 4.0, 1.0)) / 6.0
+_SECOND_DIFFERENCE = np.array((1.0, -2.0, 1.0))
 # Step of the numeric derivative, relative.
 _DIFFERENCE = 1e-6
 
@@ -167,8 +170,8 @@ class DisturbanceObserver(LeafSystem):
         self._noise = noise
         self._disturbed = _left_inverse(model)
         self._directions = model.disturbance_matrix.T.copy()
-        # The size of a disturbed channel per unit of the states.
-        self._unit = float(np.max(np.abs(self._disturbed), initial=0.0))
+        # The sizes of the disturbed channels per unit of the states.
+        self._units = np.abs(self._disturbed)
         n, m, q = model.num_states, model.num_inputs, model.num_disturbances
         self._state = self.DeclareVectorInputPort("state", n)
         self._input = self.DeclareVectorInputPort("input", m)
@@ -281,11 +284,12 @@ class DisturbanceObserver(LeafSystem):
         if not (_is_finite(x_0) and _is_finite(x_1)):
             return None
         mean, delta1 = self.mean_disturbance(x_0, x_1, u, elapsed), self.bounds.delta1
-        rounding = _ROUNDING * (self._unit + self._size(x_1))
+        unit = float(self._units.max(initial=0.0))
+        rounding = _ROUNDING * (unit + self._size(x_1))
         blur = _JUMP_SIGMAS * self._noise + rounding
         most = _EXCEEDED * delta1 + mean.quadrature + blur / elapsed
         # False where it is not finite, too.
-        is_plausible = np.linalg.norm(mean.disturbance) <= most
+        is_plausible = math.hypot(*mean.disturbance.tolist()) <= most
         tells_something = mean.quadrature <= delta1 or delta1 == 0.0
         return mean if is_plausible and tells_something else None
 
@@ -317,32 +321,30 @@ class DisturbanceObserver(LeafSystem):
         rate, moved = self._model.nominal_rate, self._model.difference(x_1, x_0)
         rate_0, rate_1 = rate(x_0, u), rate(x_1, u)
         x_middle = x_0 + moved / 2 + elapsed / 8 * (rate_0 - rate_1)
-        rate_middle = rate(x_middle, u)
-        nominal = (rate_0 + 4 * rate_middle + rate_1) / 6
-        mean = self._disturbed @ (moved / elapsed - nominal)
-        bend = self._disturbed @ (rate_0 - 2 * rate_middle + rate_1)
+        rates = np.array((rate_0, rate(x_middle, u), rate_1)) @ self._disturbed.T
+        mean = self._disturbed @ moved / elapsed - _SIMPSON @ rates
+        bend = (_SECOND_DIFFERENCE @ rates).tolist()
         slope = elapsed * self._slope(x_1, u, rate_1)
         drift = elapsed * (self.bounds.delta2 + elapsed * self.bounds.delta3 / 12) / 12
         change = min(1.0, _CHANGE + slope)
-        rule = change * (1 + slope) / 10 * float(np.linalg.norm(bend))
+        rule = change * (1 + slope) / 10 * math.hypot(*bend)
         return IntervalMean(mean, slope * drift + rule)
 
     def _size(self, x: Array) -> float:
         """Returns the size of the disturbed channels: a clock beside them is large."""
-        return float(np.max(np.abs(self._disturbed) @ np.abs(x), initial=0.0))
+        return max((self._units @ np.abs(x)).tolist(), default=0.0)
 
     def _slope(self, x: Array, u: Array, rate: Array) -> float:
         """Returns how strongly the disturbed rates depend on the disturbed states."""
         step = _DIFFERENCE * (1.0 + self._size(x))
-        columns = [
-            self._disturbed @ (self._model.nominal_rate(x + step * column, u) - rate)
-            for column in self._directions
+        rates = [
+            self._model.nominal_rate(moved, u) for moved in x + step * self._directions
         ]
-        q = len(columns)
-        size = np.abs(np.reshape(columns, (q, q)))
+        changes = np.array(rates).reshape(self._directions.shape) - rate
+        size = np.abs(changes @ self._disturbed.T)
         # The spectral norm is at most the geometric mean of these two.
-        rows, sums = size.sum(axis=1), size.sum(axis=0)
-        return math.sqrt(rows.max(initial=0.0) * sums.max(initial=0.0)) / step
+        rows, sums = size.sum(axis=1).tolist(), size.sum(axis=0).tolist()
+        return math.sqrt(max(rows, default=0.0) * max(sums, default=0.0)) / step
 
     def _update(self, context: Context, discrete: DiscreteValues) -> None:
         """Stores the posterior, and the measurement it ends with."""

@@ -177,6 +177,7 @@ def gain_conditions(
     return (*conditions, Condition(name, longest, period, longest > period))
 
 
+@lru_cache(maxsize=256)  # It is asked for at every tick, and so is `error_bound`.
 def with_quadrature(
     bounds: DisturbanceBounds, quadrature: float, period: float
 ) -> DisturbanceBounds:
@@ -194,7 +195,7 @@ def with_quadrature(
     )
 
 
-@lru_cache(maxsize=256)  # It is asked for at every tick.
+@lru_cache(maxsize=256)
 def error_bound(
     gains: RiseGains,
     bounds: DisturbanceBounds,

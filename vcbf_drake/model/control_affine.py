@@ -174,6 +174,8 @@ class ControlAffineModel:
             np.full(num_inputs, np.inf) if effort_limits is None else effort_limits
         )
         self.wrapping_periods = self._periods(wrapped_states)
+        wraps = np.isfinite(self.wrapping_periods).nonzero()[0].tolist()
+        self._wraps = [(i, float(self.wrapping_periods[i])) for i in wraps]
         self.position = (
             named_position(self.state_names) if position is None else position
         )
@@ -242,11 +244,9 @@ class ControlAffineModel:
     def difference(self, x_1: Array, x_0: Array) -> Array:
         """Returns x_1 - x_0, shape (..., n), the short way round in wrapped states."""
         difference: Array = np.subtract(x_1, x_0)
-        wraps = np.isfinite(self.wrapping_periods)
-        if wraps.any():
-            periods = self.wrapping_periods[wraps]
-            turns = np.round(difference[..., wraps] / periods)
-            difference[..., wraps] -= periods * turns
+        for state, period in self._wraps:
+            turns = np.rint(difference[..., state] / period)
+            difference[..., state] -= period * turns
         return difference
 
     def _periods(self, wrapped_states: Sequence[str] | Mapping[str, float]) -> Array:

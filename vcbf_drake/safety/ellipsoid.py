@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import EmptySetError, SolverError, UnboundedSetError
@@ -33,15 +33,17 @@ from vcbf_drake.safety.polytope import (
 from vcbf_drake.safety.programs import DEFAULT_SOLVER, EllipsoidProgram
 
 # Of a set of unit size the cone program reaches this tolerance; one Newton step is then
-# enough. With more inputs than a few, another step costs less than the solver's.
+# enough. With more inputs than a few, others cost less than the solver's.
 _FAST_TOLERANCE = 1e-10
-_FEW_INPUTS = 6
+_FEW_INPUTS = 3
 # Cut input sets thinner than this, in normalised inputs, may count as empty: there the
 # rounding of their rows alone can exceed the accepted gap.
 THINNEST = 1e-7
 # Of any polytope the cone program reaches this tolerance; two or three Newton steps
 # are then enough.
-_CAREFUL_TOLERANCE = 1e-7
+_CAREFUL_TOLERANCE = 1e-5
+# Rows whose angle has a cosine this near to 1 are one to the cone program.
+_PARALLEL = 1e-12
 # Rows further away than this, in its frame, would spoil the cone program's scaling and
 # are brought nearer; Newton's method and the certificate take them where they are.
 _FARTHEST = 1e6
@@ -279,14 +281,30 @@ def _of_rows(
     A: Array, b: Array, solver: str, is_box: bool
 ) -> CertifiedEllipsoid | Ellipsoid:
     """The largest ellipsoid of unit rows, of a set of about unit size."""
-    if A.shape[1] == 1:
+    m = A.shape[1]
+    if m == 1:
         found = interval(A, b)
     else:
-        few = A.shape[1] <= _FEW_INPUTS
-        tolerance = _FAST_TOLERANCE if few else _CAREFUL_TOLERANCE
-        program = EllipsoidProgram.of_size(*A.shape, tolerance, solver, is_box)
-        guess = program.solve(A, b)
-        found = guess and polish(A, b, *guess)
+        tolerance, kept = _FAST_TOLERANCE, np.arange(len(b))
+        if m > _FEW_INPUTS:
+            tolerance, kept = _CAREFUL_TOLERANCE, _tightest(A, b, 2 * m * is_box)
+        rows, bounds, multipliers = A[kept], b[kept], np.zeros(len(b))
+        program = EllipsoidProgram.of_size(*rows.shape, tolerance, solver, is_box)
+        found = None
+        if guess := program.solve(rows, bounds):
+            multipliers[kept] = guess[2]
+            found = polish(A, b, *guess[:2], multipliers)
     if found and found.certified_gap <= ACCEPTED_GAP:
         return found
     return inscribed_ellipsoid(A, b)
+
+
+def _tightest(A: Array, b: Array, first: int) -> NDArray[np.intp]:
+    """The first rows, and of those behind that are parallel the one furthest in.
+
+    An arm's rows are: both limits of a joint's angle and speed are on its acceleration.
+    """
+    order = first + b[first:].argsort(kind="stable")
+    cosine = A[order] @ A[order].T
+    is_spare = np.tril(cosine > 1.0 - _PARALLEL, -1).any(axis=1)
+    return np.concatenate([np.arange(first), order[~is_spare]])

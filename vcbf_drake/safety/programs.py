@@ -184,8 +184,8 @@ class NearestPointProgram(FixedProgram):
     ) -> None:
         super().__init__(num_variables, SOLVERS[solver](), _options(solver, 1e-9))
         if solver == "Clarabel":
-            # With its default step length it cycles on some feasible QPs.
-            self._options.SetOption(ClarabelSolver.id(), "max_step_fraction", 0.9)
+            # On some QPs it cycles; on others it is done after a dozen.
+            self._options.SetOption(ClarabelSolver.id(), "max_iter", 30)
         v, self._identity = self.variables, np.eye(num_variables)
         self._below = np.full(num_rows, -np.inf)
         self._cost = self.program.AddQuadraticCost(
@@ -244,7 +244,7 @@ class EllipsoidProgram(FixedProgram):
         self._power = 2 ** math.ceil(math.log2(m))
         diagonal = x[: self._k][self._row == self._column]
         self.program.AddMaximizeGeometricMeanCost(diagonal, 1.0)
-        self._box: list[Any] = self._add_box() if is_box else []
+        self._box = self._add_box() if is_box else None
         self._first = 2 * m if is_box else 0
         dense, count = np.ones((m + 1, self._k + m)), num_rows - self._first
         cones = [
@@ -252,16 +252,12 @@ class EllipsoidProgram(FixedProgram):
             for _ in range(count)
         ]
         self._cones = [cone.evaluator() for cone in cones]
-        # Of this type a binding is read many times faster than of its own.
-        self._bindings = [
-            Binding[EvaluatorBase](cone.evaluator(), cone.variables()) for cone in cones
-        ]
+        self._bindings = [_quickly_read(cone) for cone in cones]
         self._F = np.zeros((count, m + 1, self._k + m))
         self._g = np.zeros((count, m + 1))
-        self._stated = np.full((count, m + 1), np.nan)
 
-    def _add_box(self) -> list[Any]:
-        """Adds the rows |v_j| <= 1; returns the bindings of either side."""
+    def _add_box(self) -> Any:
+        """Adds the rows |v_j| <= 1; returns their binding."""
         L, d = self.variables[: self._k], self.variables[self._k :]
         m = len(d)
         reach = self.program.NewContinuousVariables(m, "t")
@@ -269,27 +265,21 @@ class EllipsoidProgram(FixedProgram):
             self.program.AddLorentzConeConstraint(
                 np.concatenate([reach[[j]], L[self._row == j]])
             )
-        both, below = np.eye(m), np.full(m, -np.inf)
-        return [
-            self.program.AddLinearConstraint(
-                np.hstack([both, side * both]),
-                below,
-                np.ones(m),
-                np.concatenate([reach, d]),
-            )
-            for side in (1.0, -1.0)
-        ]
+        reaches, centers = np.eye(m), np.eye(m)
+        sides = np.block([[reaches, centers], [reaches, -centers]])
+        below, ones = np.full(2 * m, -np.inf), np.ones(2 * m)
+        rows = self.program.AddLinearConstraint(
+            sides, below, ones, np.concatenate([reach, d])
+        )
+        return _quickly_read(rows)
 
     def state(self, A: Array, b: Array) -> None:
         """Overwrites the program's data."""
         A, b = A[self._first :], b[self._first :]
         self._F[:, 0, self._k :], self._g[:, 0] = -A, b
         self._F[:, self._slot, self._entry] = A[:, self._row]
-        rows = np.column_stack([A, b])
-        # An update costs more than a comparison.
-        for i in (rows != self._stated).any(axis=1).nonzero()[0]:
-            self._cones[i].UpdateCoefficients(self._F[i], self._g[i])
-        self._stated = rows
+        for cone, F, g in zip(self._cones, self._F, self._g, strict=True):
+            cone.UpdateCoefficients(F, g)
 
     def solve(self, A: Array, b: Array) -> tuple[Array, Array, Array] | None:
         """Returns d, L and the multipliers d(log det L)/db; None without them."""
@@ -305,9 +295,14 @@ class EllipsoidProgram(FixedProgram):
         diagonal = L.diagonal().tolist()
         if not min(diagonal) > 0.0:
             return None
-        duals = [-result.GetDualSolution(side) for side in self._box]
-        duals.append([result.GetDualSolution(cone)[0] for cone in self._bindings])
+        duals = [] if self._box is None else -result.GetDualSolution(self._box)
+        duals = [*duals, *(result.GetDualSolution(row)[0] for row in self._bindings)]
         # The cost's multipliers are those of (det L)^(1/P) = exp(log det L / P).
         mean = math.prod(diagonal) ** (1.0 / self._power)
-        multipliers = np.maximum(np.concatenate(duals), 0.0)
+        multipliers = np.maximum(duals, 0.0)
         return x[k : k + m], L, multipliers * (self._power / mean)
+
+
+def _quickly_read(binding: Any) -> Any:
+    """A binding, of the type whose dual solution is read many times faster."""
+    return Binding[EvaluatorBase](binding.evaluator(), binding.variables())

@@ -12,11 +12,10 @@ from vcbf_drake.viz.feasible_set import (
     FeasibleSet,
     feasible_set_at,
     moment,
-    polygon,
     polytope_vertices,
 )
-from vcbf_drake.viz.geometry import geometry_of
 from vcbf_drake.viz.runs import Run
+from vcbf_drake.viz.solids import hull
 from vcbf_drake.viz.style import ALARM, INK, MUTED, PAGE_WIDTH, Style, new_figure
 
 MARGIN = 0.35  # Room around the limits [share of their width].
@@ -39,7 +38,7 @@ def feasible_set_figure(runs: Sequence[Run], times: Sequence[float]) -> Any:
     panels = figure.subplots(
         len(runs), len(times), sharex=True, sharey=True, squeeze=False
     )
-    names = geometry_of(runs[-1].result).inputs
+    names = runs[-1].channels.input_labels
     for row, run in enumerate(reversed(runs)):
         for axes, time in zip(panels[row], times, strict=True):
             _draw_or_tell(axes, run, time)
@@ -86,7 +85,7 @@ def draw_feasible_set(axes: Any, chosen: FeasibleSet, color: str) -> None:
             middle = middle - [0.0, 0.2 * extent[1]]
         axes.text(*middle, "empty", **words, bbox=paper, zorder=6)
     else:
-        outline = polygon(chosen.corners[:, :2])
+        outline = hull(chosen.corners[:, :2])
         axes.add_patch(Polygon(outline, fc=color, alpha=0.2, lw=0, zorder=2))
         axes.add_patch(Polygon(outline, fill=False, ec=color, lw=1.5, zorder=3))
         _draw_ellipse(axes, chosen, color)
@@ -124,7 +123,7 @@ def _draw_forbidden(
     style: Style = dict(
         fc="none", ec=color, hatch="////" if conflicting else "///", lw=0.8
     )
-    axes.add_patch(Polygon(polygon(corners), **style, zorder=1.5 + conflicting))
+    axes.add_patch(Polygon(hull(corners), **style, zorder=1.5 + conflicting))
 
 
 def _draw_ellipse(axes: Any, chosen: FeasibleSet, color: str) -> None:

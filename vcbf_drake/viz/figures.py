@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from vcbf_drake.viz.feasible_set import telling_times
 from vcbf_drake.viz.feasible_set_figure import feasible_set_figure
-from vcbf_drake.viz.feasible_solid_figure import feasible_solid_figure
-from vcbf_drake.viz.geometry import geometry_of
 from vcbf_drake.viz.path_figure import draw_plane, path_figure
 from vcbf_drake.viz.runs import Run, label_runs
 from vcbf_drake.viz.series_figures import (
@@ -61,12 +59,10 @@ def write_figures(
         write("barriers", barrier_figure(runs))
         write("volume", volume_figure(runs))
         write("slack", slack_figure(runs))
-        if geometry_of(results[-1]).disturbances:
+        if runs[-1].channels.disturbances:
             write("disturbance", disturbance_figure(runs))
         write("inputs", input_figure(runs))
         write("feasible_sets", feasible_set_figure(runs, when))
-        if len(geometry_of(results[-1]).inputs) == 3:
-            write("feasible_solids", feasible_solid_figure(runs, when))
     return paths
 
 
@@ -81,10 +77,10 @@ def overview_figure(runs: Sequence[Run]) -> Any:
     """
     figure = new_figure(1.25 * PAGE_WIDTH, 5.4)
     grid = figure.add_gridspec(2, 2, height_ratios=[1.35, 1.0])
-    if geometry_of(runs[-1].result).dimensions == 3:
-        draw_space(figure.add_subplot(grid[0, :]), runs)
-    else:
+    if runs[-1].is_flat:
         draw_plane(figure.add_subplot(grid[0, :]), runs, (0, 1))
+    else:
+        draw_space(figure.add_subplot(grid[0, :]), runs)
     volume, barriers = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1])
     draw_volume(volume, runs)
     draw_barriers(barriers, runs)

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from vcbf_drake.checks import Array
-from vcbf_drake.viz.geometry import Sphere, geometry_of, spheres_of
 from vcbf_drake.viz.runs import Run
-from vcbf_drake.viz.solids import Solid, solids_of, walls_of
+from vcbf_drake.viz.solids import Solid, outline, solids_of, walls_of
 from vcbf_drake.viz.space_figure import draw_space
 from vcbf_drake.viz.style import (
     MUTED,
@@ -19,7 +18,6 @@ from vcbf_drake.viz.style import (
     START,
     TARGET,
     Style,
-    add_circle,
     legend_in_a_row,
     new_figure,
 )
@@ -39,7 +37,7 @@ def path_figure(runs: Sequence[Run]) -> Any:
     low, high = path_extent(runs)
     x, y, z = high - low
     scale = 0.86 * PAGE_WIDTH / x
-    if geometry_of(runs[-1].result).dimensions == 2:
+    if runs[-1].is_flat:
         figure = new_figure(PAGE_WIDTH, scale * y + 0.8)
         axes = figure.subplots()
         draw_plane(axes, runs, (0, 1))
@@ -65,28 +63,28 @@ def draw_plane(axes: Any, runs: Sequence[Run], plane: tuple[int, int]) -> None:
         plane: The coordinates across and up.
     """
     pair = list(plane)
-    geometry, scenario = geometry_of(runs[-1].result), runs[-1].result.scenario
+    last = runs[-1]
     end = max(float(run.time[-1]) for run in runs)
-    for sphere in spheres_of(runs[-1].result):
-        _draw_disc(axes, sphere, pair, end)
-    for solid in solids_of(scenario, 0.1):
+    for solid in solids_of(last.scenario):
         _draw_solid(axes, solid, pair, end)
-    for wall in walls_of(scenario):
+    for wall in walls_of(last.scenario):
         across = wall.normal[pair]
         if np.any(across):
-            foot = wall.offset * across / (across @ across)
-            along = foot + np.array([-across[1], across[0]])
-            axes.axline(foot, along, color=MUTED, lw=1.2, zorder=2)
+            along = np.array([-across[1], across[0]])
+            for offset, dashes in (
+                (wall.offset, "-"),
+                (wall.offset + wall.margin, (0, (3, 2))),
+            ):
+                foot = offset * across / (across @ across)
+                style: Style = dict(color=MUTED, lw=1.2, ls=dashes, zorder=2)
+                axes.axline(foot, foot + along, **style)
     for run in runs:
-        path = geometry.position(run.result.log["state"])
-        axes.plot(*path[:, pair].T, **run.line(), zorder=3)
+        axes.plot(*run.path[:, pair].T, **run.line(), zorder=3)
         if run.failure_tick is not None:
-            style: Style = dict(ms=8, mfc=run.color, mec="white", zorder=5)
-            axes.plot(*path[run.failure_tick, pair], "X", **style)
-    start = geometry.point(scenario.start)[pair]
-    target = geometry.point(scenario.target)[pair]
-    axes.plot(*start, "o", ms=5, color=START, zorder=4)
-    axes.plot(*target, "*", ms=11, mfc=TARGET, mec="white", zorder=4)
+            style = dict(ms=8, mfc=run.color, mec="white", zorder=5)
+            axes.plot(*run.path[run.failure_tick, pair], "X", **style)
+    axes.plot(*last.path[0, pair], "o", ms=5, color=START, zorder=4)
+    axes.plot(*last.target[pair], "*", ms=11, mfc=TARGET, mec="white", zorder=4)
     low, high = (corner[pair] for corner in path_extent(runs))
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     axes.set(xlabel=NAMES[plane[0]], ylabel=NAMES[plane[1]])
@@ -98,14 +96,10 @@ def path_extent(runs: Sequence[Run]) -> tuple[Array, Array]:
     Args:
         runs: The runs.
     """
-    geometry, scenario = geometry_of(runs[-1].result), runs[-1].result.scenario
-    points = [geometry.position(run.result.log["state"]) for run in runs]
-    points.append(geometry.point(scenario.target)[None])
-    for sphere in spheres_of(runs[-1].result):
-        reach = np.array([[-sphere.reach], [sphere.reach]])
-        points.append(sphere.center + reach)
-    points += [solid.surface for solid in solids_of(scenario, 0.1)]
-    low, high = np.vstack(points).min(axis=0), np.vstack(points).max(axis=0)
+    found = [runs[-1].target, *(run.path for run in runs)]
+    found += [solid.whole.surface for solid in solids_of(runs[-1].scenario)]
+    points = np.vstack(found)
+    low, high = points.min(axis=0), points.max(axis=0)
     room = 0.03 * float((high - low).max())
     return low - room, high + room
 
@@ -120,25 +114,20 @@ def _draw_views(figure: Any, runs: Sequence[Run], cells: list[Any]) -> None:
     figure.legend(*entries, loc="outside upper left", **options)
 
 
-def _draw_disc(axes: Any, sphere: Sphere, pair: list[int], end: float) -> None:
-    center, later = sphere.center[pair], sphere.center_at(end)[pair]
-    if sphere.moves:
-        arrow = dict(arrowstyle="-|>", color=MUTED, lw=0.8)
-        axes.annotate("", later, center, arrowprops=arrow, zorder=2.5)
-        dashed: Style = dict(fill=False, ec=MUTED, lw=0.6, ls=(0, (3, 2)))
-        add_circle(axes, later, sphere.reach, **dashed)
-    if sphere.reach > sphere.radius:
-        add_circle(axes, center, sphere.reach, fc=OBSTACLE, alpha=0.3, lw=0)
-    style: Style = dict(fc=OBSTACLE, alpha=0.75, ec=MUTED, lw=0.6, zorder=2)
-    add_circle(axes, center, sphere.radius, **style)
-
-
 def _draw_solid(axes: Any, solid: Solid, pair: list[int], end: float) -> None:
-    if solid.velocity.any():
-        later = solid.outline(pair, end)
-        axes.fill(*later.T, fill=False, ec=MUTED, lw=0.6, ls=(0, (3, 2)))
+    """An obstacle with its margin, and where it is in the end if it moves."""
+    body, whole = (outline(p.surface, pair) for p in (solid.body, solid.whole))
+    if solid.moves:
+        travel = solid.offset_at(end)[pair]
+        dashed: Style = dict(fill=False, ec=MUTED, lw=0.6, ls=(0, (3, 2)))
+        axes.fill(*(whole + travel).T, **dashed)
+        middle = 0.5 * (body.min(axis=0) + body.max(axis=0))
+        arrow = dict(arrowstyle="-|>", color=MUTED, lw=0.8)
+        axes.annotate("", middle + travel, middle, arrowprops=arrow, zorder=2.5)
+    if solid.keep_out is not None:
+        axes.fill(*whole.T, fc=OBSTACLE, alpha=0.3, lw=0)
     style: Style = dict(fc=OBSTACLE, alpha=0.75, ec=MUTED, lw=0.6, zorder=2)
-    axes.fill(*solid.outline(pair, 0.0).T, **style)
+    axes.fill(*body.T, **style)
 
 
 def _legend_above(axes: Any) -> None:

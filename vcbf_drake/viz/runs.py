@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vcbf_drake.checks import Array
+from vcbf_drake.plants.channels import Channels, channels_of
+from vcbf_drake.viz.solids import in_space
 from vcbf_drake.viz.style import METHOD_STYLES
 
 if TYPE_CHECKING:
+    from vcbf_drake.plants.vehicle import Vehicle
     from vcbf_drake.simulation.result import Result
     from vcbf_drake.simulation.scenario import Scenario
 
@@ -47,6 +51,36 @@ class Run:
     label: str
     color: str
     dashes: tuple[float, ...]
+
+    @property
+    def scenario(self) -> Scenario:
+        """What was run."""
+        return self.result.scenario
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """Who moved."""
+        return self.scenario.vehicle
+
+    @cached_property
+    def channels(self) -> Channels:
+        """What the plant's states and inputs are called."""
+        return channels_of(self.vehicle.make_plant())
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether the vehicle moves in the plane."""
+        return len(self.scenario.target) == 2
+
+    @cached_property
+    def path(self) -> Array:
+        """Where the vehicle is at every tick, shape (T, 3) [m]."""
+        return in_space(self.vehicle.positions(self.result.log["state"]))
+
+    @property
+    def target(self) -> Array:
+        """Where it is to go, shape (3,) [m]."""
+        return in_space(self.scenario.target)
 
     @property
     def time(self) -> Array:

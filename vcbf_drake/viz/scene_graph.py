@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.geometry import (
-    Cylinder,
     FramePoseVector,
     GeometryFrame,
     GeometryInstance,
@@ -17,14 +15,15 @@ from pydrake.geometry import (
     RenderLabel,
     Rgba,
     SceneGraph,
-    Sphere,
 )
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, OutputPort
 
-from vcbf_drake.barriers import SphereObstacle
+from vcbf_drake.barriers.obstacles import Obstacle as MovingObstacle
+from vcbf_drake.barriers.shapes import Shape
 from vcbf_drake.plants.shapes import Part, of_body
 from vcbf_drake.plants.vehicle import Vehicle
+from vcbf_drake.viz.solids import in_space, solids
 from vcbf_drake.viz.style import OBSTACLE
 
 BLUE = "#0072b2"
@@ -164,7 +163,7 @@ class VehicleGeometry(PosedGeometry):
 
 
 class ObstacleGeometry(PosedGeometry):
-    """Shows spheres, in the plane pillars, where they are at the context's time.
+    """Shows obstacles of any shape where they are at the context's time.
 
     .. pydrake_system::
 
@@ -176,7 +175,7 @@ class ObstacleGeometry(PosedGeometry):
     def __init__(
         self,
         scene_graph: SceneGraph,
-        obstacles: Sequence[SphereObstacle],
+        obstacles: Sequence[Shape],
         name: str = "obstacle",
         color: str = OBSTACLE,
     ) -> None:
@@ -189,7 +188,7 @@ class ObstacleGeometry(PosedGeometry):
             color: A hexadecimal colour.
         """
         bodies = [
-            Body(f"{name}_{i}", [_obstacle_part(obstacle, color)])
+            Body(f"{name}_{i}", list(_parts(obstacle, color)))
             for i, obstacle in enumerate(obstacles)
         ]
         super().__init__(scene_graph, bodies)
@@ -198,16 +197,12 @@ class ObstacleGeometry(PosedGeometry):
     def poses(self, context: Context) -> Sequence[RigidTransform]:
         """Returns every obstacle's pose."""
         time = context.get_time()
-        places = np.zeros((len(self._obstacles), 3))
-        for place, obstacle in zip(places, self._obstacles, strict=True):
-            center = obstacle.center_at(time)
-            place[: len(center)] = center
-        return [RigidTransform(place) for place in places]
+        return [_pose(obstacle, time) for obstacle in self._obstacles]
 
     @staticmethod
     def AddToBuilder(
         builder: DiagramBuilder,
-        obstacles: Sequence[SphereObstacle],
+        obstacles: Sequence[Shape],
         scene_graph: SceneGraph,
         name: str = "obstacle",
         color: str = OBSTACLE,
@@ -227,12 +222,19 @@ class ObstacleGeometry(PosedGeometry):
         return geometry
 
 
-def _obstacle_part(obstacle: SphereObstacle, color: str) -> Part:
-    """A ball, or in the plane a pillar that stands on the ground."""
-    if len(obstacle.center) == 2:
-        pillar = Cylinder(obstacle.radius, PILLAR_HEIGHT)
-        return Part("body", pillar, color, RigidTransform([0, 0, 0.5 * PILLAR_HEIGHT]))
-    return Part("body", Sphere(obstacle.radius), color)
+def _pose(obstacle: Shape, time: float) -> RigidTransform:
+    """Where the frame of an obstacle is: at its centre, if it has one."""
+    if isinstance(obstacle, MovingObstacle):
+        return RigidTransform(in_space(obstacle.center_at(time)))
+    return RigidTransform()
+
+
+def _parts(obstacle: Shape, color: str) -> Iterator[Part]:
+    """The solids of an obstacle, in its frame; in the plane pillars on the ground."""
+    to_frame = _pose(obstacle, 0.0).inverse()
+    for i, solid in enumerate(solids(obstacle, PILLAR_HEIGHT)):
+        name, body = f"body_{i}" if i else "body", solid.body
+        yield Part(name, body.shape, color, to_frame @ body.pose)
 
 
 def _register(scene_graph: SceneGraph, source: object, body: Body) -> object:

@@ -9,7 +9,6 @@ import numpy as np
 
 from vcbf_drake.checks import Array
 from vcbf_drake.viz.feasible_set import shown_inputs
-from vcbf_drake.viz.geometry import geometry_of
 from vcbf_drake.viz.runs import Run, barrier_unit
 from vcbf_drake.viz.style import (
     ALARM,
@@ -91,7 +90,7 @@ def disturbance_figure(runs: Sequence[Run]) -> Any:
         The ``matplotlib.figure.Figure``.
     """
     run = runs[-1]
-    log, names = run.result.log, geometry_of(run.result).disturbances
+    log, names = run.result.log, run.channels.disturbance_labels
     figure = new_figure(PAGE_WIDTH, 0.6 + 1.15 * (len(names) + 1))
     panels = figure.subplots(len(names) + 1, 1, sharex=True)
     draw_estimate_error(panels[-1], run)
@@ -127,7 +126,7 @@ def input_figure(runs: Sequence[Run]) -> Any:
         The ``matplotlib.figure.Figure``.
     """
     last = runs[-1].result
-    names, limits = geometry_of(last).inputs, last.scenario.input_set
+    names, limits = runs[-1].channels.input_labels, last.scenario.input_set
     lower, upper = shown_inputs(last.log, limits)
     figure = new_figure(PAGE_WIDTH, 0.6 + 1.35 * len(names))
     panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]

@@ -1,13 +1,15 @@
-"""Obstacles that are no spheres, as pictures show them: Drake's shapes, outlines."""
+"""Obstacles as pictures show them: convex solids of Drake's shapes, and walls."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from pydrake.geometry import Box, Capsule, Ellipsoid, Shape
+from numpy.typing import ArrayLike
+from pydrake.geometry import Box, Capsule, Convex, Cylinder, Ellipsoid, Shape, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 
 from vcbf_drake.barriers import (
@@ -16,37 +18,64 @@ from vcbf_drake.barriers import (
     EllipsoidObstacle,
     Geofence,
     HalfSpace,
+    PolygonObstacle,
+    SphereObstacle,
 )
 from vcbf_drake.checks import Array
+from vcbf_drake.simulation.obstacles import Obstacle
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.scenario import Scenario
 
+Thing: TypeAlias = (
+    SphereObstacle | EllipsoidObstacle | CapsuleObstacle | BoxObstacle | PolygonObstacle
+)
+
+_KEEP_OUT_HEIGHT = 0.4  # Of the obstacle's, in the plane, so that this stands out.
+
 
 @dataclass(frozen=True)
-class Solid:
-    """A convex obstacle.
+class Piece:
+    """A convex body.
 
     Attributes:
         shape: One of Drake's shapes.
-        pose: Where it is at time 0; in the plane it stands on z = 0.
-        velocity: How fast it moves, shape (3,) [m/s].
+        pose: Where it is, at time 0.
         surface: Points whose hull it is, shape (k, 3) [m].
     """
 
     shape: Shape
     pose: RigidTransform
-    velocity: Array
     surface: Array
 
-    def pose_at(self, time: float) -> RigidTransform:
-        """Where it is at a time [s]."""
-        offset = time * self.velocity
-        return RigidTransform(self.pose.rotation(), self.pose.translation() + offset)
 
-    def outline(self, pair: list[int], time: float) -> Array:
-        """The corners of its shadow on two axes at a time [s], in order, (c, 2) [m]."""
-        return hull(self.surface[:, pair] + time * self.velocity[pair])
+@dataclass(frozen=True)
+class Solid:
+    """A convex obstacle; in the plane it stands on z = 0.
+
+    Attributes:
+        body: The obstacle.
+        keep_out: The obstacle with its margin around it; None without a margin.
+        velocity: How fast both move, shape (3,) [m/s].
+    """
+
+    body: Piece
+    keep_out: Piece | None
+    velocity: Array
+
+    @property
+    def moves(self) -> bool:
+        """Whether it moves at all."""
+        return bool(self.velocity.any())
+
+    @property
+    def whole(self) -> Piece:
+        """The obstacle with its margin, if it has one."""
+        return self.keep_out or self.body
+
+    def offset_at(self, time: float) -> Array:
+        """How far it has moved by a time [s], shape (3,) [m]."""
+        return time * self.velocity
 
 
 @dataclass(frozen=True)
@@ -56,20 +85,24 @@ class Wall:
     Attributes:
         normal: Points to the safe side, of length 1, shape (3,).
         offset: Its distance from the origin [m].
+        margin: The distance to keep from it [m].
     """
 
     normal: Array
     offset: float
+    margin: float
 
-    def slab(self, middle: Array, size: float, height: float) -> tuple[Box, Array]:
-        """A thin slab on its unsafe side, and its pose's matrix (4, 4).
+    def slab(
+        self, middle: Array, size: float, height: float, thick: float
+    ) -> tuple[Box, RigidTransform]:
+        """A slab one of whose faces is the wall, and where it is.
 
         Args:
             middle: What it is centred on, shape (3,) [m].
             size: How long it is [m].
             height: How high, where it is upright [m].
+            thick: How thick, on the safe side; negative: on the other one [m].
         """
-        thin = 0.004 * size
         foot = middle + (self.offset - self.normal @ middle) * self.normal
         is_upright = abs(self.normal[2]) < 0.5
         tall = height if is_upright else size
@@ -79,36 +112,72 @@ class Wall:
             columns = [self.normal, np.cross(up, self.normal), up]
             turn = RotationMatrix(np.column_stack(columns))
             foot = foot + 0.5 * (height - 2.0 * foot[2]) * up
-        place = foot - 0.5 * thin * self.normal
-        return Box(thin, size, tall), RigidTransform(turn, place).GetAsMatrix4()
+        place = foot + 0.5 * thick * self.normal
+        return Box(abs(thick), size, tall), RigidTransform(turn, place)
 
 
-def solids_of(scenario: Scenario, height: float) -> list[Solid]:
-    """The convex obstacles of a scenario that are no spheres.
+def solids_of(scenario: Scenario, height: float = 0.1) -> list[Solid]:
+    """The convex obstacles of a scenario.
 
     Args:
         scenario: The scenario.
         height: How high they are in the plane [m].
     """
-    kinds = (EllipsoidObstacle, BoxObstacle, CapsuleObstacle)
-    found = (each for each in scenario.obstacles if isinstance(each, kinds))
-    return [_solid(each, height) for each in found]
+    return [
+        solid
+        for each in scenario.obstacles
+        if not isinstance(each, HalfSpace | Geofence)
+        for solid in solids(each, height)
+    ]
+
+
+def solids(obstacle: object, height: float) -> Iterator[Solid]:
+    """The convex solids that make up an obstacle; none where it is none of these.
+
+    Args:
+        obstacle: An obstacle of `vcbf_drake.barriers`, or a scenario's.
+        height: How high it is in the plane [m].
+    """
+    if isinstance(obstacle, Obstacle):
+        given = obstacle
+        obstacle = SphereObstacle(given.center, given.radius, given.velocity)
+        obstacle.margin = given.margin
+    if not isinstance(obstacle, Thing):
+        return
+    bodies = _pieces(obstacle, 0.0, height)
+    keep_outs: Sequence[Piece | None] = [None] * len(bodies)
+    if obstacle.margin > 0.0:
+        keep_outs = _pieces(obstacle, obstacle.margin, _KEEP_OUT_HEIGHT * height)
+    travel = np.zeros(3)
+    if not isinstance(obstacle, PolygonObstacle):
+        travel = np.array(in_space(obstacle.moving_center.velocity))
+    for body, keep_out in zip(bodies, keep_outs, strict=True):
+        yield Solid(body, keep_out, travel)
 
 
 def walls_of(scenario: Scenario) -> list[Wall]:
     """The half-spaces of a scenario, and the sides of its fences."""
-    walls: list[HalfSpace] = []
+    sides: list[HalfSpace] = []
     for each in scenario.obstacles:
         if isinstance(each, HalfSpace):
-            walls.append(each)
+            sides.append(each)
         elif isinstance(each, Geofence):
-            walls += each.half_spaces.values()
-    normals = [_in_space(each.normal) for each in walls]
-    lengths = [float(np.linalg.norm(normal)) for normal in normals]
-    return [
-        Wall(normal / length, each.offset / length)
-        for each, normal, length in zip(walls, normals, lengths, strict=True)
-    ]
+            sides += each.half_spaces.values()
+    walls = []
+    for each in sides:
+        normal, length = in_space(each.normal), float(np.linalg.norm(each.normal))
+        walls.append(Wall(normal / length, each.offset / length, each.margin))
+    return walls
+
+
+def outline(points: Array, pair: list[int]) -> Array:
+    """The corners of the shadow of points' hull on two axes, shape (c, 2) [m].
+
+    Args:
+        points: Shape (k, 3) [m].
+        pair: The axes.
+    """
+    return hull(points[:, pair])
 
 
 def hull(points: Array) -> Array:
@@ -126,42 +195,73 @@ def hull(points: Array) -> Array:
         return kept[:-1]
 
     ordered = points[np.lexsort((points[:, 1], points[:, 0]))]
+    if len(ordered) < 3:
+        return ordered
     return np.array(chain(ordered) + chain(ordered[::-1]))
 
 
-def _solid(
-    obstacle: EllipsoidObstacle | BoxObstacle | CapsuleObstacle, height: float
-) -> Solid:
-    plane = len(obstacle.center_at(0.0)) == 2
-    lift = np.array([0.0, 0.0, 0.5 * height if plane else 0.0])
-    place = _in_space(obstacle.center_at(0.0)) + lift
-    velocity = _in_space(obstacle.moving_center.velocity)
-    tall = [0.5 * height] if plane else []
+def in_space(point: ArrayLike) -> Array:
+    """A point, or points (..., k), of one to three coordinates, the missing ones 0."""
+    numbers = np.asarray(point, dtype=float)
+    missing = np.zeros((*numbers.shape[:-1], 3 - numbers.shape[-1]))
+    return np.concatenate([numbers, missing], axis=-1)
+
+
+def _pieces(obstacle: Thing, margin: float, height: float) -> list[Piece]:
+    """An obstacle and what is nearer to it than a margin."""
+    if isinstance(obstacle, PolygonObstacle):
+        return [_pillar(piece, margin, height) for piece in obstacle.pieces]
+    plane = obstacle.moving_center.size == 2
+    lift = [0.0, 0.0, 0.5 * height if plane else 0.0]
+    place = in_space(obstacle.center_at(0.0))
+    if isinstance(obstacle, SphereObstacle):
+        radius = obstacle.radius + margin
+        pose = RigidTransform(place + lift)
+        if not plane:
+            return [Piece(Sphere(radius), pose, place + radius * _BALL)]
+        disc = place + radius * _CIRCLE
+        surface = np.vstack([disc, disc + np.array([0.0, 0.0, height])])
+        return [Piece(Cylinder(radius, height), pose, surface)]
     if isinstance(obstacle, CapsuleObstacle):
-        along = _in_space(obstacle.end) - _in_space(obstacle.start)
-        turn = RotationMatrix.MakeFromOneVector(along, 2)
-        if plane:
-            place = place - lift
-        length = float(np.linalg.norm(along))
-        ends = [0.5 * along, -0.5 * along]
-        round_off = obstacle.radius * _ball()
-        surface = np.vstack([place + end + round_off for end in ends])
-        shape: Shape = Capsule(obstacle.radius, length)
-        return Solid(shape, RigidTransform(turn, place), velocity, surface)
+        along, radius = in_space(np.subtract(obstacle.end, obstacle.start)), margin
+        radius += obstacle.radius
+        pose = RigidTransform(RotationMatrix.MakeFromOneVector(along, 2), place)
+        ends = [place + half * along + radius * _BALL for half in (-0.5, 0.5)]
+        shape = Capsule(radius, float(np.linalg.norm(along)))
+        return [Piece(shape, pose, np.vstack(ends))]
     matrix = np.eye(3)
     if obstacle.rotation is not None and len(obstacle.rotation):
         size = len(obstacle.rotation)
         matrix[:size, :size] = obstacle.rotation
-    turn = RotationMatrix(matrix)
-    if isinstance(obstacle, BoxObstacle):
-        half = np.array([*obstacle.half_widths, *tall])
-        shape = Box(*(2.0 * half))
-        body = half * np.array(list(product((-1.0, 1.0), repeat=3)))
-    else:
-        half = np.array([*obstacle.semi_axes, *tall])
-        shape = Ellipsoid(*half)
-        body = half * _ball()
-    return Solid(shape, RigidTransform(turn, place), velocity, place + body @ matrix.T)
+    pose = RigidTransform(RotationMatrix(matrix), place + lift)
+    tall = [0.5 * height] if plane else []
+    if isinstance(obstacle, EllipsoidObstacle):
+        grown = 1.0 + margin / min(obstacle.semi_axes)
+        half = np.array([*np.multiply(obstacle.semi_axes, grown), *tall])
+        return [Piece(Ellipsoid(*half), pose, (pose @ (half * _BALL).T).T)]
+    half = np.array([*obstacle.half_widths, *tall])
+    corners = (pose @ (half * np.array([*product((-1.0, 1.0), repeat=3)])).T).T
+    if margin == 0.0:
+        return [Piece(Box(*(2.0 * half)), pose, corners)]
+    if plane:
+        return [_pillar(hull(corners[:, :2]), margin, height)]
+    return [_convex(corners, margin)]
+
+
+def _pillar(corners: Array, margin: float, height: float) -> Piece:
+    """A pillar on z = 0 over a convex polygon, shape (c, 2), grown by a margin."""
+    rounded = (corners[:, None] + margin * _CIRCLE[:, :2]).reshape(-1, 2)
+    foot = in_space(hull(rounded) if margin > 0.0 else corners)
+    return _convex(np.vstack([foot, foot + np.array([0.0, 0.0, height])]), 0.0)
+
+
+def _convex(corners: Array, margin: float) -> Piece:
+    """The hull of points, shape (k, 3), grown by a margin."""
+    middle = corners.mean(axis=0)
+    if margin > 0.0:
+        corners = (corners[:, None] + margin * _BALL).reshape(-1, 3)
+    shape = Convex((corners - middle).T, "obstacle")
+    return Piece(shape, RigidTransform(middle), corners)
 
 
 def _ball() -> Array:
@@ -173,6 +273,6 @@ def _ball() -> Array:
     return np.column_stack([*around, np.sin(rises)])
 
 
-def _in_space(point: object) -> Array:
-    numbers = np.asarray(point, dtype=float)
-    return np.concatenate([numbers, np.zeros(3 - len(numbers))])
+_BALL = _ball()
+_ANGLE = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+_CIRCLE = np.column_stack([np.cos(_ANGLE), np.sin(_ANGLE), 0.0 * _ANGLE])

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from vcbf_drake.checks import Array
 from vcbf_drake.viz.runs import Run
+from vcbf_drake.viz.solids import hull, in_space, outline
 from vcbf_drake.viz.stage import Stage, multiples, set_stage
 from vcbf_drake.viz.style import (
     GRID,
@@ -19,7 +20,6 @@ from vcbf_drake.viz.style import (
     START,
     TARGET,
     Style,
-    add_circle,
 )
 
 LIGHT = np.array([-0.35, -0.45, 0.82])  # Towards the light, in the world.
@@ -42,14 +42,13 @@ def draw_space(axes: Any, runs: Sequence[Run]) -> None:
     _draw_floor(axes, view, stage)
     _draw_height(axes, view, stage)
     _draw_shadows(axes, view, stage)
-    # Of many balls each is small.
-    pixels = int(np.clip(900.0 / np.sqrt(max(len(stage.spheres), 1)), 24.0, 160.0))
-    for sphere in stage.spheres:
-        view.draw_ball(axes, sphere.center, sphere.radius, OBSTACLE, pixels)
-        if sphere.reach > sphere.radius:
-            _draw_shell(axes, view, sphere.center, sphere.reach)
+    bodies = [ConvexBody.of(solid.body.surface) for solid in stage.solids]
+    for solid, body in zip(stage.solids, bodies, strict=True):
+        view.draw_body(axes, body, OBSTACLE)
+        if solid.keep_out is not None:
+            _draw_shell(axes, view, solid.keep_out.surface)
     for run in runs:
-        _draw_path(axes, view, run, stage)
+        _draw_path(axes, view, run, bodies, stage.low[2])
     _draw_mark(axes, view, stage.start, marker="o", ms=6, color=START)
     _draw_mark(axes, view, stage.target, marker="*", ms=12, mfc=TARGET, mec="white")
     axes.set_aspect("equal")
@@ -57,19 +56,20 @@ def draw_space(axes: Any, runs: Sequence[Run]) -> None:
     axes.autoscale_view()
 
 
-def _draw_path(axes: Any, view: ParallelView, run: Run, stage: Stage) -> None:
+def _draw_path(
+    axes: Any, view: ParallelView, run: Run, bodies: Sequence[ConvexBody], floor: float
+) -> None:
     """A path with its shadow; it is faint where an obstacle hides it."""
-    path = stage.geometry.position(run.result.log["state"])
-    below = path * [1.0, 1.0, 0.0] + [0.0, 0.0, stage.low[2]]
+    below = run.path * [1.0, 1.0, 0.0] + [0.0, 0.0, floor]
     view.draw_line(axes, below, color=SHADOW, lw=1.4, zorder=2)
-    hidden = np.zeros(len(path), dtype=bool)
-    for sphere in stage.spheres:
-        hidden |= view.hidden(path, sphere.center, sphere.radius)
+    hidden = np.zeros(len(run.path), dtype=bool)
+    for body in bodies:
+        hidden |= view.hidden(run.path, body)
     for part, alpha in ((~hidden, 1.0), (hidden, 0.25)):
-        shown = np.where(part[:, None], path, np.nan)
+        shown = np.where(part[:, None], run.path, np.nan)
         view.draw_line(axes, shown, **run.line(lw=1.8, alpha=alpha, zorder=LINES))
     if run.failure_tick is not None:
-        place = path[run.failure_tick]
+        place = run.path[run.failure_tick]
         _draw_mark(axes, view, place, marker="X", ms=9, mfc=run.color, mec="white")
 
 
@@ -107,19 +107,16 @@ def _draw_height(axes: Any, view: ParallelView, stage: Stage) -> None:
 
 def _draw_shadows(axes: Any, view: ParallelView, stage: Stage) -> None:
     """The shadows of the obstacles."""
-    angle = np.linspace(0.0, 2.0 * np.pi, 60)
-    ring = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
-    for sphere in stage.spheres:
-        below = np.array([*sphere.center[:2], stage.low[2]])
-        corners = below + sphere.radius * ring
-        view.draw_face(axes, corners, fc=SHADOW, lw=0, zorder=1.5)
+    for solid in stage.solids:
+        shadow = in_space(outline(solid.body.surface, [0, 1]))
+        shadow[:, 2] = stage.low[2]
+        view.draw_face(axes, shadow, fc=SHADOW, lw=0, zorder=1.5)
 
 
-def _draw_shell(axes: Any, view: ParallelView, center: Array, radius: float) -> None:
-    """The distance that has to be kept, as a pale disc over the ball."""
-    style: Style = dict(fc=OBSTACLE, alpha=0.25, ec=MUTED, lw=0.6)
-    style["zorder"] = view.order(center)
-    add_circle(axes, view.flat(center), radius, **style)
+def _draw_shell(axes: Any, view: ParallelView, surface: Array) -> None:
+    """The distance that has to be kept, as a pale sheet over the obstacle."""
+    style: Style = dict(alpha=0.25, ec=MUTED, lw=0.6, zorder=view.order(surface))
+    axes.fill(*hull(view.flat(surface)).T, fc=OBSTACLE, **style)
 
 
 def _draw_mark(axes: Any, view: ParallelView, place: Array, **style: Any) -> None:
@@ -176,42 +173,64 @@ class ParallelView:
 
         axes.add_patch(Polygon(self.flat(corners), **style))
 
-    def hidden(self, points: Array, center: Array, radius: float) -> NDArray[np.bool_]:
-        """Which points, shape (n, 3), a ball hides, shape (n,)."""
-        offset = points - center
-        along = offset @ self.toward
-        across = np.linalg.norm(self.flat(offset), axis=-1)
-        front = np.sqrt(np.clip(radius**2 - across**2, 0.0, None))
-        return np.asarray((across < radius) & (along < front))
+    def hidden(self, points: Array, body: ConvexBody) -> NDArray[np.bool_]:
+        """Which points, shape (n, 3), a body hides, shape (n,)."""
+        flat, sheet = self.flat(points), self.flat(body.corners)
+        near = (flat >= sheet.min(axis=0)) & (flat <= sheet.max(axis=0))
+        hidden = np.all(near, axis=1)
+        # Towards the eye a point enters the body through some faces, leaves by others.
+        outside = points[hidden] @ body.normals.T - body.offsets
+        rate = body.normals @ self.toward
+        enters, leaves = rate < -1e-12, rate > 1e-12
+        first = np.max(-outside[:, enters] / rate[enters], axis=1, initial=0.0)
+        last = np.min(-outside[:, leaves] / rate[leaves], axis=1, initial=np.inf)
+        along = np.all(outside[:, ~(enters | leaves)] <= 0.0, axis=1)
+        hidden[hidden] = (first < last) & along
+        return hidden
 
-    def draw_ball(
-        self, axes: Any, center: Array, radius: float, color: str, pixels: int = 160
-    ) -> None:
-        """Draws a ball, so many pixels wide, with light from above."""
-        x, y = self.flat(center)
-        axes.imshow(
-            self._shaded(color, pixels),
-            extent=(x - radius, x + radius, y - radius, y + radius),
-            origin="lower",
-            interpolation="bilinear",
-            zorder=self.order(center),
-        )
-
-    def _shaded(self, color: str, pixels: int) -> Array:
-        """The picture of a ball: red, green, blue and opacity, shape (k, k, 4)."""
+    def draw_body(self, axes: Any, body: ConvexBody, color: str) -> None:
+        """Draws a convex body with light from above."""
+        from matplotlib.collections import PolyCollection
         from matplotlib.colors import to_rgb
 
-        side = np.linspace(-1.0, 1.0, pixels)
-        x, y = np.meshgrid(side, side)
-        distance = np.hypot(x, y)
-        depth = np.sqrt(np.clip(1.0 - distance**2, 0.0, None))
-        normal = np.stack([x, y, depth], axis=-1)
-        frame = np.stack([self.right, self.up, self.toward])
-        light = normal @ (frame @ LIGHT / np.linalg.norm(LIGHT))
-        bright = 0.74 + 0.36 * light
-        picture = np.empty((*x.shape, 4))
-        picture[..., :3] = np.clip(
-            bright[..., None] * np.array(to_rgb(color)), 0.0, 1.0
+        seen = body.normals @ self.toward > 0.0
+        bright = 0.74 + 0.36 * body.normals[seen] @ LIGHT / np.linalg.norm(LIGHT)
+        colors = np.clip(bright[:, None] * to_rgb(color), 0.0, 1.0)
+        faces = PolyCollection(
+            list(self.flat(body.corners[body.faces[seen]])),
+            facecolors=colors,
+            antialiaseds=False,  # Or the paper shines through between two faces.
+            linewidths=0.0,
+            rasterized=True,
+            zorder=self.order(body.corners),
         )
-        picture[..., 3] = np.clip((1.0 - distance) * pixels / 2.0, 0.0, 1.0)
-        return picture
+        axes.add_collection(faces)
+        rim = hull(self.flat(body.corners))
+        shade = 0.8 * np.array(to_rgb(color))
+        axes.fill(*rim.T, fill=False, ec=shade, lw=0.5, zorder=faces.get_zorder())
+
+
+@dataclass(frozen=True)
+class ConvexBody:
+    """The hull of points in space, ``{p : normals p <= offsets}``.
+
+    Attributes:
+        corners: Shape (k, 3) [m].
+        faces: Triangles, as indices into the corners, shape (f, 3).
+        normals: The faces', outwards, of length 1, shape (f, 3).
+        offsets: Shape (f,) [m].
+    """
+
+    corners: Array
+    faces: NDArray[np.int_]
+    normals: Array
+    offsets: Array
+
+    @classmethod
+    def of(cls, points: Array) -> ConvexBody:
+        """The hull of points, shape (k, 3) [m], found by Qhull."""
+        from scipy.spatial import ConvexHull
+
+        found = ConvexHull(points)
+        sides = found.equations
+        return cls(points, found.simplices, sides[:, :3], -sides[:, 3])

@@ -10,15 +10,9 @@ import numpy as np
 from pydrake.math import RigidTransform
 
 from vcbf_drake.checks import Array
-from vcbf_drake.viz.geometry import (
-    Geometry,
-    Sphere,
-    drawn_fraction,
-    geometry_of,
-    spheres_of,
-)
+from vcbf_drake.plants.shapes import bounding_box, of_body
 from vcbf_drake.viz.runs import Run, label_runs
-from vcbf_drake.viz.solids import Solid, solids_of
+from vcbf_drake.viz.solids import Solid, in_space, solids_of
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.result import Result
@@ -52,22 +46,30 @@ class Stage:
     Attributes:
         runs: The runs, the one to bring out last.
         motions: One a run.
-        geometry: The plant's geometry.
-        spheres: The obstacles.
-        target: The place to reach, shape (3,) [m].
+        solids: The obstacles.
         low: The least corner of the floor, shape (3,) [m].
         high: The greatest corner of what is shown, shape (3,) [m].
         fraction: The vehicle is drawn at the scale 1 to this.
+        rise: How far it is drawn above its position [m].
     """
 
     runs: list[Run]
     motions: list[Motion]
-    geometry: Geometry
-    spheres: list[Sphere]
-    target: Array
+    solids: list[Solid]
     low: Array
     high: Array
     fraction: int
+    rise: float
+
+    @property
+    def run(self) -> Run:
+        """The run to bring out."""
+        return self.runs[-1]
+
+    @property
+    def target(self) -> Array:
+        """The place to reach, shape (3,) [m]."""
+        return self.run.target
 
     @property
     def duration(self) -> float:
@@ -97,19 +99,19 @@ class Stage:
 
     @property
     def reach(self) -> float:
-        """Half the vehicle's drawn length [m]."""
-        return 0.5 * self.geometry.length / self.fraction
+        """Half the vehicle's drawn length [m]; without one, a few marks."""
+        return 0.5 * self.run.vehicle.length / self.fraction or 3.0 * self.mark
 
     @property
     def outline(self) -> Array:
         """The points that a view of the whole has to contain, shape (k, 3) [m]."""
         low, high = self.low, self.high
         floor = [[x, y, low[2]] for x in (low[0], high[0]) for y in (low[1], high[1])]
-        up = np.array([0.0, 0.0, 1.0])
-        tops = [sphere.center + sphere.reach * up for sphere in self.spheres]
-        rise = up * self.geometry.rise / self.fraction
-        paths = [motion.position[::5] + rise for motion in self.motions]
-        return np.vstack([*paths, self.target, floor, *tops])
+        tops = [_highest(solid.whole.surface) for solid in self.solids]
+        up = np.array([0.0, 0.0, self.rise])
+        paths = [motion.position[::5] + up for motion in self.motions]
+        bodies = [_places_of_bodies(motion) for motion in self.motions]
+        return np.vstack([*paths, *bodies, self.target, floor, *tops])
 
     @property
     def cell(self) -> float:
@@ -127,14 +129,15 @@ def set_stage(results: Sequence[Result]) -> Stage:
         ValueError: There is no result, or its plant cannot be drawn.
     """
     runs = label_runs(results)
-    geometry, spheres = geometry_of(results[-1]), spheres_of(results[-1])
-    target = geometry.point(results[-1].scenario.target)
     duration = max(float(run.time[-1]) for run in runs)
-    motions = [_motion(run, geometry, duration) for run in runs]
-    fraction = drawn_fraction(geometry, spheres)
-    solids = solids_of(results[-1].scenario, 0.1)
-    low, high = _extent(motions, spheres, solids, target, geometry)
-    return Stage(runs, motions, geometry, spheres, target, low, high, fraction)
+    motions = [_motion(run, duration) for run in runs]
+    vehicle, span = runs[-1].vehicle, runs[-1].target - motions[-1].position[0]
+    height = 0.04 * max(0.5, float(np.linalg.norm(span)))
+    solids = solids_of(results[-1].scenario, height)
+    fraction = _fraction(vehicle.length, solids)
+    low, high = _extent(motions, solids, runs[-1])
+    _, top = bounding_box(of_body(vehicle.geometry("#000000")))
+    return Stage(runs, motions, solids, low, high, fraction, float(top[2]) / fraction)
 
 
 def cell_size(span: float) -> float:
@@ -148,38 +151,55 @@ def multiples(low: float, high: float, step: float) -> Array:
     return np.arange(first, last + 1.0) * step + 0.0  # Adding 0 turns -0 into 0.
 
 
-def _motion(run: Run, geometry: Geometry, duration: float) -> Motion:
+def _fraction(length: float, solids: Sequence[Solid]) -> int:
+    """The whole number k such that a vehicle of a length is drawn at the scale 1:k.
+
+    The barriers guard a point. Where the obstacles are smaller than the vehicle that
+    carries it, its true size would hide them, and it is drawn smaller.
+    """
+    widths = [np.ptp(solid.whole.surface[:, :2], axis=0).min() for solid in solids]
+    least = 0.5 * float(min(widths, default=np.inf))
+    return max(1, int(np.ceil(0.5 * length / (0.75 * least) - 1e-6)))
+
+
+def _motion(run: Run, duration: float) -> Motion:
     state = np.array(run.result.log["state"], dtype=float)
     rate = 10.0 if 10.0 * duration <= MAX_FRAMES else max(1.0, MAX_FRAMES // duration)
     # The last frame is not before the end, where the vehicle rests.
     frames = max(int(np.ceil(duration * rate - 1e-9)), 1) + 1
     time = np.arange(frames) / rate
-    angles = list(geometry.angles)
+    angles = list(run.channels.angles)
     state[:, angles] = np.unwrap(state[:, angles], axis=0)
     shown = np.stack([np.interp(time, run.time, each) for each in state.T], axis=1)
-    poses = [geometry.robot.poses(each) for each in shown]
-    return Motion(time, geometry.position(shown), poses)
+    poses = [run.vehicle.poses(each) for each in shown]
+    return Motion(time, in_space(run.vehicle.positions(shown)), poses)
+
+
+def _highest(points: Array) -> Array:
+    top: Array = points[np.argmax(points[:, 2])]
+    return top
+
+
+def _places_of_bodies(motion: Motion) -> Array:
+    """Where the bodies of a robot with several are, now and then, (k, 3) [m]."""
+    some = motion.poses[:: max(len(motion.poses) // 20, 1)]
+    places = [each.translation() for poses in some for each in poses.values()]
+    return np.array(places if len(motion.poses[0]) > 1 else []).reshape(-1, 3)
 
 
 def _extent(
-    motions: Sequence[Motion],
-    spheres: Sequence[Sphere],
-    solids: Sequence[Solid],
-    target: Array,
-    geometry: Geometry,
+    motions: Sequence[Motion], solids: Sequence[Solid], run: Run
 ) -> tuple[Array, Array]:
     """The corners of the box around everything, with a floor below it."""
-    points = np.vstack([motion.position for motion in motions] + [target])
-    ends = [motions[-1].time[0], motions[-1].time[-1]]
-    for sphere in spheres:
-        for center in map(sphere.center_at, ends):
-            points = np.vstack([points, center - sphere.reach, center + sphere.reach])
+    found = [run.target, *(motion.position for motion in motions)]
+    found += [_places_of_bodies(motion) for motion in motions]
     for solid in solids:
-        moved = [solid.surface + time * solid.velocity for time in ends]
-        points = np.vstack([points, *moved])
+        ends = map(solid.offset_at, (0.0, motions[-1].time[-1]))
+        found += [solid.whole.surface + offset for offset in ends]
+    points = np.vstack(found)
     low, high = points.min(axis=0), points.max(axis=0)
     border = 0.06 * float(np.linalg.norm(high - low))
-    if geometry.dimensions == 2:
+    if run.is_flat:
         low[2], high[2] = 0.0, 0.0
     else:
         low[2] -= border

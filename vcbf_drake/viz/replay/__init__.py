@@ -60,7 +60,7 @@ def _draw(meshcat: Meshcat, stage: Stage) -> None:
     scene.add_light(meshcat, stage.outline)
     scene.add_ground(meshcat, stage.low, stage.high, stage.cell)
     scene.add_obstacles(meshcat, stage)
-    scene.add_solids(meshcat, stage)
+    scene.add_walls(meshcat, stage)
     scene.add_markers(meshcat, stage)
     for index in range(len(stage.runs)):
         _draw_run(meshcat, stage, index)
@@ -75,7 +75,7 @@ def _draw_run(meshcat: Meshcat, stage: Stage, index: int) -> None:
     run, motion = stage.runs[index], stage.motions[index]
     ghost = run is not stage.runs[-1]
     small = np.diag([*[1.0 / stage.fraction] * 3, 1.0])
-    for part in stage.geometry.robot.geometry(run.color):
+    for part in run.vehicle.geometry(run.color):
         body = f"{_body_path(index, part.body, motion)}/body"
         add_part(meshcat, f"{body}/{part.name}", part)
         meshcat.SetTransform(body, small)
@@ -116,10 +116,10 @@ def _record(meshcat: Meshcat, stage: Stage) -> None:
             frame = np.ceil(run.failure.time * stage.frames_per_second - 1e-9)
             appears = float(frame / stage.frames_per_second)
             meshcat.SetProperty(path, "visible", True, appears)
-    for index, obstacle in enumerate(stage.spheres):
+    for index, solid in enumerate(stage.solids):
         # Straight and steady: the page fills in between two poses.
-        for time in (0.0, stage.duration) if obstacle.moves else ():
-            pose = RigidTransform(obstacle.center_at(time))
+        for time in (0.0, stage.duration) if solid.moves else ():
+            pose = RigidTransform(solid.offset_at(time))
             meshcat.SetTransform(f"obstacles/{index}", pose, time)
 
 

@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vcbf_drake.checks import Array
+from vcbf_drake.plants.vehicle import tag
 from vcbf_drake.viz.feasible_set import (
     FeasibleSet,
     feasible_set_of_tick,
-    polygon,
     shown_inputs,
 )
 from vcbf_drake.viz.runs import Event, Run, barrier_unit, least_barrier
+from vcbf_drake.viz.solids import hull
 from vcbf_drake.viz.stage import Stage, multiples
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ def overlay_html(words: Words, data: Mapping[str, Any]) -> str:
 
 def stage_words(stage: Stage) -> Words:
     """The card of a stage: the scenario's title, which its description starts with."""
-    scenario = stage.runs[-1].result.scenario
+    scenario = stage.run.scenario
     title, _, rest = scenario.description.strip().partition("\n")
     title = title.strip().rstrip(".") or scenario.name
     return Words(title, " ".join(rest.split()), _remark(stage))
@@ -112,22 +113,22 @@ def stage_data(stage: Stage) -> dict[str, Any]:
             motion.position,
             run.time,
             run.result.log,
-            run.result.scenario.input_set,
+            run.scenario.input_set,
         )
         for run, motion in zip(stage.runs, stage.motions, strict=True)
     ]
-    unit = barrier_unit(stage.runs[-1].result.scenario)
+    unit = barrier_unit(stage.run.scenario)
     return {
         "duration": stage.duration,
         "frames_per_second": stage.frames_per_second,
-        **series_data(shown, stage.geometry.inputs, unit),
+        **series_data(shown, stage.run.channels.input_labels, unit),
         "camera": _camera(stage),
         "sizes": {
-            "vehicle": stage.geometry.rise / stage.fraction,
+            "vehicle": stage.rise,
             "marker": stage.mark,
         },
         "labels": _labels(stage),
-        "round": len(stage.spheres) < 100,  # Few enough for finer balls than Meshcat's.
+        "round": len(stage.solids) < 100,  # Few enough for finer balls than Meshcat's.
     }
 
 
@@ -244,7 +245,7 @@ def _outline(feasible: FeasibleSet) -> list[float]:
     if corners.shape[1] == 1 and len(corners):
         (low,), (high,) = corners.min(axis=0), corners.max(axis=0)
         corners = np.array([[low, -0.5], [high, -0.5], [high, 0.5], [low, 0.5]])
-    return _rounded(polygon(corners).ravel()) if len(corners) else []
+    return _rounded(hull(corners).ravel()) if len(corners) else []
 
 
 def _ellipse(feasible: FeasibleSet) -> list[float] | None:
@@ -274,7 +275,7 @@ def _camera(stage: Stage) -> dict[str, Any]:
     """The points to show and the side to see them from: the target on the right."""
     way = stage.target - stage.start
     angle = np.arctan2(way[1], way[0]) - np.deg2rad(90.0 + 22.0)
-    height = np.deg2rad(24.0 if stage.geometry.dimensions == 3 else 38.0)
+    height = np.deg2rad(38.0 if stage.run.is_flat else 24.0)
     direction = [np.cos(angle), np.sin(angle), np.tan(height)]
     return {
         "points": stage.outline.round(3).tolist(),
@@ -308,11 +309,11 @@ def _label(text: str, place: Array, kind: str, side: int) -> dict[str, Any]:
 
 def _remark(stage: Stage) -> str:
     """What has to be said for the picture to be read rightly."""
-    name = stage.geometry.vehicle
+    name = tag(type(stage.run.vehicle)).removeprefix("!").lower()
     pale = "Pale: the other methods. " if len(stage.runs) > 1 else ""
     scale = f" It is drawn at 1:{stage.fraction}." if stage.fraction > 1 else ""
     outside = f"The {name}'s centre must stay outside the obstacles."
-    return f"{pale}{outside}{scale}{_verdict(stage.runs[-1])}"
+    return f"{pale}{outside}{scale}{_verdict(stage.run)}"
 
 
 def _verdict(run: Run) -> str:

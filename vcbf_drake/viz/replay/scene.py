@@ -12,7 +12,7 @@ from vcbf_drake.checks import Array
 from vcbf_drake.plants.shapes import Part
 from vcbf_drake.viz.replay.tubes import Mesh, merge, ring, tube
 from vcbf_drake.viz.scene_graph import rgba
-from vcbf_drake.viz.solids import solids_of, walls_of
+from vcbf_drake.viz.solids import Piece, in_space, outline, walls_of
 from vcbf_drake.viz.stage import Stage, multiples
 from vcbf_drake.viz.style import OBSTACLE, START, TARGET
 
@@ -93,42 +93,38 @@ def add_ground(meshcat: Meshcat, low: Array, high: Array, cell: float) -> None:
 
 def add_obstacles(meshcat: Meshcat, stage: Stage) -> None:
     """The obstacles, and around each the distance that has to be kept."""
-    largest = max((obstacle.radius for obstacle in stage.spheres), default=0.0)
-    height = min(0.04 * stage.span, 1.5 * largest)
-    for index, obstacle in enumerate(stage.spheres):
+    thin, up = 0.0015 * stage.span, np.array([0.0, 0.0, 1.0])
+    for index, solid in enumerate(stage.solids):
         path = f"obstacles/{index}"
-        meshcat.SetTransform(path, RigidTransform(obstacle.center))
-        _add_solid(meshcat, f"{path}/body", stage, obstacle.radius, height)
-        if obstacle.reach > obstacle.radius:
-            low = 0.4 * height  # So that the obstacle stands out.
-            shell = f"{path}/keep_out"
-            _add_solid(meshcat, shell, stage, obstacle.reach, low, SHELL, 0.2)
-            if stage.geometry.dimensions == 2:
-                edge = ring(obstacle.reach, 0.0015 * stage.span).moved(turn=UPRIGHT)
-                add_mesh(meshcat, f"{path}/edge", edge, SHELL)
+        _add_piece(meshcat, f"{path}/body", solid.body, OBSTACLE)
+        if solid.keep_out is None:
+            continue
+        _add_piece(meshcat, f"{path}/keep_out", solid.keep_out, SHELL, 0.2)
+        if stage.run.is_flat:
+            edge = in_space(outline(solid.keep_out.surface, [0, 1]))
+            loop = np.vstack([edge, edge[:1]]) + thin * up
+            add_mesh(meshcat, f"{path}/edge", tube(loop, thin, 9), SHELL)
 
 
-def add_solids(meshcat: Meshcat, stage: Stage) -> None:
-    """The obstacles that are no spheres, and the walls."""
-    scenario = stage.runs[-1].result.scenario
+def add_walls(meshcat: Meshcat, stage: Stage) -> None:
+    """The walls, and before each the distance that has to be kept."""
     middle, size = 0.5 * (stage.low + stage.high), 1.2 * stage.span
-    for index, solid in enumerate(solids_of(scenario, 0.04 * stage.span)):
-        path = f"solids/{index}"
-        meshcat.SetObject(f"{path}/body", solid.shape, rgba(OBSTACLE))
-        meshcat.SetTransform(path, solid.pose)
-        # Straight and steady: the page fills in between two poses.
-        for time in (0.0, stage.duration) if solid.velocity.any() else ():
-            meshcat.SetTransform(path, solid.pose_at(time), time)
-    for index, wall in enumerate(walls_of(scenario)):
-        slab, matrix = wall.slab(middle, size, 0.06 * stage.span)
-        meshcat.SetObject(f"walls/{index}", slab, rgba(SHELL, 0.35))
-        meshcat.SetTransform(f"walls/{index}", RigidTransform(matrix))
+    for index, wall in enumerate(walls_of(stage.run.scenario)):
+        for name, thick, alpha in (
+            ("body", -0.004 * size, 0.35),
+            ("keep_out", wall.margin, 0.15),
+        ):
+            if thick != 0.0:
+                path, high = f"walls/{index}/{name}", 0.06 * stage.span
+                slab, pose = wall.slab(middle, size, high, thick)
+                meshcat.SetObject(path, slab, rgba(SHELL, alpha))
+                meshcat.SetTransform(path, pose)
 
 
 def add_markers(meshcat: Meshcat, stage: Stage) -> None:
     """The start, the target with the distance that counts as arrival, and the way."""
     size, ground = stage.mark, stage.low[2]
-    tolerance = float(stage.runs[-1].result.scenario.arrival_tolerance)
+    tolerance = float(stage.run.scenario.arrival_tolerance)
     radius = max(tolerance, 2.0 * size)
     for name, place, color, reach in (
         ("start", stage.start, START, 2.0 * size),
@@ -146,22 +142,11 @@ def add_markers(meshcat: Meshcat, stage: Stage) -> None:
     add_mesh(meshcat, "plan", way, PLAN)
 
 
-def _add_solid(
-    meshcat: Meshcat,
-    path: str,
-    stage: Stage,
-    radius: float,
-    height: float,
-    color: str = OBSTACLE,
-    alpha: float = 1.0,
+def _add_piece(
+    meshcat: Meshcat, path: str, piece: Piece, color: str, alpha: float = 1.0
 ) -> None:
-    """Adds an obstacle's shape: a ball in space, a pillar in the plane."""
-    if stage.geometry.dimensions == 2:
-        middle = np.array([0.0, 0.0, 0.5 * height])
-        shape: Shape = Cylinder(radius, height)
-    else:
-        middle, shape = np.zeros(3), Sphere(radius)
-    add_shape(meshcat, path, shape, middle, color, alpha)
+    meshcat.SetObject(path, piece.shape, rgba(color, alpha))
+    meshcat.SetTransform(path, piece.pose)
 
 
 def _dashes(start: Array, end: Array, radius: float) -> Mesh:

@@ -12,10 +12,8 @@ from vcbf_drake.viz.feasible_set import (
     FeasibleSet,
     feasible_set_at,
     moment,
-    polytope_faces,
     polytope_vertices,
 )
-from vcbf_drake.viz.geometry import geometry_of
 from vcbf_drake.viz.runs import Run
 from vcbf_drake.viz.space_figure import ParallelView
 from vcbf_drake.viz.style import ALARM, INK, MUTED, PAGE_WIDTH, new_figure
@@ -38,7 +36,7 @@ def feasible_solid_figure(runs: Sequence[Run], times: Sequence[float]) -> Any:
     size = PAGE_WIDTH / max(len(times), 2)
     figure = new_figure(PAGE_WIDTH, 0.9 * size * len(runs) + 0.3)
     panels = figure.subplots(len(runs), len(times), squeeze=False)
-    names = geometry_of(runs[-1].result).inputs
+    names = runs[-1].channels.input_labels
     for row, run in enumerate(reversed(runs)):
         for axes, time in zip(panels[row], times, strict=True):
             draw_feasible_solid(axes, feasible_set_at(run, time), run.color, names)
@@ -80,6 +78,30 @@ def draw_feasible_solid(
     _name_edges(axes, chosen, names)
     axes.set(xlim=(-2.2, 1.9), ylim=(-1.75, 1.6), aspect="equal")
     axes.set_axis_off()
+
+
+def polytope_faces(A: Array, b: Array, corners: Array) -> list[tuple[int, Array]]:
+    """The faces of a polytope in space.
+
+    Args:
+        A: The rows, shape (n, 3).
+        b: The right-hand sides, shape (n,).
+        corners: Its corners, shape (k, 3).
+
+    Returns:
+        The row and the corners in order, shape (j, 3), of every face.
+    """
+    faces = []
+    gap = np.abs(corners @ A.T - b)
+    touching = gap <= 1e-7 * (np.abs(b) + np.abs(corners) @ np.abs(A).T)
+    for row, normal in enumerate(A):
+        face = corners[touching[:, row]]
+        if len(face) < 3:
+            continue
+        across = np.linalg.svd(normal[None])[2][1:]
+        x, y = across @ (face - face.mean(axis=0)).T
+        faces.append((row, face[np.argsort(np.arctan2(y, x))]))
+    return faces
 
 
 def _draw_side(axes: Any, normal: Array, face: Array, color: str) -> None:
