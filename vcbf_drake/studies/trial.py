@@ -25,6 +25,7 @@ _NUMBERS = (
     "ticks",
     "relaxed_ticks",
     "infeasible_ticks",
+    "decayed_ticks",
     "failed_ticks",
     "final_status",
 )

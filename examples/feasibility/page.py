@@ -1,0 +1,146 @@
+"""docs/results/feasibility.md, of the records that there are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+import json
+from pathlib import Path
+from statistics import median
+
+from vcbf_drake.studies import Record, Trial
+from vcbf_drake.studies.statistics import share_interval
+
+from .study import BASE, DURATION, POPULATIONS, SOON, Population, is_lost
+
+Pair = tuple[int, int]
+
+_HEAD = """\
+# Feasibility: which method keeps an input
+
+Made by `python -m examples.feasibility`, whole: `--page docs/results/feasibility.md` writes it from the records that there are.
+Which method to take when is in [the guide](../guide/feasibility.md), the mathematics in
+[theory.md](../theory.md#71-a-wider-set).
+
+**Populations that nobody selected.** *Blimp*: random courses of `examples/paper/blimp_courses.py`, 4 to 9 spheres, reverse thrust a
+tenth to a half of forward thrust, gusts. *Car*: those of `car_courses.py`, a gate of two discs and up to two more, each with the five
+approach gains 0.2 to 1.0. *Cruise*: adaptive cruise control (relative degree 1, published constants), starts from which full braking
+keeps the headway, each with the barrier gains 1, 2 and 5. Course numbers begin at 20 000: settings were chosen on courses below 750.
+
+**What is run.** First `dob-cbf-qp` on every pair of a course and a gain, 40 s each; then every other method on all pairs that it loses
+and on a random sample of those that it does not. *Lost*: a tick without an input, a failed tick or a collision before the target; with
+`infeasible: decay` a tick counts as lost where no decay rate helps. *Kept*: not lost. Brackets are Wilson's 95 % intervals. The pairs
+of one course are not independent, so for the car read them as too narrow.
+"""
+
+
+def page(directory: Path, parts: int) -> str:
+    """Returns the page.
+
+    Args:
+        directory: Where the records are.
+        parts: Of how many parts the study is.
+    """
+    records = {
+        key(record): record
+        for path in sorted(directory.glob("*.jsonl"))
+        for record in map(json.loads, whole_lines(path))
+    }
+    path = directory / "ticks.json"
+    times = json.loads(path.read_text()) if path.exists() else {}
+    sections = [
+        section(population, records, times.get(population.name, {}))
+        for population in POPULATIONS
+    ]
+    return "\n".join([_HEAD, *sections])
+
+
+def whole_lines(path: Path) -> list[str]:
+    """Returns a file's lines but a last one that is being written."""
+    return path.read_text(encoding="utf-8").split("\n")[:-1]
+
+
+def key(identity: Record) -> str:
+    """Returns what tells a trial from every other."""
+    names = ("scenario", "overrides", "variation", "index", "method")
+    return json.dumps([identity[name] for name in names])
+
+
+def section(
+    population: Population, records: dict[str, Record], times: dict[str, float]
+) -> str:
+    """Returns what is known of one population.
+
+    Args:
+        population: The population.
+        records: All records, by `key`.
+        times: CPU time of a tick [ms], by method.
+    """
+    everything = range(population.first, population.first + population.count)
+    pairs = population.pairs(everything)
+    found: dict[str, dict[Pair, Record]] = {}
+    for name, contender in population.contenders().items():
+        trials: dict[Pair, Trial] = {p: population.trial(contender, *p) for p in pairs}
+        keys = {pair: key(trial.identity) for pair, trial in trials.items()}
+        found[name] = {p: records[k] for p, k in keys.items() if k in records}
+    base = found[BASE]
+    lost = [pair for pair, record in base.items() if is_lost(record)]
+    sampled = [p for p in base if p not in set(lost) and population.is_sampled(*p)]
+    lines = [
+        f"## {population.name.capitalize()}",
+        "",
+        f"Of {len(pairs)} pairs ({population.count} courses) {len(base)} are run so far;"
+        f" `{BASE}` loses {share(len(lost), len(base))} of them.",
+        "",
+        f"### The {len(lost)} pairs that `{BASE}` loses",
+        "",
+        *table(population, found, lost, times),
+        "",
+        f"### {len(sampled)} of the {len(base) - len(lost)} pairs that it does not lose",
+        "",
+        *table(population, found, sampled, times),
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def table(
+    population: Population,
+    found: dict[str, dict[Pair, Record]],
+    pairs: Sequence[Pair],
+    times: dict[str, float],
+) -> Iterator[str]:
+    """Yields the lines of a table, one method a line."""
+    paper = found["dob-vcbf-qp, the paper's form"]
+    heads = ["method", "runs", "kept", "lost, kept by the paper's form"]
+    if population.arrives:
+        heads += [f"arrive in {DURATION:g} s", f"in {SOON:g} s", "median arrival"]
+    heads += ["touch", "least h", "CPU of a tick"]
+    yield f"| {' | '.join(heads)} |"
+    yield "| --- |" + " ---: |" * (len(heads) - 1)
+    for name, of in found.items():
+        own = {pair: of[pair] for pair in pairs if pair in of}
+        count = len(own)
+        lost = {pair for pair, record in own.items() if is_lost(record)}
+        cells = [f"`{name}`" if "," not in name else name, str(count)]
+        cells.append(share(count - len(lost), count))
+        cells.append(str(sum(p in paper and not is_lost(paper[p]) for p in lost)))
+        if population.arrives:
+            kept = [r for pair, r in own.items() if pair not in lost]
+            arrivals = [r["reached_at"] for r in kept if r["reached_at"] is not None]
+            soon = sum(t <= SOON for t in arrivals)
+            cells += [share(len(arrivals), count), share(soon, count)]
+            cells.append(f"{median(arrivals):.1f} s" if arrivals else "-")
+        heights = [r["min_barrier"] for r in own.values() if r["error"] is None]
+        touched = sum(r["collided_at"] is not None for r in own.values())
+        cells += [str(touched), f"{min(heights):.3f}" if heights else "-"]
+        cells.append(f"{times[name]:.2f} ms" if name in times else "-")
+        yield f"| {' | '.join(cells)} |"
+
+
+def share(count: int, total: int) -> str:
+    """Returns a share with Wilson's interval, in words."""
+    interval = share_interval(count, total)
+    if interval is None:
+        return "-"
+    low, high = (f"{100.0 * end:.1f}" for end in interval)
+    return f"{100.0 * count / total:.1f} % ({low} to {high})"
