@@ -17,19 +17,25 @@ Pair = tuple[int, int]
 _HEAD = """\
 # Feasibility: which method keeps an input
 
-Made by `python -m examples.feasibility`, whole: `--page docs/results/feasibility.md` writes it from the records that there are.
-Which method to take when is in [the guide](../guide/feasibility.md), the mathematics in
+Made whole by `python -m examples.feasibility`; with `--page docs/results/feasibility.md`
+it is written of the records that there are. Which method to take when is in
+[the guide](../guide/feasibility.md), the mathematics in
 [theory.md](../theory.md#71-a-wider-set).
 
-**Populations that nobody selected.** *Blimp*: random courses of `examples/paper/blimp_courses.py`, 4 to 9 spheres, reverse thrust a
-tenth to a half of forward thrust, gusts. *Car*: those of `car_courses.py`, a gate of two discs and up to two more, each with the five
-approach gains 0.2 to 1.0. *Cruise*: adaptive cruise control (relative degree 1, published constants), starts from which full braking
-keeps the headway, each with the barrier gains 1, 2 and 5. Course numbers begin at 20 000: settings were chosen on courses below 750.
+**Populations that nobody selected.** *Blimp*: random courses of
+`examples/paper/blimp_courses.py`, 4 to 9 spheres, reverse thrust a tenth to a half of
+forward thrust, gusts. *Car*: those of `car_courses.py`, a gate of two discs and up to
+two more, each with the five approach gains 0.2 to 1.0. *Cruise*: adaptive cruise control
+(relative degree 1, published constants), starts from which full braking keeps the
+headway, each with the barrier gains 1, 2 and 5. Course numbers begin at 20 000: whatever
+was chosen was chosen on courses below 1000.
 
-**What is run.** First `dob-cbf-qp` on every pair of a course and a gain, 40 s each; then every other method on all pairs that it loses
-and on a random sample of those that it does not. *Lost*: a tick without an input, a failed tick or a collision before the target; with
-`infeasible: decay` a tick counts as lost where no decay rate helps. *Kept*: not lost. Brackets are Wilson's 95 % intervals. The pairs
-of one course are not independent, so for the car read them as too narrow.
+**What is run.** First `dob-cbf-qp` on every pair of a course and a gain, until it arrives,
+for 40 s at most; then every other method on all pairs that it loses and on a random
+sample of those that it does not. *Lost*: a tick without an input, a failed tick or a
+collision before the target; with `infeasible: decay` a tick without an input counts where
+no decay rate helps. *Kept*: not lost. Brackets are Wilson's 95 % intervals. The pairs of
+one course are not independent: for the car, read them as too narrow.
 """
 
 
@@ -85,17 +91,18 @@ def section(
     base = found[BASE]
     lost = [pair for pair, record in base.items() if is_lost(record)]
     sampled = [p for p in base if p not in set(lost) and population.is_sampled(*p)]
+    harmless = len(base) - len(lost)
     lines = [
         f"## {population.name.capitalize()}",
         "",
-        f"Of {len(pairs)} pairs ({population.count} courses) {len(base)} are run so far;"
+        f"Of {len(pairs)} pairs ({population.count} courses) {len(base)} are run;"
         f" `{BASE}` loses {share(len(lost), len(base))} of them.",
         "",
         f"### The {len(lost)} pairs that `{BASE}` loses",
         "",
         *table(population, found, lost, times),
         "",
-        f"### {len(sampled)} of the {len(base) - len(lost)} pairs that it does not lose",
+        f"### {len(sampled)} of the {harmless} pairs that it does not lose",
         "",
         *table(population, found, sampled, times),
         "",

@@ -109,7 +109,8 @@ class Population:
         """Returns one trial."""
         changes = self.slow if contender.is_slow else ()
         name = f"{self.name}, smaller gains" if changes else self.name
-        given = {"duration": DURATION} | self.variants[variant] | contender.overrides
+        given = {"duration": DURATION, "ends_at_target": self.arrives}
+        given |= self.variants[variant] | contender.overrides
         return Trial(
             self.scenario,
             contender.method,

@@ -331,3 +331,17 @@ def test_observer_may_run_faster_than_the_controller():
         error = log["disturbance"] - log["disturbance_estimate"]
         errors.append(np.linalg.norm(error, axis=1)[settled].max())
     assert errors[0] / errors[1] == pytest.approx(np.sqrt(10.0), rel=0.3)
+
+
+def test_a_run_may_end_where_it_arrives():
+    overrides = {"duration": 20.0, "method": "cbf-qp"}
+    whole = simulate(load_scenario("car-avoidance", overrides))
+    found = simulate(
+        load_scenario("car-avoidance", overrides | {"ends_at_target": True})
+    )
+    assert found.summary["outcome"] == whole.summary["outcome"] == "reached"
+    assert found.summary["reached_at"] == whole.summary["reached_at"] < 19.0
+    ended = found.log["time"][-1]
+    assert abs(ended - found.summary["reached_at"]) <= 0.02
+    ticks = len(found.log["time"])
+    np.testing.assert_array_equal(found.log["state"], whole.log["state"][:ticks])

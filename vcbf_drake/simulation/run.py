@@ -14,7 +14,7 @@ from pydrake.systems.analysis import (
     SimulatorConfig,
     SimulatorStatus,
 )
-from pydrake.systems.framework import Context, Diagram
+from pydrake.systems.framework import Context, Diagram, EventStatus
 
 from vcbf_drake.between_ticks.certified_heights import (
     certified_least_barrier,
@@ -197,6 +197,8 @@ def loop_assumptions(
 def _advance(
     simulator: Simulator, scenario: Scenario, record: RunLog, progress: Progress | None
 ) -> Ending:
+    if scenario.ends_at_target:
+        simulator.set_monitor(lambda root: _ends_at_target(scenario, simulator, root))
     status = simulator.Initialize()
     for stop in _stops(scenario, progress is not None):
         if _ending(status).monitor:
@@ -207,6 +209,17 @@ def _advance(
             progress(stop / scenario.duration)
     record.take(simulator.get_mutable_context())  # Where it ended before it began.
     return _ending(status)
+
+
+def _ends_at_target(
+    scenario: Scenario, simulator: Simulator, context: Context
+) -> EventStatus:
+    plant = simulator.get_system().GetSubsystemByName("plant")
+    state = plant.GetOutputPort("state").Eval(plant.GetMyContextFromRoot(context))
+    (place,) = scenario.vehicle.positions(state[None])
+    if math.dist(place, scenario.target) > scenario.arrival_tolerance:
+        return EventStatus.DidNothing()
+    return EventStatus.ReachedTermination(plant, "arrived")
 
 
 def _stops(scenario: Scenario, reports: bool) -> list[float]:

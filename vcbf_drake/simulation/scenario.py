@@ -235,6 +235,7 @@ class Scenario(FilterSettings):
         target: Position to reach [m].
         duration: Length of the run [s].
         arrival_tolerance: Distance from the target that counts as arrival [m].
+        ends_at_target: Whether a simulation ends where it arrives.
         integrator: The integrator.
         noise: Noise on the measured state.
         faults: What is wrong with the loop, unknown to the filter.
@@ -264,6 +265,7 @@ class Scenario(FilterSettings):
     target: list[float]
     duration: float = 20.0
     arrival_tolerance: float = 0.3
+    ends_at_target: bool = False
     integrator: Integrator = field(default_factory=Integrator)
     noise: MeasurementNoise = field(default_factory=MeasurementNoise)
     faults: Faults = field(default_factory=Faults)
