@@ -17,25 +17,26 @@ Pair = tuple[int, int]
 _HEAD = """\
 # Feasibility: which method keeps an input
 
-Made whole by `python -m examples.feasibility`; with `--page docs/results/feasibility.md`
-it is written of the records that there are. Which method to take when is in
-[the guide](../guide/feasibility.md), the mathematics in
+Made whole by `python -m examples.feasibility`; with `--page
+docs/results/feasibility.md` it is written of the records that there are. Which method
+to take when is in [the guide](../guide/feasibility.md), the mathematics in
 [theory.md](../theory.md#71-a-wider-set).
 
 **Populations that nobody selected.** *Blimp*: random courses of
 `examples/paper/blimp_courses.py`, 4 to 9 spheres, reverse thrust a tenth to a half of
 forward thrust, gusts. *Car*: those of `car_courses.py`, a gate of two discs and up to
-two more, each with the five approach gains 0.2 to 1.0. *Cruise*: adaptive cruise control
-(relative degree 1, published constants), starts from which full braking keeps the
-headway, each with the barrier gains 1, 2 and 5. Course numbers begin at 20 000: whatever
-was chosen was chosen on courses below 1000.
+two more, each with the five approach gains 0.2 to 1.0. *Cruise*: adaptive cruise
+control (relative degree 1, published constants), starts from which full braking keeps
+the headway, each with the barrier gains 1, 2 and 5. Course numbers begin at 20 000:
+whatever was chosen was chosen on courses below 1000.
 
-**What is run.** First `dob-cbf-qp` on every pair of a course and a gain, until it arrives,
-for 40 s at most; then every other method on all pairs that it loses and on a random
-sample of those that it does not. *Lost*: a tick without an input, a failed tick or a
-collision before the target; with `infeasible: decay` a tick without an input counts where
-no decay rate helps. *Kept*: not lost. Brackets are Wilson's 95 % intervals. The pairs of
-one course are not independent: for the car, read them as too narrow.
+**What is run.** First `dob-cbf-qp` on every pair of a course and a gain, until it
+arrives, for 40 s at most; then every other method on all pairs that it loses and on a
+random sample of those that it does not. *Lost*: a tick without an input, a failed
+tick or a collision before the target; with `infeasible: decay` a tick without an
+input counts where no decay rate helps. *Kept*: not lost. Brackets are Wilson's 95 %
+intervals. The pairs of one course are not independent: for the car, read them as too
+narrow.
 """
 
 

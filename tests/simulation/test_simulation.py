@@ -334,7 +334,7 @@ def test_observer_may_run_faster_than_the_controller():
 
 
 def test_a_run_may_end_where_it_arrives():
-    overrides = {"duration": 20.0, "method": "cbf-qp"}
+    overrides = {"duration": 20.0, "method": "dob-cbf-qp"}
     whole = simulate(load_scenario("car-avoidance", overrides))
     found = simulate(
         load_scenario("car-avoidance", overrides | {"ends_at_target": True})
