@@ -3,216 +3,182 @@
 A quadrotor's position feels the total thrust in its second derivative, the moments in
 its fourth: a filter on the rotors could only push along the thrust, and not at all
 abeam of an obstacle. Two integrators in front of the thrust make the relative degree 4
-for both, so the quadrotor tilts to avoid.
+for both, so the quadrotor tilts to avoid. The wind reaches the position in the second
+derivative already, before any input: ``robust`` takes the worst of it off at every
+level of the barriers. The controller, Drake's LQR, knows nothing of wind or spheres.
 
-The wind reaches the position in the second derivative already, before any input. The
-plain method refuses that; `robust_to` takes the worst of the wind off at every level of
-the barriers and leaves only the last to the observer. What it costs is distance. The
-nominal controller is Drake's LQR and knows nothing of wind or spheres.
-
-    python examples/quadrotor_slalom.py
+    vcbf-drake run examples/quadrotor_slalom.py
 """
 
-import argparse
+from dataclasses import dataclass
 
 import numpy as np
-from pictures import draw
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.examples import QuadrotorPlant
+from pydrake.geometry import Box, Cylinder
+from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.symbolic import Expression
-from pydrake.systems.analysis import Simulator
 from pydrake.systems.controllers import LinearQuadraticRegulator
-from pydrake.systems.framework import DiagramBuilder, LeafSystem, LeafSystem_
-from pydrake.systems.primitives import (
-    Demultiplexer,
-    LinearSystem,
-    LogVectorOutput,
-    Multiplexer,
-)
+from pydrake.systems.framework import DiagramBuilder, LeafSystem_
+from pydrake.systems.primitives import Demultiplexer, LinearSystem, Multiplexer
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from vcbf_drake import (
-    AddSafetyFilter,
-    DisturbanceSource,
-    FilterSettings,
-    InputSet,
-    SphereObstacle,
-)
+from vcbf_drake import InputLimits, Obstacle, Scenario, StateFeedback, Vehicle
 from vcbf_drake.barriers import StateLimit
-from vcbf_drake.disturbances import DisturbanceEstimate, Sinusoid
-from vcbf_drake.safety import FilterStatus
-from vcbf_drake.simulation.run import step_cpu_time
+from vcbf_drake.disturbances import Sinusoid
+from vcbf_drake.plants.shapes import Part
+from vcbf_drake.simulation.scenario import BarrierGains
 
-GOAL, SPEED, PERIOD = 8.0, 0.8, 0.01  # Along x [m], [m/s]; control period [s].
-# The margin is what the quadrotor itself needs [m]. Squares have short derivatives.
-SPHERES = [
-    SphereObstacle([x, y, 1.0], radius=0.5, margin=0.25, form="squared")
-    for x, y in ((2.0, 0.3), (4.0, -0.3), (6.0, 0.3))
-]
-FOUR_RATES = np.poly([-4.0, -4.5, -5.0, -5.5])[1:]  # K of these decay rates [1/s].
-WEIGHT = QuadrotorPlant().m() * QuadrotorPlant().g()  # [N]
+ARM, INERTIA, MOMENT = 0.175, np.diag([0.0023, 0.0023, 0.0040]), 0.0245
 # The second derivative of the thrust [N/s^2], moments [N m]: so small that with half
 # the weight as thrust no rotor needs to pull.
-LIMITS = np.array([400.0, 0.12, 0.12, 0.02])
-
-
-WIND = [  # Gusts along x, y and z, as accelerations [m/s^2]; at most 0.86 together.
-    Sinusoid([0.5, 0.0, 0.0], 0.9, 0.0),
-    Sinusoid([0.0, 0.5, 0.0], 1.3, 1.0),
-    Sinusoid([0.0, 0.0, 0.5], 0.7, 2.0),
-]
+LIMITS = [400.0, 0.12, 0.12, 0.02]
 
 
 @TemplateSystem.define("WindyQuadrotor_")
 def WindyQuadrotor_(T):
-    """Makes the class WindyQuadrotor_[T] for the scalar type T."""
+    """Makes the class WindyQuadrotor_[T], QuadrotorPlant with a port for the wind."""
 
     class Impl(LeafSystem_[T]):
-        """QuadrotorPlant with a port for the wind."""
-
-        def _construct(self, converter=None):
+        def _construct(self, mass, converter=None):
             LeafSystem_[T].__init__(self, converter=converter)
-            self._calm = QuadrotorPlant()
-            if T is AutoDiffXd:
-                self._calm = self._calm.ToAutoDiffXd()
-            elif T is Expression:
-                self._calm = self._calm.ToSymbolic()
-            self._context = self._calm.CreateDefaultContext()
-            self._force = self.DeclareVectorInputPort("rotor_force", 4)
-            self._wind = self.DeclareVectorInputPort("wind", 3)
+            calm, self.mass = QuadrotorPlant(mass, ARM, INERTIA, 1.0, MOMENT), mass
+            converted = {AutoDiffXd: calm.ToAutoDiffXd, Expression: calm.ToSymbolic}
+            self.calm = converted.get(T, lambda: calm)()
+            self.context = self.calm.CreateDefaultContext()
+            self.force = self.DeclareVectorInputPort("rotor_force", 4)
+            self.wind = self.DeclareVectorInputPort("wind", 3)
             self.DeclareStateOutputPort("state", self.DeclareContinuousState(6, 6, 0))
 
         def _construct_copy(self, other, converter=None):
-            Impl._construct(self, converter=converter)
+            Impl._construct(self, other.mass, converter)
 
         def DoCalcTimeDerivatives(self, context, derivatives):
             state = context.get_continuous_state_vector().CopyToVector()
-            self._context.SetContinuousState(state)
-            force = self._force.Eval(context)
-            self._calm.get_input_port().FixValue(self._context, force)
-            rate = self._calm.EvalTimeDerivatives(self._context).CopyToVector()
-            rate[6:9] += self._wind.Eval(context)
+            self.context.SetContinuousState(state)
+            self.calm.get_input_port().FixValue(self.context, self.force.Eval(context))
+            rate = self.calm.EvalTimeDerivatives(self.context).CopyToVector()
+            rate[6:9] += self.wind.Eval(context)
             derivatives.get_mutable_vector().SetFromVector(rate)
 
     return Impl
 
 
-WindyQuadrotor = WindyQuadrotor_[None]
+@dataclass
+class Quadrotor(Vehicle):
+    """A quadrotor driven by the second derivative of its thrust, and by moments."""
 
+    mass: float = 0.5
+    position = (0, 1, 2)
 
-def quadrotor():
-    """Returns the quadrotor driven by the thrust's second derivative and moments."""
-    a, k = QuadrotorPlant().length(), 0.0245  # Arm [m], moment per thrust [m].
-    wrench = [[1, 1, 1, 1], [0, a, 0, -a], [-a, 0, a, 0], [k, -k, k, -k]]
-    mix = np.linalg.inv(wrench)
-    thrust = LinearSystem(  # From the inputs to rotor forces, thrust' and thrust.
-        A=[[0.0, 0.0], [1.0, 0.0]],
-        B=[[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0]],
-        C=np.vstack([np.outer(mix[:, 0], [0.0, 1.0]), np.eye(2)]),
-        D=np.vstack([mix * [0.0, 1.0, 1.0, 1.0], np.zeros((2, 4))]),
-    )
-    builder = DiagramBuilder()
-    plant = builder.AddSystem(WindyQuadrotor())
-    builder.AddSystem(thrust)
-    split = builder.AddSystem(Demultiplexer([4, 2]))
-    state = builder.AddSystem(Multiplexer([12, 2]))
-    builder.Connect(thrust.get_output_port(), split.get_input_port())
-    builder.Connect(split.get_output_port(0), plant.GetInputPort("rotor_force"))
-    builder.Connect(plant.get_output_port(), state.get_input_port(0))
-    builder.Connect(split.get_output_port(1), state.get_input_port(1))
-    builder.ExportInput(thrust.get_input_port(), "input")
-    builder.ExportInput(plant.GetInputPort("wind"), "disturbance")
-    builder.ExportOutput(state.get_output_port(), "state")
-    builder.ExportOutput(split.get_output_port(0), "rotor_force")
-    return builder.Build()
+    @property
+    def weight(self):
+        """What the rotors bear at hover [N]."""
+        return 9.81 * self.mass
 
+    def make_plant(self):
+        """Returns two integrators, the rotors and the quadrotor."""
+        k = MOMENT
+        mix = np.linalg.inv([[1, 1, 1, 1], [0, ARM, 0, -ARM], [-ARM, 0, ARM, 0],
+                             [k, -k, k, -k]])  # fmt: skip
+        builder = DiagramBuilder()
+        body = builder.AddSystem(WindyQuadrotor_[None](self.mass))
+        thrust = builder.AddSystem(
+            LinearSystem(  # From the inputs to rotor forces, thrust' and thrust.
+                A=[[0.0, 0.0], [1.0, 0.0]],
+                B=[[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0]],
+                C=np.vstack([np.outer(mix[:, 0], [0.0, 1.0]), np.eye(2)]),
+                D=np.vstack([mix * [0.0, 1.0, 1.0, 1.0], np.zeros((2, 4))]),
+            )
+        )
+        split = builder.AddSystem(Demultiplexer([4, 2]))
+        state = builder.AddSystem(Multiplexer([12, 2]))
+        builder.Connect(thrust.get_output_port(), split.get_input_port())
+        builder.Connect(split.get_output_port(0), body.GetInputPort("rotor_force"))
+        builder.Connect(body.get_output_port(), state.get_input_port(0))
+        builder.Connect(split.get_output_port(1), state.get_input_port(1))
+        builder.ExportInput(thrust.get_input_port(), "input")
+        builder.ExportInput(body.GetInputPort("wind"), "disturbance")
+        builder.ExportOutput(state.get_output_port(), "state")
+        plant = builder.Build()
+        places = ["x", "y", "z", "roll", "pitch", "yaw"]
+        rates = [f"{name}_rate" for name in places]
+        plant.state_names = [*places, *rates, "thrust_rate", "thrust"]
+        plant.state_units = [*3 * ["m"], *3 * ["rad"], *3 * ["m/s"], *3 * ["rad/s"],
+                             "N/s", "N"]  # fmt: skip
+        plant.input_names = ["thrust_2nd_rate", "roll_moment", "pitch_moment",
+                             "yaw_moment"]  # fmt: skip
+        plant.input_units = ["N/s^2", *3 * ["N m"]]
+        return plant
 
-def hover(t):
-    """Returns the state of a point that moves to the goal, at time t [s]."""
-    state = np.zeros(14)
-    state[[0, 2, 13]] = min(SPEED * t, GOAL), 1.0, WEIGHT
-    state[6] = SPEED if SPEED * t < GOAL else 0.0
-    return state
+    def hover(self, place):
+        """Returns the state at rest somewhere."""
+        return np.array([*place, *np.zeros(10), self.weight])
 
-
-class TrackingLqr(LeafSystem):
-    """Drake's LQR about hover, after a point that moves to the goal."""
-
-    def __init__(self, plant):
-        super().__init__()
+    def make_controller(self, target):
+        """Returns Drake's LQR about hover, in no hurry to a far target."""
+        plant, hover = self.make_plant(), self.hover(target)
         context = plant.CreateDefaultContext()
-        context.SetContinuousState(hover(np.inf))
-        for i in range(2):
-            plant.get_input_port(i).FixValue(context, np.zeros((4, 3)[i]))
-        Q = np.diag([4, 4, 4, 1, 1, 1, 2, 2, 2, 0.1, 0.1, 0.1, 1e-3, 0.1])
-        lqr = LinearQuadraticRegulator(plant, context, Q, np.diag(LIMITS**-2.0))
-        self._gain = lqr.D()
-        self._state = self.DeclareVectorInputPort("state", 14)
-        self.DeclareVectorOutputPort("reference", 4, self._calc_reference)
+        context.SetContinuousState(hover)
+        plant.GetInputPort("input").FixValue(context, np.zeros(4))
+        plant.GetInputPort("disturbance").FixValue(context, np.zeros(3))
+        Q = np.diag([4, 4, 4, 1, 1, 1, 4, 4, 4, 0.1, 0.1, 0.1, 1e-3, 0.1])
+        R = np.diag(np.array(LIMITS) ** -2.0)
+        lqr = LinearQuadraticRegulator(plant, context, Q, R).D()
 
-    def _calc_reference(self, context, output):
-        error = self._state.Eval(context) - hover(context.get_time())
-        error[:2] = np.clip(error[:2], -1.0, 1.0)
-        output.SetFromVector(self._gain @ error)
+        def law(state):
+            error = state - hover
+            error[:3] *= min(1.0, 1.4 / max(np.linalg.norm(error[:3]), 1e-9))
+            return lqr @ error
+
+        return StateFeedback(law, 14, 4)
+
+    def barriers(self):
+        """Returns the limits of the thrust."""
+        thrust = StateLimit(13, lower=0.5 * self.weight, upper=1.8 * self.weight)
+        return thrust.barriers([40.0, 400.0], "thrust")
+
+    def geometry(self, color):
+        """Returns a body and four rotors."""
+        disc, h = Cylinder(0.11, 0.015), 0.03
+        at = [(ARM, 0, h), (0, ARM, h), (-ARM, 0, h), (0, -ARM, h)]
+        rotors = [
+            Part(f"rotor_{i}", disc, color, RigidTransform(p)) for i, p in enumerate(at)
+        ]
+        arms = [Box(2 * ARM, 0.03, 0.03), Box(0.03, 2 * ARM, 0.03)]
+        return [*rotors, *(Part(f"arm_{i}", a, "#38424f") for i, a in enumerate(arms))]
+
+    def pose(self, state):
+        """Returns where it is, and how it tilts."""
+        return RigidTransform(RollPitchYaw(*state[3:6]), state[:3])
 
 
-def main() -> None:
-    """Flies the slalom and prints how near it came and what a tick costs."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--short", action="store_true", help="4 s only, for a check")
-    duration = 4.0 if parser.parse_args().short else 13.0
-
-    builder = DiagramBuilder()
-    plant = builder.AddNamedSystem("plant", quadrotor())
-    controller = builder.AddNamedSystem("controller", TrackingLqr(plant))
-    wind = builder.AddNamedSystem("wind", DisturbanceSource(WIND, duration))
-    builder.Connect(wind.get_output_port(), plant.GetInputPort("disturbance"))
-    builder.Connect(plant.GetOutputPort("state"), controller.get_input_port())
-    thrust = StateLimit(13, lower=0.5 * WEIGHT, upper=1.8 * WEIGHT)
-    safety = AddSafetyFilter(
-        builder,
-        plant=plant,
-        reference=controller.get_output_port(),
-        barriers=[
-            *(
-                s.barrier(FOUR_RATES, [0, 1, 2]).robust_to(wind.bounds.delta1)
-                for s in SPHERES
-            ),
-            *thrust.barriers([40.0, 400.0]),
+def scenario():
+    """Returns the slalom: three spheres in the way, gusts of 0.86 m/s^2 at most."""
+    robot = Quadrotor()
+    return Scenario(
+        description="A quadrotor's slalom between three spheres, in the wind.",
+        vehicle=robot,
+        input_set=InputLimits([-limit for limit in LIMITS], LIMITS),
+        disturbance=[
+            Sinusoid([0.5, 0.0, 0.0], 0.9, 0.0),
+            Sinusoid([0.0, 0.5, 0.0], 1.3, 1.0),
+            Sinusoid([0.0, 0.0, 0.5], 0.7, 2.0),
         ],
-        input_set=InputSet.box(-LIMITS, LIMITS),
-        bounds=wind.bounds,
-        settings=FilterSettings(period=PERIOD),
+        # The margin is what the quadrotor itself needs.
+        obstacles=[
+            Obstacle([x, y, 1.0], 0.5, margin=0.25)
+            for x, y in ((2.0, 0.3), (4.0, -0.3), (6.0, 0.3))
+        ],
+        # Squares have short derivatives; four decay rates for four derivatives.
+        barrier=BarrierGains(
+            form="squared",
+            gains=np.poly([-4.0, -4.5, -5.0, -5.5])[1:].tolist(),
+            robust=True,
+        ),
+        initial_state=robot.hover([0.0, 0.0, 1.0]).tolist(),
+        target=[8.0, 0.0, 1.0],
+        arrival_tolerance=0.5,
+        duration=13.0,
+        period=0.01,
     )
-    state, rotors = map(plant.GetOutputPort, ("state", "rotor_force"))
-    path, forces = (LogVectorOutput(port, builder) for port in (state, rotors))
-    ports = {"state": state, "reference": controller.get_output_port()}
-    ports["status"] = safety.filter.GetOutputPort("status")
-    ports["estimate"] = safety.observer.GetOutputPort("estimate")
-    ticks = {n: LogVectorOutput(port, builder, PERIOD) for n, port in ports.items()}
-    simulator = Simulator(builder.Build())
-    context = simulator.get_mutable_context()
-    plant.GetMyMutableContextFromRoot(context).SetContinuousState(hover(0.0))
-    simulator.AdvanceTo(duration)
-
-    x, time = path.FindLog(context).data().T, path.FindLog(context).sample_times()
-    gaps = [s.clearance(x[:, :3], time) - s.margin for s in SPHERES]
-    h = np.column_stack(gaps)
-    log = {name: each.FindLog(context).data().T for name, each in ticks.items()}
-    log["time"] = ticks["state"].FindLog(context).sample_times()
-    log |= DisturbanceEstimate.unpack(log["estimate"]).log_arrays()
-    cpu = step_cpu_time(safety.filter, log)
-    solid, dotted = {"color": "#9aa5b4"}, {"fill": False, "ls": ":"}
-    discs = [(s.center, s.radius, solid) for s in SPHERES]
-    discs += [(s.center, s.safety_distance, dotted) for s in SPHERES]
-    draw("quadrotor_slalom", [x[:, :2]], discs, time, h)
-    left = np.linalg.norm(x[-1, :3] - hover(np.inf)[:3])
-    print(f"wind: at most {wind.bounds.delta1:.2f} m/s^2")
-    print(f"min h: {h.min():.4f} m, between the ticks too; to the goal: {left:.2f} m")
-    print(f"infeasible ticks: {np.sum(log['status'] >= FilterStatus.INFEASIBLE)}")
-    print(f"least rotor force: {forces.FindLog(context).data().min():.2f} N")
-    print(f"tick CPU time: median {cpu['median']:.2f} ms, p99 {cpu['p99']:.2f} ms")
-
-
-if __name__ == "__main__":
-    main()

@@ -38,7 +38,6 @@ def number(text: str, label: str) -> float:
         ("arm_beside_wall", 0.2),
         ("own_plant", 1.0),
         ("own_barrier", 4.41),
-        ("quadrotor_slalom", 0.1),
         ("two_blimps", 0.2),
         ("teleoperator", 0.1),
         ("read_a_log", 2.0),
@@ -48,9 +47,6 @@ def test_example_stays_safe_and_leaves_a_picture(name, most, tmp_path):
     text = run(f"{name}.py", tmp_path)
     assert 0.0 < number(text, "min h") < most
     assert number(text, "infeasible ticks") == 0
-    if name == "quadrotor_slalom":
-        assert number(text, "least rotor force") > 0.0
-        assert 0.0 < number(text, "median") <= number(text, "p99")
     picture = tmp_path / "out" / "examples" / f"{name}.png"
     assert picture.read_bytes().startswith(b"\x89PNG")
 

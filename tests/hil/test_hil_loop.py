@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from pydrake.lcm import DrakeLcm
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
@@ -39,7 +41,9 @@ from vcbf_drake.simulation import barriers
 from vcbf_drake.simulation.loop import add_simulated_plant, make_observer
 from vcbf_drake.simulation.run import make_simulator
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
 CASES = [("blimp-multiple-obstacles", 6.0), ("car-avoidance", 4.0)]
+OTHERS = [(EXAMPLES / "arm.yaml", 1.0), (EXAMPLES / "quadrotor_slalom.py", 1.0)]
 
 
 def scenario(name: str, **overrides):
@@ -61,7 +65,7 @@ def in_process(loaded, duration: float) -> tuple[np.ndarray, np.ndarray]:
     return path(run.plant)
 
 
-@pytest.mark.parametrize(("name", "duration"), CASES)
+@pytest.mark.parametrize(("name", "duration"), CASES + OTHERS)
 def test_lockstep_is_the_simulation(name: str, duration: float) -> None:
     loaded = scenario(name)
     times, states = in_process(loaded, duration)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.helpers.multibody_plants import SEVEN, load as load_plant
 from vcbf_drake import Blimp, Car, ControlAffineModel, InputSet, load_scenario
 from vcbf_drake.hil import (
     Bus,
@@ -91,6 +92,15 @@ def test_a_brake_takes_off_the_speed_it_can() -> None:
     u = fallback_input("brake", CAR, InputSet.box([-9, -1], [9, 1]), np.ones(4), 2.0)
     f, g = CAR.drift_and_input_matrix(np.ones(4))
     assert (f + g @ u)[2] == pytest.approx(-2.0)
+
+
+def test_an_arm_brakes_and_does_not_fall() -> None:
+    arm = ControlAffineModel.from_system(load_plant(SEVEN))
+    limits = InputSet.box(-arm.effort_limits, arm.effort_limits)
+    x = np.linspace(-0.5, 0.5, 14)
+    f, g = arm.drift_and_input_matrix(x)
+    rate = f + g @ fallback_input("brake", arm, limits, x, 2.0)
+    np.testing.assert_allclose(rate[7:], -2.0 * x[7:], atol=1e-9)
 
 
 def test_zero_is_inside_the_limits() -> None:

@@ -26,7 +26,6 @@ from vcbf_drake.simulation.fault_systems import lose_answers
 from vcbf_drake.simulation.loop import (
     add_controller_and_filter,
     make_observer,
-    make_source,
 )
 from vcbf_drake.simulation.obstacles import perceived_spheres
 from vcbf_drake.simulation.scenario import Hardware, Scenario
@@ -160,7 +159,7 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
     check_timing(scenario)
     builder = DiagramBuilder()
     model = ControlAffineModel.from_system(scenario.vehicle.make_plant())
-    bounds, settings = make_source(scenario).bounds, scenario.hardware
+    bounds, settings = scenario.make_source().bounds, scenario.hardware
     link = VehicleLink(builder, bus, model, scenario.period, settings)
     predictor = None
     if settings.predict:

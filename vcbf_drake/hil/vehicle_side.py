@@ -33,6 +33,7 @@ from vcbf_drake.hil.messages import vcbf_state
 from vcbf_drake.hil.obstacles import ObstacleSender
 from vcbf_drake.hil.timing import RoundTrip, Timeline, check_timing
 from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.model.multibody_model import MultibodyModel
 from vcbf_drake.safety import InputSet
 from vcbf_drake.simulation.loop import (
     LOG_PREFIX,
@@ -52,9 +53,10 @@ def fallback_input(
 ) -> Array:
     """Returns the input of a vehicle that is left alone, inside its limits.
 
-    ``zero`` is no input. ``brake`` takes off the speed v = E⁺ x, the states that a
-    disturbance acts on, by E⁺ (f + g u) = -brake_rate v, or comes nearest to it in the
-    sense of least squares; where no disturbance acts, it is no input. Source: ours.
+    ``zero`` is no input. ``brake`` takes off the speed v = S x by S (f + g u) =
+    -brake_rate v, or comes nearest to it in the sense of least squares; v is the
+    velocities of a MultibodyPlant, of another plant the states that a disturbance acts
+    on (S = E⁺), and without any it is no input. Source: ours.
 
     Args:
         kind: "zero" or "brake".
@@ -63,9 +65,11 @@ def fallback_input(
         x: Its state, shape (n,).
         brake_rate: How fast the speed decays [1/s].
     """
-    if kind == "zero" or model.num_disturbances == 0:
-        return input_set.project(np.zeros(model.num_inputs))
     speed_of = np.linalg.pinv(model.disturbance_matrix)
+    if isinstance(model, MultibodyModel):
+        speed_of = np.eye(model.num_states)[model.num_positions :]
+    if kind == "zero" or not len(speed_of):
+        return input_set.project(np.zeros(model.num_inputs))
     f, g = model.drift_and_input_matrix(x)
     u, *_ = np.linalg.lstsq(speed_of @ g, -speed_of @ (brake_rate * x + f), rcond=None)
     return input_set.project(u)

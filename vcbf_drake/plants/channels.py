@@ -41,6 +41,11 @@ class Channels:
         units = self.states.values()
         return tuple(i for i, unit in enumerate(units) if unit == "rad")
 
+    @property
+    def quaternions(self) -> tuple[int, ...]:
+        """Where the quaternions of a MultibodyPlant's states begin."""
+        return tuple(i for i, each in enumerate(self.states) if each.endswith("_qw"))
+
 
 def channels_of(plant: System) -> Channels:
     """Returns a plant's channels.
@@ -82,15 +87,15 @@ def _named(plant: Any, kind: str, letter: str, size: int) -> dict[str, str]:
 
 
 def _joint_states(plant: MultibodyPlant) -> dict[str, str]:
+    """The states with their units, by the endings that Drake gives their names."""
     names = plant.GetStateNames(add_model_instance_prefix=False)
-    units = [""] * len(names)
-    for index in plant.GetJointIndices():
-        joint = plant.get_joint(index)
-        unit = "m" if isinstance(joint, PrismaticJoint) else "rad"
-        q, v = joint.position_start(), plant.num_positions() + joint.velocity_start()
-        if joint.num_velocities() == 1:
-            units[q], units[v] = unit, f"{unit}/s"
-    return dict(zip(names, units, strict=True))
+    units = {"x": "m", "y": "m", "z": "m", "q": "rad", "v": "m/s", "w": "rad/s"}
+    found = {}
+    for name in names:
+        joint, _, ending = name.rpartition("_")
+        is_quaternion = ending[0] == "q" and f"{joint}_qw" in names
+        found[name] = "" if is_quaternion else units[ending[0]]
+    return found
 
 
 def _actuators(plant: MultibodyPlant) -> dict[str, str]:

@@ -8,6 +8,7 @@ from functools import cached_property
 import math
 from typing import Any, ClassVar
 
+import numpy as np
 from pydrake.geometry import Rgba, Role, SceneGraph, Sphere
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
@@ -16,8 +17,10 @@ from pydrake.systems.framework import System
 
 from vcbf_drake.barriers import Barrier, StateInputLimit, StateLimit
 from vcbf_drake.checks import Array, check_finite, check_parameter, require
+from vcbf_drake.errors import below
 from vcbf_drake.files import IS_FILE
 from vcbf_drake.model.position import point_position
+from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.plants.postures import posture_at
 from vcbf_drake.plants.robot_controllers import (
     InverseDynamics,
@@ -92,6 +95,8 @@ class MultibodyVehicle(Vehicle):
         ]
         there = ", ".join(filter(None, frames))
         require(self.frame in frames, "frame", self.frame, f"one of {there}")
+        with below("controller"):
+            self.controller.check(plant)
         if len(self.posture):
             names = plant.GetPositionNames(add_model_instance_prefix=False)
             check_finite("posture", self.posture, names=names)
@@ -119,6 +124,13 @@ class MultibodyVehicle(Vehicle):
     def position(self, x: Any) -> Any:
         """Returns where the point is in the world."""
         return self._place(x)
+
+    def moved(self, state: Array, offset: Array) -> Array:
+        """Returns a state whose position is off by an offset; see `Vehicle`."""
+        found = super().moved(state, offset)
+        for i in channels_of(self._plant).quaternions:
+            found[i : i + 4] /= np.linalg.norm(found[i : i + 4])
+        return found
 
     def make_controller(self, target: Sequence[float]) -> System:
         """Returns Drake's controller, told of a posture whose point is at the target.

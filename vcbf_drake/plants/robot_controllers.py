@@ -17,10 +17,9 @@ from pydrake.systems.controllers import (
 from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import ConstantVectorSource
 
-from vcbf_drake.checks import check_parameter, require
+from vcbf_drake.checks import Array, check_finite, check_parameter, require
+from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.plants.postures import Posture
-
-_FIELD = "vehicle", "controller"  # Of a scenario, for messages.
 
 
 @dataclass
@@ -42,25 +41,25 @@ class InverseDynamics:
         check_parameter("stiffness", self.stiffness, size=len(self.stiffness))
         check_parameter("damping", self.damping, size=len(self.damping))
 
-    def make(self, plant: MultibodyPlant, posture: Posture) -> System:
-        """Returns the controller that takes a plant to a posture."""
+    def check(self, plant: MultibodyPlant) -> None:
+        """Checks that it is for such a robot, and has as many numbers."""
         n = plant.num_velocities()
         found = f"{plant.num_actuators()} motors for {n} velocities"
         rule = "a motor each; !JointStiffness and !Lqr need fewer"
-        require(is_driven(plant), _FIELD, found, rule)
+        require(is_driven(plant), (), found, rule)
+        _check_sizes(self, ("stiffness", "damping"), n)
+
+    def make(self, plant: MultibodyPlant, posture: Posture) -> System:
+        """Returns the controller that takes a plant to a posture."""
+        n = plant.num_velocities()
         law = InverseDynamicsController(
             plant,
-            _each("stiffness", self.stiffness, n),
+            self.stiffness * np.ones(n),
             np.zeros(n),
-            _each("damping", self.damping, n),
+            self.damping * np.ones(n),
             False,
         )
-        return _steered(
-            law,
-            np.concatenate([posture.positions, np.zeros(n)]),
-            "estimated_state",
-            "desired_state",
-        )
+        return _steered(law, np.concatenate([posture.positions, np.zeros(n)]))
 
 
 @dataclass
@@ -82,15 +81,19 @@ class JointStiffness:
         check_parameter("stiffness", self.stiffness, size=len(self.stiffness))
         check_parameter("damping", self.damping, size=len(self.damping))
 
+    def check(self, plant: MultibodyPlant) -> None:
+        """Checks that it is for such a robot, and has as many numbers."""
+        _check_sizes(self, ("stiffness", "damping"), plant.num_actuators())
+
     def make(self, plant: MultibodyPlant, posture: Posture) -> System:
         """Returns the controller that takes a plant to a posture."""
         m, wish = plant.num_actuators(), posture.positions
-        stiff = _each("stiffness", self.stiffness, m)
-        damp = _each("damping", self.damping, m)
+        stiff = self.stiffness * np.ones(m)
+        damp = self.damping * np.ones(m)
         if is_driven(plant):
             law = JointStiffnessController(plant, stiff, damp)
             goal = np.concatenate([wish, np.zeros(m)])
-            return _steered(law, goal, "estimated_state", "desired_state")
+            return _steered(law, goal)
         nq = plant.num_positions()
         choice = np.zeros((2 * m, nq + plant.num_velocities()))
         for j, index in enumerate(plant.GetJointActuatorIndices()):
@@ -99,7 +102,7 @@ class JointStiffness:
             choice[m + j, nq + joint.velocity_start()] = 1.0
         law = PidController(choice, stiff, np.zeros(m), damp)
         goal = choice @ np.concatenate([wish, np.zeros(plant.num_velocities())])
-        return _steered(law, goal, "estimated_state", "desired_state")
+        return _steered(law, goal)
 
 
 @dataclass
@@ -119,26 +122,28 @@ class Lqr:
     input_weights: list[float] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        for name in ("state_weights", "input_weights"):
-            weights = getattr(self, name)
-            check_parameter(name, weights, size=len(weights), zero_allowed=True)
+        Q, R = self.state_weights, self.input_weights
+        check_parameter("state_weights", Q, size=len(Q), zero_allowed=True)
+        check_parameter("input_weights", R, size=len(R))
+
+    def check(self, plant: MultibodyPlant) -> None:
+        """Checks that it is for such a robot, and has as many numbers."""
+        is_fixed = plant.num_positions() == plant.num_velocities()
+        rule = "!JointStiffness where the base floats: its quaternion has one to spare"
+        require(is_fixed, (), "!Lqr", rule)
+        names = plant.GetStateNames(add_model_instance_prefix=False)
+        if len(self.state_weights):
+            check_finite("state_weights", self.state_weights, names=names)
+        if len(self.input_weights):
+            names = [*channels_of(plant).inputs]
+            check_finite("input_weights", self.input_weights, names=names)
 
     def make(self, plant: MultibodyPlant, posture: Posture) -> System:
         """Returns the regulator of a plant about a posture."""
-        n, m = plant.num_multibody_states(), plant.num_actuators()
-        is_fixed = plant.num_positions() == plant.num_velocities()
-        rule = "!JointStiffness where the base floats: its quaternion has one to spare"
-        require(is_fixed, _FIELD, "!Lqr", rule)
-        names = plant.GetStateNames(add_model_instance_prefix=False)
-        Q = np.array(self.state_weights or np.ones(n))
-        rule = f"{n} numbers, one each of {', '.join(names)}"
-        require(len(Q) == n, (*_FIELD, "state_weights"), [*Q], rule)
+        Q = self.state_weights or np.ones(plant.num_multibody_states())
         limits = np.fmin(plant.GetEffortUpperLimits(), -plant.GetEffortLowerLimits())
-        R = np.array(
-            self.input_weights or np.where(np.isfinite(limits), limits, 1) ** -2
-        )
-        rule = f"{m} numbers, one a motor"
-        require(len(R) == m, (*_FIELD, "input_weights"), [*R], rule)
+        limits = np.where(np.isfinite(limits), limits, 1.0)
+        R = self.input_weights or limits**-2
         context = plant.CreateDefaultContext()
         plant.SetPositions(context, posture.positions)
         port = plant.get_actuation_input_port()
@@ -154,15 +159,12 @@ class Lqr:
         except RuntimeError as error:
             problem = f"!Lqr: {str(error).splitlines()[0]}"
             rule = "one for a robot that its motors can hold at the target"
-            require(False, _FIELD, problem, rule)
+            require(False, ("vehicle", "controller"), problem, rule)
         builder = DiagramBuilder()
         builder.AddNamedSystem("lqr", law)
         builder.ExportInput(law.get_input_port(), "state")
         builder.ExportOutput(law.get_output_port(), "reference")
         return builder.Build()
-
-
-RobotController = InverseDynamics | JointStiffness | Lqr
 
 
 def is_driven(plant: MultibodyPlant) -> bool:
@@ -171,19 +173,19 @@ def is_driven(plant: MultibodyPlant) -> bool:
     return bool(plant.num_actuators() == n == plant.num_positions())
 
 
-def _each(name: str, values: Sequence[float], size: int) -> np.ndarray:
-    """One for all, or one each."""
-    rule = f"1 number, or {size}, one a joint"
-    require(len(values) in (1, size), (*_FIELD, name), [*values], rule)
-    return np.array(values) * np.ones(size)
+def _check_sizes(law: object, names: Sequence[str], size: int) -> None:
+    for name in names:
+        values = getattr(law, name)
+        rule = f"1 number for all, or {size}, one a joint"
+        require(len(values) in (1, size), name, values, rule)
 
 
-def _steered(law: System, goal: np.ndarray, state: str, wish: str) -> System:
+def _steered(law: System, goal: Array) -> System:
     """A controller's diagram that wants one and the same state."""
     builder = DiagramBuilder()
     builder.AddNamedSystem("law", law)
     wanted = builder.AddNamedSystem("posture", ConstantVectorSource(goal))
-    builder.Connect(wanted.get_output_port(), law.GetInputPort(wish))
-    builder.ExportInput(law.GetInputPort(state), "state")
+    builder.Connect(wanted.get_output_port(), law.GetInputPort("desired_state"))
+    builder.ExportInput(law.GetInputPort("estimated_state"), "state")
     builder.ExportOutput(law.get_output_port(0), "reference")
     return builder.Build()

@@ -112,6 +112,16 @@ class Vehicle(ABC):
         """
         return {"": self.pose(state)}
 
+    def moved(self, state: Array, offset: Array) -> Array:
+        """Returns a state whose position is off by an offset (k,), to first order.
+
+        As little of the state (n,) changes as will do.
+        """
+        steps = 1e-6 * np.eye(len(state))
+        away = self.positions(state + steps) - self.positions(state - steps)
+        found: Array = state + np.linalg.pinv(away.T / 2e-6, rcond=1e-6) @ offset
+        return found
+
     def positions(self, states: Array) -> Array:
         """Returns where the vehicle is, (T, k) [m], from its states (T, n)."""
         if callable(self.position):

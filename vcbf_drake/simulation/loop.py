@@ -26,7 +26,6 @@ from vcbf_drake.disturbances import (
 )
 from vcbf_drake.errors import below
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.safety import (
     SafetyFilter,
 )
@@ -123,7 +122,7 @@ def add_simulated_plant(builder: DiagramBuilder, scenario: Scenario) -> Simulate
     plant = builder.AddNamedSystem(
         "plant", scenario.vehicle.altered(faults.mass, faults.drag).make_plant()
     )
-    source = builder.AddNamedSystem("disturbance", make_source(scenario))
+    source = builder.AddNamedSystem("disturbance", scenario.make_source())
     disturbance = true_disturbance(builder, faults, source.get_output_port())
     if plant.HasInputPort("disturbance"):
         builder.Connect(disturbance, plant.GetInputPort("disturbance"))
@@ -184,15 +183,6 @@ def add_controller_and_filter(
             controller.GetInputPort("disturbance_estimate"),
         )
     return controller, loop
-
-
-def make_source(scenario: Scenario) -> DisturbanceSource:
-    """Returns a scenario's disturbance."""
-    return DisturbanceSource(
-        scenario.disturbance,
-        horizon=scenario.duration,
-        num_disturbances=len(channels_of(scenario.vehicle.make_plant()).disturbances),
-    )
 
 
 def measurement_noise(scenario: Scenario, model: ControlAffineModel) -> float:

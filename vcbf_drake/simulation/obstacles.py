@@ -94,15 +94,15 @@ AnyObstacle: TypeAlias = (
 
 def barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
     """Returns the barriers of the obstacles, then the vehicle's own limits."""
-    found: list[Barrier | StateInputLimit] = []
+    found: list[Barrier] = []
     for i, obstacle in enumerate(scenario.obstacles):
         found += _barriers(scenario, obstacle, i + 1)
-    return found + scenario.vehicle.barriers()
+    return [*_robust(scenario, found), *scenario.vehicle.barriers()]
 
 
 def seen_barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
     """Returns the same barriers where spheres have to be seen first."""
-    found: list[Barrier | StateInputLimit] = [
+    found: list[Barrier] = [
         *perceived_spheres(scenario).barriers(
             scenario.barrier.gains,
             position=scenario.vehicle.position,
@@ -112,7 +112,15 @@ def seen_barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
     for i, obstacle in enumerate(scenario.obstacles):
         if not isinstance(obstacle, Obstacle):
             found += _barriers(scenario, obstacle, i + 1)
-    return found + scenario.vehicle.barriers()
+    return [*_robust(scenario, found), *scenario.vehicle.barriers()]
+
+
+def _robust(scenario: Scenario, found: Sequence[Barrier]) -> Sequence[Barrier]:
+    """The barriers, made for a disturbance before the input where that is asked for."""
+    if not scenario.barrier.robust:
+        return found
+    bound = scenario.make_source().bounds.delta1
+    return [barrier.robust_to(bound) for barrier in found]
 
 
 def perceived_spheres(scenario: Scenario) -> PerceivedSpheres:

@@ -20,6 +20,7 @@ from vcbf_drake.checks import check_finite, check_parameter, require, require_ch
 from vcbf_drake.disturbances.source import (
     BandLimitedNoise,
     Constant,
+    DisturbanceSource,
     Recorded,
     Sinusoid,
     SmoothStep,
@@ -27,7 +28,7 @@ from vcbf_drake.disturbances.source import (
 from vcbf_drake.errors import InvalidValueError, Path, below
 from vcbf_drake.files import IS_FILE
 from vcbf_drake.plants import Vehicle
-from vcbf_drake.plants.channels import channels_of
+from vcbf_drake.plants.channels import Channels, channels_of
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.methods import METHODS
 from vcbf_drake.safety.settings import FilterSettings
@@ -105,11 +106,15 @@ class BarrierGains:
     Attributes:
         form: h: "distance" to the surface (E31), or "squared" distance difference
             (E35).
-        gains: K = (k1, k2) of (E4); s^2 + k1 s + k2 has real negative roots.
+        gains: K = (k1, k2) of (E4), one a derivative of h until the input appears; the
+            roots of s^2 + k1 s + k2 are real and negative.
+        robust: Whether the worst of a disturbance that reaches h before the input does
+            is taken off at every level of its chain (E70).
     """
 
     form: SphereForm = "distance"
     gains: list[float] = field(default_factory=lambda: [10.0, 3.55])
+    robust: bool = False
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -334,10 +339,7 @@ class Scenario(FilterSettings):
         for i, gust in enumerate(self.faults.gusts):
             where = ("faults", "gusts", i, "amplitude")
             check_finite(where, gust.amplitude, size=len(channels.disturbances))
-        for i in channels.angles:
-            angle, name = self.initial_state[i], [*states][i]
-            rule = f"radians, from -2 pi to 2 pi; was {name} meant in degrees?"
-            require(abs(angle) <= 2.0 * math.pi, ("initial_state", i), angle, rule)
+        self._check_turns(channels)
         size = len(channels.disturbances)
         for i, signal in enumerate(self.disturbance):
             with below("disturbance", i):
@@ -348,6 +350,24 @@ class Scenario(FilterSettings):
                         f"has {found} channels; it must have {size},"
                         " one per disturbed state",
                     )
+
+    def _check_turns(self, channels: Channels) -> None:
+        names = [*channels.states]
+        for i in channels.angles:
+            angle = self.initial_state[i]
+            rule = f"radians, from -2 pi to 2 pi; was {names[i]} meant in degrees?"
+            require(abs(angle) <= 2.0 * math.pi, ("initial_state", i), angle, rule)
+        for i in channels.quaternions:
+            four = self.initial_state[i : i + 4]
+            is_turn = abs(np.linalg.norm(four) - 1.0) < 1e-3
+            rule = f"{', '.join(names[i : i + 4])} of length 1, 1, 0, 0, 0 for no turn"
+            require(bool(is_turn), ("initial_state", i), four, rule)
+
+    def make_source(self) -> DisturbanceSource:
+        """Returns the disturbance."""
+        channels = channels_of(self.vehicle.make_plant())
+        size = len(channels.disturbances)
+        return DisturbanceSource(self.disturbance, self.duration, size)
 
     @property
     def start(self) -> list[float]:

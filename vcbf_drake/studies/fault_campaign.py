@@ -10,7 +10,6 @@ import numpy as np
 
 from vcbf_drake.safety import FilterStatus
 from vcbf_drake.simulation.audit import CONDITIONS
-from vcbf_drake.simulation.loop import make_source
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.studies.trial import Record, Trial
 
@@ -50,10 +49,10 @@ class FaultDraw:
 
 def _random_start(scenario: Scenario, generator: Generator) -> dict[str, Any]:
     """A start that is a little off, the same for every fault of an index."""
-    start = list(scenario.initial_state)
-    for axis, offsets in enumerate(_START_OFFSETS[: len(scenario.target)]):
-        start[axis] += float(generator.uniform(*offsets))
-    return {"initial_state": start}
+    offsets = _START_OFFSETS[: len(scenario.target)]
+    away = np.array([generator.uniform(*each) for each in offsets])
+    start = scenario.vehicle.moved(np.array(scenario.initial_state), away)
+    return {"initial_state": start.tolist()}
 
 
 def _none(scenario: Scenario, generator: Generator) -> dict[str, Any]:
@@ -88,8 +87,9 @@ def _limit(scenario: Scenario, generator: Generator) -> dict[str, Any]:
 
 def _plant(scenario: Scenario, generator: Generator) -> dict[str, Any]:
     mass, drag = generator.choice([0.7, 1.3], 2).tolist()
-    has_drag = hasattr(scenario.vehicle, "drag")
-    return {"faults": {"mass": mass, "drag": drag if has_drag else 1.0}}
+    true = {"mass": mass, "drag": drag}  # Of what the vehicle has.
+    has = {k: each for k, each in true.items() if hasattr(scenario.vehicle, k)}
+    return {"faults": has}
 
 
 def _disturbance(scenario: Scenario, generator: Generator) -> dict[str, Any]:
@@ -97,7 +97,7 @@ def _disturbance(scenario: Scenario, generator: Generator) -> dict[str, Any]:
 
 
 def _gust(scenario: Scenario, generator: Generator) -> dict[str, Any]:
-    source = make_source(scenario)
+    source = scenario.make_source()
     direction = generator.standard_normal(source.get_output_port().size())
     amplitude = source.bounds.delta1 * direction / np.linalg.norm(direction)
     start = float(generator.uniform(0.1, 0.6)) * scenario.duration
