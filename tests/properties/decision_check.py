@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import chain, combinations
+import math
 
 import numpy as np
 
@@ -18,6 +20,9 @@ from vcbf_drake.safety import FilterDecision, FilterStatus, InputSet
 from vcbf_drake.safety.qp import InfeasiblePolicy
 from vcbf_drake.safety.tick_qp import VolumeRow
 
+# What is done where no input satisfies the rows, of all that asks for nothing but them:
+# the policy "backup" keeps a manoeuvre and has tests of its own.
+POLICIES: tuple[InfeasiblePolicy, ...] = ("stop", "least_violation", "hold", "decay")
 # The filter said that no solver's answer was verified: no promise, but worth a count.
 UNSOLVED = "solved"
 # How far outside a row an input may be, as a distance in normalised inputs.
@@ -26,10 +31,10 @@ FEASIBILITY = 1e-9
 OPTIMALITY = 1e-8
 # The same, relative to a cost that is mostly the penalty of slacks.
 COST = 1e-9
+# What (omega - 1)^2 costs, of a factor on a decay rate.
+DECAY_PENALTY = 100.0
 # A reference further away than this counts as one that is this far.
 _FARTHEST = 1e6
-# A row shorter than this, in normalised inputs, is met by every input or by none.
-_BLANK = 1e-12
 # A row further away than this has no direction to speak of.
 _FARTHEST_ROW = 1e20
 # Multipliers of sum 1 balance rows of unit length when what is left is below this.
@@ -55,7 +60,8 @@ class Tick:
         state: What the rows are of; empty where that is nothing in particular.
         rates: What the volume rows need beside it; empty where they are given.
         slopes: By how much a row opens for each unit its decay rate grows by, in shares
-            of itself, shape (N,); empty where none may.
+            of itself, shape (N,); 0 where it may not, empty where none may.
+        growth: By how much each may grow, shape (N,).
         decays_always: Whether rates may grow where the rows have an input, too.
     """
 
@@ -71,6 +77,7 @@ class Tick:
     state: Array = field(default_factory=lambda: np.zeros(0))
     rates: Array = field(default_factory=lambda: np.zeros(0))
     slopes: Array = field(default_factory=lambda: np.zeros(0))
+    growth: Array = field(default_factory=lambda: np.zeros(0))
     decays_always: bool = False
 
     @property
@@ -126,9 +133,12 @@ def _broken(tick: Tick, decision: FilterDecision) -> Iterator[str]:
     elif status == FilterStatus.INFEASIBLE:
         yield from _broken_when_infeasible(tick, decision, limits, rows, v)
     else:
-        if decision.decay > 1.0 and not tick.decays_always:
+        if tick.decays_always:
+            if not _is_least_decay(tick, decision, limits, rows, v):
+                yield "decay"
+        elif decision.decay > 1.0:
             yield "decay"
-        if _grown(tick, decision.decay).live.violation(v) > FEASIBILITY:
+        elif rows.violation(v) > FEASIBILITY:
             yield "rows"
         if (
             status == FilterStatus.REFERENCE
@@ -148,17 +158,61 @@ def _broken_when_infeasible(
         if not _is_held(tick, limits, v):
             yield "fallback"
     elif decision.decay > 1.0:
-        grown = _grown(tick, decision.decay)
-        if tick.policy != "decay" or grown.live.violation(v) > FEASIBILITY:
+        if tick.policy != "decay" or tick.decays_always:
+            yield "decay"
+        elif not _is_least_decay(tick, decision, limits, rows, v):
             yield "decay"
     elif not _is_least_violation(tick.weights, limits, rows, v):
         yield "least violation"
+    elif tick.policy == "decay" or tick.decays_always:
+        if not _is_empty(limits.and_(_fastest(tick)), list(decision.conflict)):
+            yield "decay"
 
 
-def _grown(tick: Tick, decay: float) -> _Rows:
-    """The rows with every decay rate as large as the largest."""
-    b = tick.b + (decay - 1.0) * tick.slopes if decay > 1.0 else tick.b
-    return _Rows.of(tick.input_set, tick.A, b)
+def _fastest(tick: Tick) -> _Rows:
+    """The rows with every decay rate as large as it may be."""
+    room = tick.slopes * tick.growth if len(tick.slopes) else 0.0
+    return _Rows.of(tick.input_set, tick.A, tick.b + room)
+
+
+def _is_least_decay(
+    tick: Tick, decision: FilterDecision, limits: _Rows, rows: _Rows, v: Array
+) -> bool:
+    """Whether (v, s) minimises |v - reference|^2 + |s|^2, s = 10 (omega - 1), (E99).
+
+    At v each factor omega is the least that its row asks for.
+    """
+    grows = np.flatnonzero(tick.slopes > 0.0) if len(tick.slopes) else np.zeros(0, int)
+    root, k = math.sqrt(DECAY_PENALTY), len(grows)
+    slope = tick.slopes[grows] if k else np.zeros(0)
+    asked = np.maximum(-rows.slack(v)[grows] * rows.unit[grows] / slope, 0.0)
+    s, most = root * asked, root * tick.growth[grows] if k else np.zeros(0)
+    both = limits.and_(rows)
+    per_unit = np.zeros((len(both.h), k))
+    at = len(limits.h) + grows
+    per_unit[at, np.arange(k)] = -slope / (root * both.unit[at])
+    sides = np.hstack([np.zeros((2 * k, len(v))), np.vstack([np.eye(k), -np.eye(k)])])
+    G = np.vstack([np.hstack([both.G, per_unit]), sides])
+    h = np.concatenate([both.h, most, np.zeros(k)])
+    rounding = np.append(both.rounding, np.zeros(2 * k))
+    length = np.maximum(np.linalg.norm(G, axis=1), 1.0)
+    G, h, rounding = G / length[:, None], h / length, rounding / length
+    point, gradient = np.append(v, s), np.append(v - tick.far(tick.reference), s)
+    if np.max(G @ point - h - rounding, initial=0.0) > FEASIBILITY:
+        return False
+    if abs(decision.decay - 1.0 - np.max(asked, initial=0.0)) > COST * decision.decay:
+        return False
+    enough = OPTIMALITY * (1.0 + float(np.linalg.norm(gradient)))
+    enough += COST * float(gradient @ gradient)
+    reach = np.append(np.full(len(v), 2.0), most)
+    return suboptimality(gradient, G, h, point, reach, enough) <= enough
+
+
+def _is_empty(rows: _Rows, guess: list[int]) -> bool:
+    """Whether the rows guessed, or others, m + 1 at most, exclude each other."""
+    numbers, m = range(len(rows.h)), rows.G.shape[1]
+    choices = (list(c) for k in range(1, m + 2) for c in combinations(numbers, k))
+    return any(_is_conflict(rows, choice) for choice in chain([guess], choices))
 
 
 def _broken_when_feasible(
@@ -179,7 +233,7 @@ def _broken_when_feasible(
     if decision.status != FilterStatus.RELAXED and rows_v.violation(v) > FEASIBILITY:
         yield "volume row"
     gradient = v - tick.far(tick.reference)
-    if volume_rows and not tick.exact_slack:
+    if not tick.exact_slack:
         penalty = np.array([row.slack_penalty for row in volume_rows])
         if not _is_least_penalty(rows, rows_v, penalty, gradient, v):
             yield "optimal"
@@ -222,11 +276,6 @@ class _Rows:
         G, h, size = G / length[:, None], h / length, size / length
         return _Rows(G, h, unit * length, 8.0 * _EPSILON * size)
 
-    @property
-    def live(self) -> _Rows:
-        """Without the rows that move, over all inputs, by next to nothing."""
-        return _Rows(*(each[self.unit > _BLANK] for each in vars(self).values()))
-
     def and_(self, other: _Rows) -> _Rows:
         mine, others = vars(self).values(), vars(other).values()
         return _Rows(*(np.concatenate(pair) for pair in zip(mine, others, strict=True)))
@@ -246,11 +295,10 @@ class _Rows:
         return float(np.max(-self.slack(v) - self.rounding, initial=0.0))
 
     def is_optimal(self, gradient: Array, v: Array) -> bool:
-        """Whether no point that has the tolerance to spare is better to first order."""
+        """Whether no point that meets the rows is better to first order."""
         enough = OPTIMALITY * (1.0 + float(np.linalg.norm(gradient)))
         reach = np.full(len(v), 2.0)  # In the box |v_j| <= 1 that bounds all inputs.
-        h = self.h - FEASIBILITY
-        return suboptimality(gradient, self.G, h, v, reach, enough) <= enough
+        return suboptimality(gradient, self.G, self.h, v, reach, enough) <= enough
 
 
 def _is_held(tick: Tick, limits: _Rows, v: Array) -> bool:

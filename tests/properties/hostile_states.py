@@ -8,8 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from pydrake.systems.framework import Context
 
-from tests.properties.decision_check import Tick
-from vcbf_drake.barriers import PerceivedSpheres, StateInputLimit, ackermann_limit
+from tests.properties.decision_check import POLICIES, Tick
+from vcbf_drake.barriers import (
+    BarrierRows,
+    PerceivedSpheres,
+    StateInputLimit,
+    ackermann_limit,
+)
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
 from vcbf_drake.model import ControlAffineModel
@@ -22,11 +27,11 @@ from vcbf_drake.safety import (
     InputSet,
     SafetyFilter,
 )
-from vcbf_drake.safety.decay import DecayRates
-from vcbf_drake.safety.qp import INFEASIBLE_POLICIES
 
 PLANTS = ("blimp", "car")
 MOST_OBSTACLES = 4
+OBSTACLE_GAINS = (4.0, 3.0)
+PERIOD = 0.02
 
 Generator = np.random.Generator
 
@@ -48,7 +53,7 @@ def random_decision(rng: Generator, plant: str) -> tuple[Tick, FilterDecision]:
         plant: One of `PLANTS`.
     """
     method = str(rng.choice(list(METHODS)))
-    policy = INFEASIBLE_POLICIES[int(rng.integers(len(INFEASIBLE_POLICIES)))]
+    policy = POLICIES[int(rng.integers(len(POLICIES)))]
     safety_filter, context, spheres = _filter(plant, method, policy)
     inputs = safety_filter.input_set
     signals = _signals(rng, safety_filter, spheres)
@@ -59,6 +64,7 @@ def random_decision(rng: Generator, plant: str) -> tuple[Tick, FilterDecision]:
         decision = safety_filter.decision(context)
         feasible = safety_filter.feasible_set(context)
     limits = len(inputs.b)
+    slopes, growth = _decay(safety_filter, feasible.rows)
     tick = Tick(
         input_set=inputs,
         A=feasible.A[limits:],
@@ -70,16 +76,31 @@ def random_decision(rng: Generator, plant: str) -> tuple[Tick, FilterDecision]:
         exact_slack=True,
         policy=policy,
         decays_always=safety_filter.method.feasibility == "decay",
-        slopes=DecayRates.at(feasible.rows.chain, safety_filter.barriers, 0.02).slopes,
+        slopes=slopes,
+        growth=growth,
         state=signals["state"],
-        rates=_rates(signals.get("estimate")),
+        rates=_rates(safety_filter, signals.get("estimate")),
     )
     return tick, decision
 
 
-def _rates(estimate: Array | None) -> Array:
-    """What the volume row needs beside the state; nothing without an observer."""
-    if estimate is None:
+def _decay(system: SafetyFilter, rows: BarrierRows) -> tuple[Array, Array]:
+    """By how much rows open for each unit their last decay rate grows by, and may.
+
+    The rates of an obstacle are the roots of s^2 + 4 s + 3, the least is the last; of
+    its level, while positive, at most nine tenths are gone in a period.
+    """
+    rate, slopes = float(-np.roots([1.0, *OBSTACLE_GAINS]).max()), np.zeros(len(rows.b))
+    for i, barrier in enumerate(system.barriers):
+        if not isinstance(barrier, StateInputLimit) and rows.chain[i][1] > 0.0:
+            slopes[i] = rate * rows.chain[i][1]
+    slopes[np.isinf(slopes)] = 0.0
+    return slopes, np.full(len(slopes), 0.9 / (rate * PERIOD) - 1.0)
+
+
+def _rates(system: SafetyFilter, estimate: Array | None) -> Array:
+    """What a volume row needs beside the state; nothing without one, or an observer."""
+    if estimate is None or not system.method.has_volume_row:
         return np.zeros(0)
     known = DisturbanceEstimate.unpack(estimate)
     return np.append(known.rate, known.error_bound_rate)
@@ -98,7 +119,7 @@ def _filter(plant: str, method: str, policy: InfeasiblePolicy) -> _Filter:
         dimensions, position = 2, Car.position_indices
         limits = [*ackermann_limit(2.0, 0.1)]
     spheres = PerceivedSpheres(MOST_OBSTACLES, dimensions)
-    obstacles = spheres.barriers([4.0, 3.0], position)
+    obstacles = spheres.barriers(OBSTACLE_GAINS, position)
     system = SafetyFilter(
         model,
         [*obstacles, *limits],

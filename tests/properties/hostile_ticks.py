@@ -6,10 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tests.properties.decision_check import Tick
+from tests.properties.decision_check import POLICIES, Tick
 from vcbf_drake.checks import Array
 from vcbf_drake.safety import InputSet
-from vcbf_drake.safety.qp import INFEASIBLE_POLICIES
 from vcbf_drake.safety.tick_qp import VolumeRow
 
 MOST_INPUTS = 4
@@ -64,7 +63,7 @@ def random_tick(rng: Generator, input_set: InputSet, kind: str) -> Tick:
         reference=center + scale * _point(rng, m),
         held_input=center + scale * _point(rng, m),
         exact_slack=bool(rng.random() < 0.7),
-        policy=INFEASIBLE_POLICIES[int(rng.integers(len(INFEASIBLE_POLICIES)))],
+        policy=POLICIES[int(rng.integers(len(POLICIES)))],
     )
     if kind == "not finite":
         _spoil(rng, tick)

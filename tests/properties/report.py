@@ -22,6 +22,7 @@ _PROMISES = {
     "optimal": "no input that meets the rows is nearer to the reference",
     "conflict": "INFEASIBLE: the rows named have no common input, any fewer a point",
     "least violation": "INFEASIBLE: no input violates the rows by less",
+    "decay": "decay rates grow where they may, by the least that a nearest input asks",
 }
 
 _INTRODUCTION = f"""\

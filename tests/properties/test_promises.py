@@ -12,9 +12,13 @@ import numpy as np
 import pytest
 
 from tests.properties.campaign import ALL_KINDS, decide, make_example
-from tests.properties.decision_check import UNSOLVED, Tick, broken_promises
+from tests.properties.decision_check import (
+    POLICIES,
+    UNSOLVED,
+    Tick,
+    broken_promises,
+)
 from vcbf_drake.safety import FilterStatus, InputSet
-from vcbf_drake.safety.qp import INFEASIBLE_POLICIES
 from vcbf_drake.safety.tick_qp import VolumeRow
 
 BOX = InputSet.box([-1.0, -0.2, -3.0], [0.5, 0.3, 1.0])
@@ -61,7 +65,7 @@ def ticks(draw, entries, input_sets=(BOX, TRIANGLE)):
         reference=draw(arrays(float, 3, elements=entries)),
         held_input=draw(arrays(float, 3, elements=entries)),
         exact_slack=draw(st.booleans()),
-        policy=draw(st.sampled_from(INFEASIBLE_POLICIES)),
+        policy=draw(st.sampled_from(POLICIES)),
     )
 
 
@@ -177,6 +181,24 @@ def test_the_checker_finds_what_is_not_true(kind):
             assert broken & set(expected), (number, expected, broken)
             found += 1
     assert found > 10
+
+
+@pytest.mark.parametrize("number", [895, 965, 1454, 2001, 7839, 8188, 17274, 18787])
+def test_the_checker_finds_decay_that_is_not_the_least(number):
+    """Of seed 0: rates that grow more or less than they must, and where none helps."""
+    tick, decision = make_example(0, number)[1:3]
+    assert broken_promises(tick, decision) == ()
+    step = 1e-3 * (tick.input_set.interior - decision.input)
+    more = 1.0 + 1.01 * (decision.decay - 1.0)
+    forgeries = [
+        (tick, forged(decision, decay=more)),
+        (tick, forged(decision, decay=1.0)),
+        (tick, forged(decision, input=decision.input + step)),
+        (dataclasses.replace(tick, growth=0.0 * tick.growth), decision),
+    ]
+    for told, forgery in forgeries:
+        broken = broken_promises(told, forgery)
+        assert set(broken) & {"decay", "least violation"}, (told is tick, forgery)
 
 
 def test_a_failure_is_counted_only_where_all_data_are_numbers():
