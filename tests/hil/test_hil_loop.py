@@ -158,6 +158,48 @@ def test_one_diagram_is_the_simulation_one_period_late(name, duration) -> None:
     assert np.abs(found - on_time).max() > 1e-4
 
 
+@pytest.mark.parametrize(
+    "faults",
+    [
+        {"mass": 1.3, "measurement_bias": [0.05, 0.0, 0.02, 0.0]},
+        {"disturbance": 1.5, "actuator_lag": 0.1, "actuator_limit": 0.5},
+        {"measurement_delay": 0.05},
+        {"measurement_loss": 0.2, "seed": 3},
+        {"solver_failure": 0.3, "seed": 1},
+        {"outage": 0.02, "outage_duration": 0.2, "seed": 2},
+    ],
+    ids=lambda faults: next(iter(faults)),
+)
+def test_faults_do_to_two_processes_what_they_do_to_a_simulation(faults) -> None:
+    """Whichever half each is in: the vehicle, its sensors, or the filter."""
+    chosen = {
+        "faults": faults,
+        "duration": 1.0,
+        "infeasible": "least_violation",
+        "hardware": {"audit": "report"},
+    }
+    times, states = in_process(scenario("car-avoidance", **chosen), 1.0)
+    log = simulate(scenario("car-avoidance", **chosen)).log
+    for k in range(states.shape[1]):
+        found = np.interp(log["time"], times, states[:, k])
+        np.testing.assert_allclose(found, log["state"][:, k], rtol=0, atol=1e-9)
+
+
+def test_a_tick_whose_solvers_fail_asks_for_the_fallback_where_it_stops() -> None:
+    run = InProcess(scenario("car-avoidance", faults={"solver_failure": 0.3}))
+    run.advance_to(1.0)
+    report = run.controller.report()
+    reasons = {c["reason"] for c in report["changes"] if c["mode"] == "fallback"}
+    assert report["failed_ticks"] > 5
+    assert reasons == {"the filter's tick FAILED"}
+    assert not report["findings"]
+
+
+def test_a_fault_that_only_a_simulation_has_is_refused() -> None:
+    with pytest.raises(ScenarioError, match=r"^faults\.sight: 2\.5 m; it must be 0 on"):
+        InProcess(scenario("car-avoidance", faults={"sight": 2.5}))
+
+
 def test_time_limits_below_the_period_are_refused() -> None:
     loaded = load_scenario("car-avoidance", {"hardware": {"command_timeout": 1e-3}})
     with pytest.raises(ScenarioError, match=r"hardware\.command_timeout: 0\.001 s"):

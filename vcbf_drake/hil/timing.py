@@ -198,8 +198,14 @@ def check_timing(scenario: Scenario) -> None:
 
     Raises:
         ScenarioError: A time limit is shorter than the control period, or that is
-            shorter than an inbox believes of any sender.
+            shorter than an inbox believes of any sender; or obstacles are in sight only
+            where a simulation looks.
     """
+    if scenario.faults.sight > 0.0:
+        raise ScenarioError(
+            f"faults.sight: {scenario.faults.sight:g} m; it must be 0 on a bus, where a"
+            " vehicle says what it sees (hardware.obstacles: perceived)"
+        )
     if scenario.period < SHORTEST_PERIOD:
         raise ScenarioError(
             f"period: {scenario.period:g} s; on a bus it must be at least"
