@@ -14,9 +14,9 @@ with atheris.instrument_imports(include=["vcbf_drake.hil"]):
     from vcbf_drake.hil.event_log import (
         EventLogError,
         EventLogWriter,
+        logged_scenario,
         read_event_log,
     )
-    from vcbf_drake.hil.log_replay import logged_scenario
 
 _FILE = Path(tempfile.mkdtemp()) / "log"
 

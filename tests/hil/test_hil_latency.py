@@ -111,7 +111,7 @@ def test_without_delays_predicting_changes_nothing() -> None:
 
 
 def test_over_a_slow_link_the_vehicle_goes_where_it_went_without_delay() -> None:
-    """30 ms each way, 10 ms jitter: the path, and the report of the prediction."""
+    """30 ms each way, 10 ms jitter."""
     _, ideal = path(loop(False, 6.0))
     away = {}
     for predict in (False, True):
@@ -120,13 +120,7 @@ def test_over_a_slow_link_the_vehicle_goes_where_it_went_without_delay() -> None
         assert not run.plant.collided
         nearest = [np.linalg.norm(ideal[:, :2] - p[:2], axis=1).min() for p in found]
         away[predict] = np.sqrt(np.mean(np.square(nearest)))
-        report = run.controller.report()
-        assert ("prediction" in report) is predict
     assert away[True] < 0.6 * away[False]
-    prediction = report["prediction"]
-    assert prediction["ahead_ms"]["median"] == pytest.approx(60.0, abs=8.0)
-    assert prediction["off_mm"]["median"] < 0.5
-    assert prediction["off_without_mm"]["median"] > 10.0
 
 
 def test_the_prediction_is_where_the_vehicle_is_when_the_command_arrives() -> None:

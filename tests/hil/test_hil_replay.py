@@ -29,7 +29,7 @@ from vcbf_drake.hil import (
     replay_log,
     start_log,
 )
-from vcbf_drake.hil.log_replay import logged_scenario
+from vcbf_drake.hil.event_log import logged_scenario
 from vcbf_drake.hil.messages import vcbf_command, vcbf_status
 from vcbf_drake.simulation.loading import dump_scenario
 import vcbf_drake.viz.figures as figures_module

@@ -16,8 +16,12 @@ from vcbf_drake.hil.bus import (
     read_key,
     vehicle_name,
 )
-from vcbf_drake.hil.command_sender import CommandSender, Watchdog, command_message
-from vcbf_drake.hil.controller_process import ControllerProcess, controller_of
+from vcbf_drake.hil.command_sender import CommandSender, command_message
+from vcbf_drake.hil.controller_process import (
+    ControllerProcess,
+    InProcess,
+    controller_of,
+)
 from vcbf_drake.hil.controller_side import VehicleLink, make_hardware_loop
 from vcbf_drake.hil.decoding import (
     CommandMode,
@@ -35,22 +39,27 @@ from vcbf_drake.hil.event_log import (
     EventLog,
     EventLogError,
     EventLogWriter,
-    read_event_log,
-)
-from vcbf_drake.hil.log_replay import (
-    LogReplay,
     carries_scenario,
-    replay_log,
+    read_event_log,
     start_log,
 )
-from vcbf_drake.hil.logged_controller import LoggedController
+from vcbf_drake.hil.live_audit import LiveAudit
+from vcbf_drake.hil.log_replay import LoggedController, LogReplay, replay_log
 from vcbf_drake.hil.mailbox import Inbox, Outbox
-from vcbf_drake.hil.obstacles import ObstacleReceiver
-from vcbf_drake.hil.processes import EXIT_STATUSES, HardwareProcess, say_farewell
+from vcbf_drake.hil.processes import (
+    EXIT_STATUSES,
+    HardwareProcess,
+    PlantProcess,
+    say_farewell,
+)
 from vcbf_drake.hil.state_receiver import StateReceiver
-from vcbf_drake.hil.vehicle_process import InProcess, PlantProcess
 from vcbf_drake.hil.vehicle_side import make_vehicle
-from vcbf_drake.hil.watchdogs import LiveAudit, StateWatchdog, Verdict
+from vcbf_drake.hil.watchdogs import (
+    ObstacleReceiver,
+    StateWatchdog,
+    Verdict,
+    Watchdog,
+)
 
 __all__ = [
     "DEFAULT_URL",

@@ -1,10 +1,11 @@
-"""CommandSender: what the vehicle is to apply, and beside it what the filter did."""
+"""CommandSender: what the vehicle is to apply, and what the filter did, in status."""
 
 from __future__ import annotations
 
+from collections import Counter, deque
 from collections.abc import Sequence
 import math
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import (
@@ -16,15 +17,18 @@ from pydrake.systems.framework import (
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceEstimate
 from vcbf_drake.hil.bus import Bus
-from vcbf_drake.hil.decoding import CommandMode, command_format, status_format
+from vcbf_drake.hil.decoding import (
+    CommandMode,
+    ModeChange,
+    command_format,
+    status_format,
+)
+from vcbf_drake.hil.live_audit import FINDINGS
 from vcbf_drake.hil.mailbox import Outbox
 from vcbf_drake.hil.messages import vcbf_command, vcbf_state, vcbf_status
 from vcbf_drake.hil.state_receiver import StateReceiver, StateStamp
-from vcbf_drake.hil.watchdogs import (
-    FINDINGS,
-    StateWatchdog,
-    Verdict,
-)
+from vcbf_drake.hil.timing import median_and_p99
+from vcbf_drake.hil.watchdogs import StateWatchdog, Verdict, Watchdog
 from vcbf_drake.safety import (
     METHODS,
     FilterStatus,
@@ -32,13 +36,6 @@ from vcbf_drake.safety import (
     unpack_feasible_set,
 )
 from vcbf_drake.simulation.scenario import Hardware
-
-
-class Watchdog(Protocol):
-    """What may ask for a vehicle's fallback."""
-
-    def verdict(self) -> Verdict:
-        """Returns what to ask of the vehicle now, and why."""
 
 
 class CommandSender(LeafSystem):
@@ -276,3 +273,58 @@ def command_message(
     message.num_inputs = len(u)
     message.input = [float(each) if applies else 0.0 for each in u]
     return message
+
+
+_REMEMBERED = 65_536
+
+
+class ControllerRecord:
+    """Collects what was sent, tick by tick, in bounded memory.
+
+    Attributes:
+        changes: What was asked of the vehicle, in time; the last 1000 changes.
+    """
+
+    def __init__(self) -> None:
+        self.changes: deque[ModeChange] = deque(maxlen=1000)
+        self._ticks: Counter[FilterStatus] = Counter()
+        self._findings: Counter[str] = Counter()
+        self._durations: deque[float] = deque(maxlen=_REMEMBERED)
+        self._method, self._refused_intervals = "", 0
+        self._least_volume, self._greatest_slack = np.inf, 0.0
+
+    def add_tick(self, status: vcbf_status | None, duration: float) -> None:
+        """Adds a tick that took so long [s], and what it sent."""
+        if status is None:
+            return
+        self._ticks[FilterStatus(status.filter_status)] += 1
+        self._least_volume = float(np.fmin(self._least_volume, status.volume))
+        self._greatest_slack = float(np.fmax(self._greatest_slack, abs(status.slack)))
+        self._durations.append(duration)
+        self._method = status.method
+        self._findings.update(status.findings)
+        self._refused_intervals = max(self._refused_intervals, status.refused_intervals)
+
+    def add_mode(self, status: vcbf_status) -> None:
+        """Adds what was asked of the vehicle, if that is new."""
+        mode = CommandMode(status.mode).name.lower()
+        if not self.changes or self.changes[-1]["mode"] != mode:
+            self.changes.append(
+                ModeChange(time=status.time, mode=mode, reason=status.reason)
+            )
+
+    def report(self) -> dict[str, Any]:
+        """Returns what the filter did."""
+        ticks = self._ticks.total()
+        return {
+            "method": self._method,
+            "ticks": ticks,
+            "infeasible_ticks": self._ticks[FilterStatus.INFEASIBLE],
+            "failed_ticks": self._ticks[FilterStatus.FAILED],
+            "min_volume": self._least_volume if ticks else None,
+            "max_abs_slack": self._greatest_slack,
+            "tick_ms": median_and_p99(1e3 * np.array(self._durations)),
+            "refused_intervals": self._refused_intervals,
+            "findings": dict(self._findings),
+            "changes": list(self.changes),
+        }

@@ -1,4 +1,4 @@
-"""ControllerProcess: a hardware loop, driven by the states that come."""
+"""ControllerProcess: a hardware loop driven by states; InProcess: with its vehicle."""
 
 from __future__ import annotations
 
@@ -8,18 +8,22 @@ import time
 from typing import Any
 
 import numpy as np
+from pydrake.lcm import DrakeLcm
 from pydrake.systems.framework import Context, Diagram
 
-from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
-from vcbf_drake.hil.bus import Bus
-from vcbf_drake.hil.command_sender import CommandSender
+from vcbf_drake.hil.bus import Bus, LinkFaults, SimulatedClock, Tap
+from vcbf_drake.hil.command_sender import CommandSender, ControllerRecord
 from vcbf_drake.hil.controller_side import make_hardware_loop
 from vcbf_drake.hil.decoding import CommandMode, VehicleMode
-from vcbf_drake.hil.prediction import PredictionRecord
-from vcbf_drake.hil.processes import HardwareProcess, say_farewell
-from vcbf_drake.hil.report import ControllerRecord, controller_report
+from vcbf_drake.hil.processes import (
+    HardwareProcess,
+    PlantProcess,
+    arrivals,
+    say_farewell,
+)
 from vcbf_drake.hil.state_receiver import StateReceiver
+from vcbf_drake.hil.timing import median_and_p99
 from vcbf_drake.safety import (
     FilterStatus,
     chebyshev_ball,
@@ -99,7 +103,6 @@ class ControllerProcess(HardwareProcess):
         self.tick_taps: list[Callable[[Context], None]] = []
         self.takes_over = False
         self._record = ControllerRecord()
-        self._prediction: PredictionRecord | None = None
         self._sent_at = 0
         self._session, self._began = 0, 0.0
 
@@ -115,15 +118,6 @@ class ControllerProcess(HardwareProcess):
         if status is None or status.state_sequence < 0:
             return None
         return CommandMode(status.mode)
-
-    def measure_prediction(self, positions: Callable[[Array], Array]) -> None:
-        """Compares predicted positions with measured ones from now on.
-
-        Args:
-            positions: Returns where the vehicle is, (T, k), from its states (T, n).
-        """
-        self._prediction = PredictionRecord(self.diagram, positions)
-        self.tick_taps.append(self._prediction)
 
     def run(self, patience: float = math.inf) -> None:
         """Runs until its vehicle ends, the duration is over, or `stop`.
@@ -162,11 +156,12 @@ class ControllerProcess(HardwareProcess):
 
     def report(self) -> dict[str, Any]:
         """Returns what the filter did, and how the states arrived."""
-        report = controller_report(self._receiver, self._record)
-        report["deadlines_missed"] = self._sender.deadlines_missed
-        if self._prediction is not None:
-            report["prediction"] = self._prediction.report()
-        return report
+        return {
+            **self._record.report(),
+            "deadlines_missed": self._sender.deadlines_missed,
+            "round_trip_ms": median_and_p99(self._receiver.round_trip.milliseconds),
+            "arrived": arrivals(self._receiver.inbox),
+        }
 
     def _is_due(self) -> bool:
         context = self._receiver_context()
@@ -263,7 +258,83 @@ def controller_of(scenario: Scenario, bus: Bus) -> ControllerProcess:
         bus: Carries the messages.
     """
     diagram = make_hardware_loop(scenario, bus)
-    process = ControllerProcess(diagram, bus, scenario.duration)
-    if scenario.hardware.predict:
-        process.measure_prediction(scenario.vehicle.positions)
-    return process
+    return ControllerProcess(diagram, bus, scenario.duration)
+
+
+class InProcess:
+    """Drives a vehicle and its controller in lockstep over ``memq://``.
+
+    The clock stands still while either side computes, so without faults a command
+    reaches the vehicle at the instant its state was measured: the run is that of
+    `simulate`. With faults, messages arrive on a grid of time.
+
+    Args:
+        scenario: A validated scenario.
+        vehicle_faults: Injected into the commands.
+        controller_faults: Injected into the states.
+        grid: How many times in a control period messages are handled.
+        tap: Told of everything that the controller's side sends and receives.
+        name: The vehicle's, where several share a bus.
+        lcm: That bus; one of its own by default.
+        key: What messages are signed with; nothing by default.
+
+    Attributes:
+        clock: What both sides take for the time.
+        lcm: The bus both are on.
+        plant: The vehicle's side.
+        controller: The controller's side; None while it is dead.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        vehicle_faults: LinkFaults | None = None,
+        controller_faults: LinkFaults | None = None,
+        grid: int = 1,
+        tap: Tap | None = None,
+        *,
+        name: str = "",
+        lcm: DrakeLcm | None = None,
+        key: bytes = b"",
+    ) -> None:
+        self.clock = SimulatedClock()
+        self.lcm = lcm or DrakeLcm("memq://")
+        self._name, self._key = name, key
+        self.controller: ControllerProcess | None = None
+        self._scenario, self._faults = scenario, controller_faults
+        self._grid, self._instant, self._tap = grid, 0, tap
+        self._epoch = self.clock.now
+        self.start_controller()
+        self.plant = PlantProcess(scenario, self._bus(vehicle_faults))
+        self._exchange()
+
+    def start_controller(self) -> None:
+        """Starts a controller, or another one, which knows nothing of the first."""
+        bus = self._bus(self._faults)
+        if self._tap is not None:
+            bus.taps.append(self._tap)
+        self.controller = controller_of(self._scenario, bus)
+
+    def kill_controller(self) -> None:
+        """Ends the controller without a farewell."""
+        self.controller = None
+
+    def advance_to(self, time: float) -> None:
+        """Runs both sides up to a time [s], or to a collision."""
+        while not self.plant.collided:
+            step, part = divmod(self._instant + 1, self._grid)
+            instant = (step + part / self._grid) * self._scenario.period
+            if instant > time + 1e-9:
+                return
+            self._instant += 1
+            self.clock.now = self._epoch + round(1e6 * instant)
+            self.plant.advance_to(instant)
+            self._exchange()
+
+    def _bus(self, faults: LinkFaults | None) -> Bus:
+        return Bus(self.lcm, self.clock, faults, name=self._name, key=self._key)
+
+    def _exchange(self) -> None:
+        if self.controller is not None:
+            self.controller.step()
+        self.plant.bus.poll()

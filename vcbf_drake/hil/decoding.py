@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 import math
 import struct
-from typing import Any
+from typing import Any, TypedDict
 
 from vcbf_drake.hil.bus import SIGNATURE_BYTES
 from vcbf_drake.hil.messages import (
@@ -47,6 +47,20 @@ class VehicleMode(IntEnum):
     """It zeroes its input or brakes, for no command came or one asked for it."""
     ENDED = 3
     """Nothing more: this is its last message."""
+
+
+class ModeChange(TypedDict):
+    """When something else began, and why.
+
+    Attributes:
+        time: Since the motion began [s].
+        mode: What began: the name of a `CommandMode` or `VehicleMode`.
+        reason: Why; empty where the mode says it all.
+    """
+
+    time: float
+    mode: str
+    reason: str
 
 
 VERSION = 2

@@ -1,4 +1,4 @@
-"""LCM's event logs: files of everything that was on a bus, and when.
+"""LCM's event logs: files of everything that was on a bus, when, and in what scenario.
 
 The format is that of ``lcm-logger``; every number in it is big-endian:
 
@@ -13,7 +13,7 @@ The format is that of ``lcm-logger``; every number in it is big-endian:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from io import FileIO
 import itertools
@@ -26,7 +26,10 @@ import threading
 from types import TracebackType
 from typing import NamedTuple
 
-from vcbf_drake.errors import VcbfError
+from vcbf_drake.errors import ScenarioError, VcbfError
+from vcbf_drake.hil.bus import Bus
+from vcbf_drake.simulation.loading import dump_scenario, parse_scenario
+from vcbf_drake.simulation.scenario import Scenario
 
 _SYNC = bytes.fromhex("eda1da01")
 _HEADER = struct.Struct(">4sqqii")
@@ -247,3 +250,79 @@ def _damage(path: str | Path, found: list[tuple[int, Event]], size: int) -> str:
         f"{path}: {lost} of its {size} bytes are no whole events and are left out,"
         f" the first at byte {expected}"
     )
+
+
+# What of a log is a run's ----------------------------------------------------------
+
+# In a log only: nobody sends on it. Its one event is the scenario as YAML text.
+SCENARIO_CHANNEL = "VCBF_SCENARIO"
+
+
+def start_log(
+    bus: Bus, scenario: Scenario, path: str | Path, *, force: bool = False
+) -> EventLogWriter:
+    """Logs a scenario, and from now on whatever a bus sends and receives.
+
+    Args:
+        bus: The bus of a vehicle's or a controller's process, before that is made.
+        scenario: What is run.
+        path: The file; see `EventLogWriter`.
+        force: Whether to replace one that is there.
+
+    Raises:
+        EventLogError: The file cannot be written.
+    """
+    log = EventLogWriter(path, force=force)
+    channel, text = bus.channel(SCENARIO_CHANNEL), dump_scenario(scenario)
+    log(bus.clock.utime(), channel, text.encode())
+    bus.taps.append(log)
+    return log
+
+
+def carries_scenario(scenario: Scenario) -> bool:
+    """Returns whether its log can be replayed alone: not where a user's class is."""
+    return type(scenario.vehicle).__module__.startswith("vcbf_drake.")
+
+
+def of_one_vehicle(
+    path: str | Path, events: Sequence[Event], name: str | None
+) -> list[Event]:
+    """Returns the events of one vehicle, on channels without its name.
+
+    Raises:
+        EventLogError: They are of several, or of none of that name.
+    """
+    parts = [event.channel.partition("/") for event in events]
+    names = sorted({end for base, _, end in parts if base == "VCBF_STATE"})
+    if name is None and len(names) > 1:
+        found = ", ".join(each or "one without a name" for each in names)
+        raise EventLogError(
+            f"{path}: is of several vehicles: {found}; --name says which"
+        )
+    wanted = name if name is not None else (names or [""])[0]
+    if name is not None and name not in names:
+        found = ", ".join(each or "one without a name" for each in names) or "none"
+        raise EventLogError(f"{path}: has no vehicle {name}; it has {found}")
+    return [
+        event._replace(channel=base)
+        for event, (base, _, end) in zip(events, parts, strict=True)
+        if end == wanted or base == SCENARIO_CHANNEL
+    ]
+
+
+def logged_scenario(path: str | Path, events: Sequence[Event]) -> Scenario:
+    """Returns the scenario that a log carries.
+
+    Raises:
+        EventLogError: It carries none.
+        ScenarioError: It does not load.
+    """
+    for event in events:
+        if event.channel == SCENARIO_CHANNEL:
+            text = event.data.decode(errors="replace")
+            try:
+                return parse_scenario(text, f"{path}, channel {SCENARIO_CHANNEL}")
+            except ScenarioError as error:
+                hint = "a log of a vehicle of your own needs its SCENARIO"
+                raise ScenarioError(f"{error}; {hint}") from None
+    raise EventLogError(f"{path}: carries no scenario; it must be given")

@@ -3,33 +3,38 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+import struct
 from typing import Any
 
 import numpy as np
+from pydrake.lcm import DrakeLcm
 from pydrake.systems.framework import Context
 
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceObserver
-from vcbf_drake.errors import ScenarioError
-from vcbf_drake.hil.bus import Bus
-from vcbf_drake.hil.controller_process import ControllerProcess
+from vcbf_drake.hil.bus import Bus, SimulatedClock
+from vcbf_drake.hil.controller_process import ControllerProcess, controller_of
 from vcbf_drake.hil.decoding import (
+    CommandMode,
+    Rejection,
     VehicleMode,
+    command_format,
     state_format,
 )
 from vcbf_drake.hil.event_log import (
     Event,
     EventLogError,
-    EventLogWriter,
+    logged_scenario,
+    of_one_vehicle,
     read_event_log,
 )
-from vcbf_drake.hil.logged_controller import LoggedController
+from vcbf_drake.hil.mailbox import Inbox
+from vcbf_drake.hil.messages import vcbf_command, vcbf_state, vcbf_status
 from vcbf_drake.safety import Assumption, SafetyFilter
 from vcbf_drake.simulation.collision_monitor import TOUCH
-from vcbf_drake.simulation.loading import dump_scenario, parse_scenario
 from vcbf_drake.simulation.log import finish_log
 from vcbf_drake.simulation.loop import COLLISION_MONITOR, logged_ports
 from vcbf_drake.simulation.result import Result
@@ -37,16 +42,171 @@ from vcbf_drake.simulation.run import loop_assumptions, step_cpu_time
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.summary import Ending, summarise
 
+# Session and sequence of a message.
+_Key = tuple[int, int]
+_OBSTACLES, _STATUSES = "VCBF_OBSTACLES", "VCBF_STATUS"
+
+
+class LoggedController:
+    """Feeds what a vehicle said, as logged, to a controller, over ``memq://``.
+
+    The clock is the log's. The controller acts on the states that the log has commands
+    for, when those were sent, and on every state if the log has no commands at all. A
+    controller that started again in the log starts again here. So the log of a
+    controller makes the same commands again, bit for bit; the log of a vehicle does so
+    as far as all messages arrived.
+
+    Args:
+        scenario: A validated scenario.
+        events: The log's events, of one vehicle.
+
+    Attributes:
+        controllers: The controllers, one after the other.
+        logged: The log's commands by the state they answer first: session, sequence.
+        sent: The commands that were made, likewise.
+        on_start: Called with every controller before it is driven.
+        on_state: Called with every state that is accepted.
+    """
+
+    def __init__(self, scenario: Scenario, events: Iterable[Event]) -> None:
+        self.on_start: Callable[[ControllerProcess], None] = lambda controller: None
+        self.on_state: Callable[[Any], None] = lambda state: None
+        self.controllers: list[ControllerProcess] = []
+        self.sent: dict[_Key, vcbf_command] = {}
+        self._scenario, self._events = scenario, list(events)
+        n, m = len(scenario.initial_state), len(scenario.input_set.lower)
+        self._states = state_format(n, m).channel
+        self._commands = command_format(m)
+        self.logged: dict[_Key, vcbf_command] = {}
+        self._repeated: dict[_Key, vcbf_command] = {}
+        for command in self._logged_commands():
+            if command.mode == CommandMode.END:
+                continue  # Somebody's decision, not the controller's.
+            state = command.state_session, command.state_sequence
+            if self.logged.setdefault(state, command) is not command:
+                self._repeated[_key(command)] = command
+
+    def run(self) -> None:
+        """Drives the controller through the whole log."""
+        first = min((c.session for c in self.logged.values()), default=None)
+        self._start(self._events[0].utime if first is None else first)
+        for event in self._events:
+            if first is not None and event.utime < first:
+                continue  # Nobody listened yet.
+            if event.channel == self._states:
+                self._take_state(event)
+            elif event.channel == _OBSTACLES:
+                self._hear(event)
+            elif (sent := self._sent_without_news(event)) is not None:
+                self._clock.now = sent.utime
+                self.controllers[-1].step()
+
+    def differences(self) -> list[float]:
+        """Returns how far commands made are from those logged; infinite for a mode."""
+        return [
+            _difference(command, self.sent[state])
+            for state, command in self.logged.items()
+            if state in self.sent
+        ]
+
+    def period(self) -> float | None:
+        """Returns the median time between the commands, by the vehicle's time [s]."""
+        answered = set(self.logged)
+        times = []
+        for event in self._events:
+            if event.channel == self._states:
+                state = _decoded(vcbf_state, event)
+                if state and (not answered or _key(state) in answered):
+                    times.append(state.time)
+        gaps = np.diff(times)
+        gaps = gaps[gaps > 0.0]
+        return float(np.median(gaps)) if len(gaps) else None
+
+    def _logged_commands(self) -> Iterator[vcbf_command]:
+        for event in self._events:
+            if event.channel == self._commands.channel:
+                message = self._commands.decode(event.data)
+                if not isinstance(message, Rejection):
+                    yield message
+
+    def _start(self, session: int) -> None:
+        self._clock = SimulatedClock(session)
+        self._bus = Bus(DrakeLcm("memq://"), self._clock)
+        self._bus.taps.append(self._take_command)
+        controller = controller_of(self._scenario, self._bus)
+        receiver = controller.diagram.GetSubsystemByName("state_receiver")
+        self._inbox: Inbox = receiver.inbox
+        self.controllers.append(controller)
+        self.on_start(controller)
+
+    def _take_state(self, event: Event) -> None:
+        before = self._inbox.newest
+        self._hear(event)
+        newest = self._inbox.newest
+        if newest is before:
+            return
+        self.on_state(newest)
+        answer = self.logged.get(_key(newest))
+        if answer is not None and answer.session > self._bus.session:
+            self._start(answer.session)
+            self._hear(event)
+        if answer is not None:
+            self._clock.now = answer.utime
+        if answer is not None or not self.logged:
+            self.controllers[-1].step()
+
+    def _hear(self, event: Event) -> None:
+        self._clock.now = event.utime
+        self._bus.lcm.Publish(event.channel, event.data)
+        self._bus.poll()
+
+    def _sent_without_news(self, event: Event) -> Any:
+        """The command that came without a new state, or status before the first."""
+        if event.channel == self._commands.channel:
+            command = _decoded(vcbf_command, event)
+            return command if command and _key(command) in self._repeated else None
+        status = _decoded(vcbf_status, event) if event.channel == _STATUSES else None
+        if status is None or status.session != self._bus.session:
+            return None
+        return status if status.state_sequence < 0 else None
+
+    def _take_command(self, utime: int, channel: str, data: bytes) -> None:
+        if channel == self._commands.channel:
+            command = vcbf_command.decode(data)
+            state = command.state_session, command.state_sequence
+            self.sent.setdefault(state, command)
+
+
+def _decoded(kind: Any, event: Event) -> Any:
+    """An event's message, None if it is of another kind."""
+    try:
+        return kind.decode(event.data)
+    except (ValueError, struct.error):
+        return None
+
+
+def _key(message: Any) -> _Key:
+    return message.session, message.sequence
+
+
+def _difference(logged: vcbf_command, made: vcbf_command) -> float:
+    if logged.mode != made.mode or logged.num_inputs != made.num_inputs:
+        return np.inf
+    return float(np.max(np.abs(np.subtract(logged.input, made.input)), initial=0.0))
+
 
 class TickRecorder:
     """Records what a hardware loop's ports say at every tick.
 
     Of several ticks at one time, as while a vehicle waits, the last one is kept; when
     time goes back, because a vehicle has started again, everything before is dropped.
+
+    Attributes:
+        rows: The time of each tick [s], and what the ports said.
     """
 
     def __init__(self) -> None:
-        self._rows: list[tuple[float, dict[str, Array]]] = []
+        self.rows: list[tuple[float, dict[str, Array]]] = []
 
     def watch(self, controller: ControllerProcess) -> None:
         """Records a controller from now on, after those that were watched before."""
@@ -61,20 +221,15 @@ class TickRecorder:
         }
         controller.tick_taps.append(self._record)
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether there was no tick yet."""
-        return not self._rows
-
     def _record(self, context: Context) -> None:
         now = context.get_time()
-        while self._rows and self._rows[-1][0] >= now:
-            self._rows.pop()
+        while self.rows and self.rows[-1][0] >= now:
+            self.rows.pop()
         row = {
             name: port.Eval(port.get_system().GetMyContextFromRoot(context)).copy()
             for name, port in self._ports.items()
         }
-        self._rows.append((now, row))
+        self.rows.append((now, row))
 
     def log(self) -> dict[str, Array]:
         """Returns the arrays of a `Result`, one row a tick.
@@ -83,9 +238,9 @@ class TickRecorder:
         with hindsight, from the intervals before and after a tick.
         """
         log = {
-            name: np.array([row[name] for _, row in self._rows]) for name in self._ports
+            name: np.array([row[name] for _, row in self.rows]) for name in self._ports
         }
-        log["time"] = np.array([time for time, _ in self._rows])
+        log["time"] = np.array([time for time, _ in self.rows])
         applied = log.pop("applied_input")
         log["disturbance"] = self._disturbances(log["time"], log["state"], applied)
         return finish_log(log, self._filter)
@@ -106,36 +261,6 @@ class TickRecorder:
         middles = (times[1:] + times[:-1]) / 2
         channels = np.transpose(means)
         return np.transpose([np.interp(times, middles, mean) for mean in channels])
-
-
-# In a log only: nobody sends on it. Its one event is the scenario as YAML text.
-SCENARIO_CHANNEL = "VCBF_SCENARIO"
-
-
-def start_log(
-    bus: Bus, scenario: Scenario, path: str | Path, *, force: bool = False
-) -> EventLogWriter:
-    """Logs a scenario, and from now on whatever a bus sends and receives.
-
-    Args:
-        bus: The bus of a vehicle's or a controller's process, before that is made.
-        scenario: What is run.
-        path: The file; see `EventLogWriter`.
-        force: Whether to replace one that is there.
-
-    Raises:
-        EventLogError: The file cannot be written.
-    """
-    log = EventLogWriter(path, force=force)
-    channel, text = bus.channel(SCENARIO_CHANNEL), dump_scenario(scenario)
-    log(bus.clock.utime(), channel, text.encode())
-    bus.taps.append(log)
-    return log
-
-
-def carries_scenario(scenario: Scenario) -> bool:
-    """Returns whether its log can be replayed alone: not where a user's class is."""
-    return type(scenario.vehicle).__module__.startswith("vcbf_drake.")
 
 
 @dataclass(frozen=True)
@@ -175,7 +300,7 @@ def replay_log(
         ScenarioError: The scenario in it does not load.
     """
     events, damage = read_event_log(path)
-    events = _of_one_vehicle(path, events, name)
+    events = of_one_vehicle(path, events, name)
     scenario = scenario or logged_scenario(path, events)
     logged = LoggedController(scenario, events)
     account = _Account(scenario)
@@ -183,7 +308,7 @@ def replay_log(
     logged.run()
     reports = [controller.report() for controller in logged.controllers]
     arrived = _total([report["arrived"] for report in reports])
-    if account.recorder.is_empty:
+    if not account.recorder.rows:
         raise EventLogError(_no_states(path, scenario, arrived["rejected"]))
     differences = logged.differences()
     about = {
@@ -200,46 +325,6 @@ def replay_log(
     return LogReplay(account.result(), damage, about)
 
 
-def _of_one_vehicle(
-    path: str | Path, events: Sequence[Event], name: str | None
-) -> list[Event]:
-    """The events of one vehicle, on channels without its name."""
-    parts = [event.channel.partition("/") for event in events]
-    names = sorted({end for base, _, end in parts if base == "VCBF_STATE"})
-    if name is None and len(names) > 1:
-        found = ", ".join(each or "one without a name" for each in names)
-        raise EventLogError(
-            f"{path}: is of several vehicles: {found}; --name says which"
-        )
-    wanted = name if name is not None else (names or [""])[0]
-    if name is not None and name not in names:
-        found = ", ".join(each or "one without a name" for each in names) or "none"
-        raise EventLogError(f"{path}: has no vehicle {name}; it has {found}")
-    return [
-        event._replace(channel=base)
-        for event, (base, _, end) in zip(events, parts, strict=True)
-        if end == wanted or base == SCENARIO_CHANNEL
-    ]
-
-
-def logged_scenario(path: str | Path, events: Sequence[Event]) -> Scenario:
-    """Returns the scenario that a log carries.
-
-    Raises:
-        EventLogError: It carries none.
-        ScenarioError: It does not load.
-    """
-    for event in events:
-        if event.channel == SCENARIO_CHANNEL:
-            text = event.data.decode(errors="replace")
-            try:
-                return parse_scenario(text, f"{path}, channel {SCENARIO_CHANNEL}")
-            except ScenarioError as error:
-                hint = "a log of a vehicle of your own needs its SCENARIO"
-                raise ScenarioError(f"{error}; {hint}") from None
-    raise EventLogError(f"{path}: carries no scenario; it must be given")
-
-
 class _Account:
     """What is needed of a run for its result."""
 
@@ -251,7 +336,7 @@ class _Account:
 
     def add_controller(self, controller: ControllerProcess) -> None:
         self._diagram = controller.diagram
-        if self.recorder.is_empty:
+        if not self.recorder.rows:
             controller.tick_taps.append(self._assume)
         self.recorder.watch(controller)
 
@@ -264,15 +349,12 @@ class _Account:
     def add_state(self, state: Any) -> None:
         if self._path and state.session != self._path[-1].session:
             self._path.clear()
-        if self._has_stopped(state):
+        is_last = state.mode == VehicleMode.ENDED and bool(self._path)
+        if is_last and state.time == self._path[-1].time:
             return  # Its time stands still now, and the clock does not.
         while self._path and self._path[-1].time >= state.time:
             self._path.pop()
         self._path.append(state)
-
-    def _has_stopped(self, state: Any) -> bool:
-        is_last = state.mode == VehicleMode.ENDED and bool(self._path)
-        return is_last and bool(state.time == self._path[-1].time)
 
     def result(self) -> Result:
         safety_filter: SafetyFilter = self._diagram.GetSubsystemByName("filter")
@@ -286,7 +368,10 @@ class _Account:
         )
         summary["assumptions"] = [vars(assumption) for assumption in self._assumptions]
         summary["step_cpu_ms"] = step_cpu_time(safety_filter, log)
-        summary["real_time_factor"] = _rate(self._path[0], self._path[-1])
+        first, last = self._path[0], self._path[-1]
+        elapsed = 1e-6 * (last.utime_measured - first.utime_measured)
+        rate = (last.time - first.time) / elapsed if elapsed else np.nan
+        summary["real_time_factor"] = rate
         return Result(self._scenario, summary, log)
 
 
@@ -298,17 +383,9 @@ def _ending(times: Array, heights: Array) -> Ending:
     return Ending(float(times[-1]), "")
 
 
-def _rate(first: Any, last: Any) -> float:
-    """The vehicle's time by the clock's, between two states."""
-    elapsed = 1e-6 * (last.utime_measured - first.utime_measured)
-    return float(last.time - first.time) / elapsed if elapsed else np.nan
-
-
 def _total(arrived: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """How the states arrived at one controller after the other."""
-    rejected: Counter[str] = Counter()
-    for each in arrived:
-        rejected.update(each["rejected"])
+    rejected = sum((Counter(each["rejected"]) for each in arrived), Counter())
     keys = ("accepted", "lost", "late")
     total: dict[str, Any] = {key: sum(each[key] for each in arrived) for key in keys}
     return total | {"rejected": dict(rejected)}

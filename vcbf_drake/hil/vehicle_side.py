@@ -26,11 +26,11 @@ from vcbf_drake.hil.decoding import (
     Reason,
     VehicleMode,
     command_format,
+    obstacles_format,
     state_format,
 )
 from vcbf_drake.hil.mailbox import Inbox, Outbox
-from vcbf_drake.hil.messages import vcbf_state
-from vcbf_drake.hil.obstacles import ObstacleSender
+from vcbf_drake.hil.messages import vcbf_obstacles, vcbf_state
 from vcbf_drake.hil.timing import RoundTrip, Timeline, check_timing
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.model.multibody_model import MultibodyModel
@@ -278,6 +278,43 @@ class StateSender(LeafSystem):
         message.num_states = len(message.state)
         message.input_integral = self._integral.Eval(context).tolist()
         message.num_inputs = len(message.input_integral)
+        self._outbox.send(message)
+
+
+_PERIOD = 0.5  # [s]
+
+
+class ObstacleSender(LeafSystem):
+    """Publishes the scenario's obstacles twice a second and at forced events.
+
+    .. pydrake_system::
+
+        name: ObstacleSender
+
+    Args:
+        bus: Where to.
+        scenario: Has the obstacles.
+    """
+
+    def __init__(self, bus: Bus, scenario: Scenario) -> None:
+        super().__init__()
+        self._obstacles = scenario.spheres
+        self._outbox = Outbox(bus, obstacles_format().channel)
+        self.DeclarePeriodicPublishEvent(_PERIOD, 0.0, self._send)
+        self.DeclareForcedPublishEvent(self._send)
+
+    def _send(self, context: Context) -> None:
+        message = vcbf_obstacles()
+        message.time = context.get_time()
+        for obstacle in self._obstacles:
+            center = np.array(obstacle.center)
+            velocity = np.array(obstacle.velocity or np.zeros_like(center))
+            message.radius.append(obstacle.radius + obstacle.margin)
+            message.valid.append(True)
+            message.position.extend(center + message.time * velocity)
+            message.velocity.extend(velocity)
+        message.num_obstacles = len(message.radius)
+        message.num_coordinates = len(message.position)
         self._outbox.send(message)
 
 

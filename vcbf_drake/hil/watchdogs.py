@@ -1,30 +1,25 @@
-"""Watchdogs of the controller: old states, other obstacles, refuted hypotheses."""
+"""Watchdogs of the controller: old states, other obstacles, obstacles not perceived."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.systems.framework import (
     BasicVector,
     Context,
-    DiscreteValues,
+    EventStatus,
     LeafSystem,
-    ValueProducer,
+    State,
 )
 
-from vcbf_drake.checks import Array
-from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
-from vcbf_drake.hil.bus import Clock
-from vcbf_drake.hil.decoding import CommandMode
+from vcbf_drake.barriers import PerceivedSpheres
+from vcbf_drake.hil.bus import Bus, Clock
+from vcbf_drake.hil.decoding import CommandMode, Reason, obstacles_format
 from vcbf_drake.hil.mailbox import Inbox
-from vcbf_drake.hil.prediction import runge_kutta_step
-from vcbf_drake.hil.state_receiver import StateStamp
-from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety import InputSet
-from vcbf_drake.simulation.scenario import Hardware
+from vcbf_drake.simulation.scenario import Hardware, Scenario
 
 
 class Verdict(NamedTuple):
@@ -32,6 +27,13 @@ class Verdict(NamedTuple):
 
     mode: CommandMode
     reason: str
+
+
+class Watchdog(Protocol):
+    """What may ask for a vehicle's fallback."""
+
+    def verdict(self) -> Verdict:
+        """Returns what to ask of the vehicle now, and why."""
 
 
 class StateWatchdog:
@@ -70,213 +72,182 @@ class StateWatchdog:
         return Verdict(CommandMode.FALLBACK, f"no new state for {age:.2f} s")
 
 
-# Refuted hypotheses ----------------------------------------------------------------
-
-# So many ticks in a row must refute a hypothesis; one is an angle that wraps, a reset.
-_PERSISTENT = 3
-# The index of its finding.
-_FROZEN_TIME = 3
-# So many equal states in a row are a frozen one.
-_FROZEN = 5
-# How long nothing is refuted before all is well again [s].
-_QUIET = 1.0
-# An alarm of this number stays.
-_MOST_ALARMS = 3
-# Of the least that theory allows; and of what moves anyway: no model is exact.
-_SPARE, _OF_MOTION = 1.5, 0.05
-_NOISES = 6.0
-
-FINDINGS = (
-    "the estimate exceeds the declared disturbance by more than its error bound",
-    "the state moves otherwise than model, input and disturbance allow",
-    "the state stands still although the input moves it",
-    "the motion's time stands still although the vehicle is under way",
-)
+# Obstacles -------------------------------------------------------------------------
 
 
-class _Memory(NamedTuple):
-    """What an audit remembers; all numbers."""
+def _inbox(
+    bus: Bus,
+    max_age: float,
+    on_accept: Callable[[Any, int], None],
+    vehicle: Inbox,
+    settings: Hardware,
+) -> Inbox:
+    """Returns an inbox for what the vehicle says whose states come into another one."""
 
-    session: float = math.nan
-    time: float = math.nan
-    refuted_estimate: float = 0.0
-    refuted_motion: float = 0.0
-    frozen: float = 0.0
-    refuted_at: float = -math.inf
-    alarms: float = 0.0
-    finding: float = -1.0
-    # Since when the motion's time stands, by the vehicle's clock [us].
-    stands_since: float = math.nan
+    def refusal(message: Any) -> Reason | None:
+        is_another = vehicle.newest is not None and not vehicle.has_same_sender(message)
+        return Reason.SESSION if is_another else None
+
+    return Inbox(
+        bus,
+        obstacles_format(),
+        max_age,
+        on_accept,
+        silence=0.0,  # Whom to follow is decided by the states alone.
+        max_clock_offset=settings.max_clock_offset,
+        refusal=refusal,
+    )
 
 
-class LiveAudit(LeafSystem):
-    """Compares what is measured with the filter's hypotheses at every tick.
+_TOLERANCE = 0.01  # [m]
+_MAX_AGE = 1.0  # [s]
+
+
+class ObstacleWatch:
+    """Compares the obstacles that a vehicle publishes with those of the scenario.
+
+    A vehicle that publishes none is not checked. Another number of them is a
+    difference too, until as many as are known come again.
+
+    Args:
+        bus: Where they come from.
+        scenario: What the controller knows.
+        vehicle: The states of the vehicle that publishes them.
+
+    Attributes:
+        inbox: What arrived.
+    """
+
+    def __init__(self, bus: Bus, scenario: Scenario, vehicle: Inbox) -> None:
+        self._difference = ""
+        self._obstacles = scenario.spheres
+        self._shape = len(scenario.spheres), len(scenario.target)
+        self._vehicle = vehicle
+        self.inbox = _inbox(bus, _MAX_AGE, self._compare, vehicle, scenario.hardware)
+
+    def verdict(self) -> Verdict:
+        """Returns what to ask of the vehicle now."""
+        if self._difference and self._vehicle.has_same_sender(self.inbox.newest):
+            return Verdict(CommandMode.FALLBACK, self._difference)
+        return Verdict(CommandMode.APPLY, "")
+
+    def _compare(self, message: Any, now: int) -> None:
+        count, dimensions = self._shape
+        self._difference = ""
+        sizes = message.num_obstacles, message.num_coordinates
+        if sizes != (count, count * dimensions):
+            self._difference = f"the vehicle does not know of {count} obstacles"
+            return
+        centers = np.reshape(message.position, self._shape)
+        for number, (obstacle, center, radius) in enumerate(
+            zip(self._obstacles, centers, message.radius, strict=True), start=1
+        ):
+            velocity = np.array(obstacle.velocity or np.zeros_like(center))
+            known = np.array(obstacle.center) + message.time * velocity
+            away = float(np.linalg.norm(center - known))
+            larger = radius - (obstacle.radius + obstacle.margin)
+            if away + abs(larger) > _TOLERANCE:
+                self._difference = (
+                    f"the vehicle's obstacle {number} is {away:.3f} m away from the"
+                    f" scenario's and {larger:+.3f} m larger"
+                )
+                return
+
+
+class ObstacleReceiver(LeafSystem):
+    """The obstacles that a vehicle perceives, for the filter's port ``obstacles``.
 
     .. pydrake_system::
 
-        name: LiveAudit
-        input_ports:
-        - state
-        - applied_input
-        - stamp
-        - estimate
+        name: ObstacleReceiver
         output_ports:
-        - finding
+        - obstacles
 
-    Refuted are the model, the bounds or the measurement, whichever it may be, by
-
-    * abs(dhat) > delta1 + its error bound: no disturbance that is declared can be so
-      estimated;
-    * a state that is farther from the one predicted (Runge and Kutta's fourth order,
-      the mean input that was applied, no disturbance) than a disturbance of delta1, the
-      inputs' range within the interval and the measurement noise can take it;
-    * a state that stays the same, bit for bit, while its stamps are fresh and the input
-      or the model moves it;
-    * a motion's time that stands still, longer than a state may be old, although the
-      vehicle says that it is under way: without it nothing else can be compared.
-
-    What one tick alone refutes counts as a reset of the state's estimator; three in a
-    row (five equal states) are a finding. It is withdrawn when nothing was refuted for
-    a second; the third finding of a motion stays.
-
-    `finding` is the index of what is refuted in `FINDINGS`, -1 for nothing.
+    Their number may change from message to message. Between two messages each keeps
+    its velocity. Too many of them, none for `Hardware.max_obstacle_age`, or malformed
+    ones: the port keeps what came last, and the verdict asks for the vehicle's
+    fallback.
 
     Args:
-        model: The plant's f, g, E.
-        input_set: What its actuators can do.
-        bounds: What is declared of the disturbance.
-        period: The control period [s].
-        settings: Their `longest_interval`, after which it begins anew, and their
-            `max_state_age`.
-        noise: The standard deviations of the measured state, (n,); none if empty.
+        bus: Where they come from.
+        spheres: What describes them; it has room for so many.
+        vehicle: The states of the vehicle that perceives them: what another one
+            perceives is not taken.
+        settings: How old they may be.
+
+    Attributes:
+        inbox: What arrived.
     """
 
     def __init__(
         self,
-        model: ControlAffineModel,
-        input_set: InputSet,
-        bounds: DisturbanceBounds,
-        period: float,
-        settings: Hardware,
-        noise: Array | None = None,
+        bus: Bus,
+        spheres: PerceivedSpheres,
+        vehicle: Inbox,
+        settings: Hardware | None = None,
     ) -> None:
         super().__init__()
-        self._model, self._delta1 = model, bounds.delta1
-        self._longest = settings.longest_interval + 1e-6 * period
-        self._longest_stand = 1e6 * settings.max_state_age
-        self._range = np.asarray(input_set.scale, dtype=float)
-        n, m, q = model.num_states, model.num_inputs, model.num_disturbances
-        noises = np.zeros(n) if noise is None or not len(noise) else np.asarray(noise)
-        self._noise = 2.0 * _NOISES * noises
-        sizes = {
-            "state": n,
-            "applied_input": m,
-            "stamp": len(StateStamp._fields),
-            "estimate": DisturbanceEstimate.packed_size(q),
-        }
-        self._ports = [
-            self.DeclareVectorInputPort(name, size) for name, size in sizes.items()
-        ]
-        self.DeclareDiscreteState(np.array(_Memory()))
-        # The last state and the last input.
-        self.DeclareDiscreteState(np.full(n + m, np.nan))
-        self._judged = self.DeclareCacheEntry(
-            "judged",
-            ValueProducer(
-                lambda: Value[object](),
-                lambda context, judged: judged.set_value(self._judge(context)),
-            ),
-            {self.all_input_ports_ticket(), self.xd_ticket()},
-        )
-        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
-        self.DeclareVectorOutputPort("finding", 1, self._calc_finding)
+        settings = settings or Hardware()
+        self._bus, self._spheres, self._vehicle = bus, spheres, vehicle
+        self._max_age = settings.max_obstacle_age
+        self.inbox = _inbox(bus, self._max_age, self._take, vehicle, settings)
+        self._trouble = ""
+        self._packed = np.zeros(1 + spheres.size)
+        # The vehicle's time of the message, then the slots.
+        self.DeclareDiscreteState(self._packed)
+        self.DeclarePerStepUnrestrictedUpdateEvent(self._take_over)
+        self.DeclareForcedUnrestrictedUpdateEvent(self._take_over)
+        self.DeclareVectorOutputPort("obstacles", spheres.size, self._calc)
 
-    def _calc_finding(self, context: Context, output: BasicVector) -> None:
-        output[0] = self._judged.Eval(context).finding
+    def verdict(self) -> Verdict:
+        """Returns what to ask of the vehicle now."""
+        now = self._bus.clock.utime()
+        if not self._vehicle.has_same_sender(self.inbox.newest):
+            reason = "no obstacles have been perceived yet"
+        elif now - self.inbox.received_at > 1e6 * self._max_age:
+            age = 1e-6 * (now - self.inbox.received_at)
+            reason = f"no obstacles have been perceived for {age:.2f} s"
+        else:
+            reason = self._trouble
+        if not reason:
+            return Verdict(CommandMode.APPLY, "")
+        complaint = self.inbox.complaint(now)
+        words = f"{reason}; {complaint}" if complaint else reason
+        return Verdict(CommandMode.FALLBACK, words)
 
-    def _update(self, context: Context, discrete: DiscreteValues) -> None:
-        state, applied, *_ = (port.Eval(context) for port in self._ports)
-        discrete.set_value(0, np.array(self._judged.Eval(context)))
-        discrete.set_value(1, np.concatenate([state, applied]))
+    def _take(self, message: Any, now: int) -> None:
+        seen = np.array(message.valid, dtype=bool)
+        k = self._spheres.dimensions
+        if message.num_coordinates != k * len(seen):
+            self._trouble = (
+                f"the {len(seen)} obstacles that are perceived have"
+                f" {message.num_coordinates} coordinates; it must be {k} each"
+            )
+            return
+        if seen.sum() > self._spheres.capacity:
+            self._trouble = (
+                f"{seen.sum()} obstacles are perceived, and there is room for"
+                f" {self._spheres.capacity} (hardware.most_obstacles)"
+            )
+            return
+        radii = np.array(message.radius)[seen]
+        if np.any(radii < 0.0):
+            self._trouble = "an obstacle that is perceived has a negative radius"
+            return
+        centers = np.reshape(message.position, (-1, k))[seen]
+        velocities = np.reshape(message.velocity, (-1, k))[seen]
+        slots = self._spheres.pack(centers, velocities, radii)
+        self._packed, self._trouble = np.append(message.time, slots), ""
 
-    def _judge(self, context: Context) -> _Memory:
-        """The memory after this tick."""
-        x, u, stamped, packed = (port.Eval(context) for port in self._ports)
-        stamp = StateStamp(*stamped.tolist())
-        memory = _Memory(*context.get_discrete_state(0).CopyToVector().tolist())
-        last = context.get_discrete_state(1).CopyToVector()
-        x_0, u_0 = last[: len(x)], last[len(x) :]
-        now = stamp.time
-        if stamp.session != memory.session or now < memory.time:
-            return _Memory(stamp.session, now, stands_since=stamp.utime)
-        elapsed = now - memory.time
-        if elapsed == 0.0:
-            return self._with_standing_time(memory, stamp)
-        memory = memory._replace(time=now, stands_since=stamp.utime)
-        if not elapsed <= self._longest:
-            return memory._replace(refuted_estimate=0.0, refuted_motion=0.0, frozen=0.0)
-        estimate = DisturbanceEstimate.unpack(packed)
-        size = float(np.linalg.norm(estimate.disturbance))
-        is_large = size > self._delta1 + float(estimate.error_bound) + 1e-9
-        is_off = self._is_elsewhere(x_0, x, u, elapsed)
-        is_same = bool(np.all(x == x_0))
-        is_moved = is_off or bool(np.any(np.abs(u - u_0) > 1e-3 * self._range))
-        memory = memory._replace(
-            refuted_estimate=memory.refuted_estimate + 1 if is_large else 0.0,
-            refuted_motion=memory.refuted_motion + 1 if is_off else 0.0,
-            frozen=memory.frozen + is_moved if is_same else 0.0,
-        )
-        return _concluded(memory, is_large or is_off)
+    def _take_over(self, context: Context, state: State) -> EventStatus:
+        self._bus.poll()
+        state.get_mutable_discrete_state().set_value(self._packed)
+        return EventStatus.Succeeded()
 
-    def _with_standing_time(self, memory: _Memory, stamp: StateStamp) -> _Memory:
-        """The memory after a tick at the same time of the motion as the one before."""
-        if not stamp.moves:
-            return memory._replace(stands_since=stamp.utime)
-        if stamp.utime - memory.stands_since <= self._longest_stand:
-            return memory
-        return _alarmed(memory, _FROZEN_TIME)
-
-    def _is_elsewhere(self, x_0: Array, x_1: Array, u: Array, elapsed: float) -> bool:
-        """Whether a state is farther from the predicted one than can be."""
-        model = self._model
-        predicted = runge_kutta_step(
-            model, x_0, u, np.zeros(model.num_disturbances), elapsed
-        )
-        _, g = model.drift_and_input_matrix(x_0)
-        pushes = np.column_stack(
-            [model.disturbance_matrix * self._delta1, g * self._range]
-        )
-        rate = model.nominal_rate(x_0, u)
-        # What a push of an interval's length does to the rates, for half of it.
-        turned = sum(
-            np.abs(model.nominal_rate(x_0 + elapsed * push, u) - rate)
-            for push in pushes.T
-        )
-        q = model.num_disturbances
-        allowed = elapsed * (np.abs(pushes[:, :q]).sum(axis=1) + turned / 2)
-        allowed = _SPARE * allowed + _OF_MOTION * np.abs(predicted - x_0)
-        allowed = allowed + self._noise * (1.0 + elapsed) + 1e-9
-        return bool(np.any(np.abs(model.difference(x_1, predicted)) > allowed))
-
-
-def _concluded(memory: _Memory, is_refuted: bool) -> _Memory:
-    """The memory with what its counts say."""
-    counts = memory.refuted_estimate, memory.refuted_motion, memory.frozen
-    limits = _PERSISTENT, _PERSISTENT, _FROZEN
-    if is_refuted:
-        memory = memory._replace(refuted_at=memory.time)
-    # A state that stands still is also off: the more exact word counts.
-    for finding in (2, 0, 1):
-        if counts[finding] >= limits[finding]:
-            return _alarmed(memory, finding)
-    is_quiet = memory.time - memory.refuted_at > _QUIET and memory.alarms < _MOST_ALARMS
-    return memory._replace(finding=-1.0) if is_quiet else memory
-
-
-def _alarmed(memory: _Memory, finding: int) -> _Memory:
-    """The memory with a finding."""
-    return memory._replace(
-        refuted_at=memory.time,
-        alarms=memory.alarms + (memory.finding < 0.0),
-        finding=float(finding),
-    )
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        time, *slots = context.get_discrete_state_vector().CopyToVector()
+        k = self._spheres.dimensions
+        table = np.reshape(slots, (self._spheres.capacity, -1))
+        # To where they are by now; time that went back is a motion that began anew.
+        table[:, :k] += max(0.0, context.get_time() - time) * table[:, k : 2 * k]
+        output.SetFromVector(table.ravel())

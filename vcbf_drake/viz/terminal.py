@@ -133,8 +133,6 @@ def print_hardware_report(side: str, report: Mapping[str, Any]) -> None:
     for label, key in (("tick", "tick_ms"), ("round trip", "round_trip_ms")):
         if key in report:
             table.add_row(label, _percentiles(report[key]))
-    if "prediction" in report:
-        table.add_row("prediction", _prediction(report["prediction"]))
     arrived = report["arrived"]
     table.add_row(
         "messages",
@@ -222,14 +220,6 @@ def rounded_down(value: float) -> str:
 def _percentiles(times: Mapping[str, float | None]) -> str:
     median, p99 = (number_text(times[key]) for key in ("median", "p99"))
     return f"{median} ms median, {p99} ms p99"
-
-
-def _prediction(found: Mapping[str, Mapping[str, float | None]]) -> str:
-    ahead, off, without = (
-        number_text(found[key]["median"])
-        for key in ("ahead_ms", "off_mm", "off_without_mm")
-    )
-    return f"{ahead} ms ahead, {off} mm off; without it {without} mm (medians)"
 
 
 def _sameness(commands: Mapping[str, Any]) -> str:

@@ -1,0 +1,233 @@
+"""LiveAudit: what is measured, compared with the hypotheses of the filter."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    DiscreteValues,
+    LeafSystem,
+    ValueProducer,
+)
+
+from vcbf_drake.checks import Array
+from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
+from vcbf_drake.hil.prediction import runge_kutta_step
+from vcbf_drake.hil.state_receiver import StateStamp
+from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.safety import InputSet
+from vcbf_drake.simulation.scenario import Hardware
+
+# So many ticks in a row must refute a hypothesis; one is an angle that wraps, a reset.
+_PERSISTENT = 3
+# The index of its finding.
+_FROZEN_TIME = 3
+# So many equal states in a row are a frozen one.
+_FROZEN = 5
+# How long nothing is refuted before all is well again [s].
+_QUIET = 1.0
+# An alarm of this number stays.
+_MOST_ALARMS = 3
+# Of the least that theory allows; and of what moves anyway: no model is exact.
+_SPARE, _OF_MOTION = 1.5, 0.05
+_NOISES = 6.0
+
+FINDINGS = (
+    "the estimate exceeds the declared disturbance by more than its error bound",
+    "the state moves otherwise than model, input and disturbance allow",
+    "the state stands still although the input moves it",
+    "the motion's time stands still although the vehicle is under way",
+)
+
+
+class _Memory(NamedTuple):
+    """What an audit remembers; all numbers."""
+
+    session: float = math.nan
+    time: float = math.nan
+    refuted_estimate: float = 0.0
+    refuted_motion: float = 0.0
+    frozen: float = 0.0
+    refuted_at: float = -math.inf
+    alarms: float = 0.0
+    finding: float = -1.0
+    # Since when the motion's time stands, by the vehicle's clock [us].
+    stands_since: float = math.nan
+
+
+class LiveAudit(LeafSystem):
+    """Compares what is measured with the filter's hypotheses at every tick.
+
+    .. pydrake_system::
+
+        name: LiveAudit
+        input_ports:
+        - state
+        - applied_input
+        - stamp
+        - estimate
+        output_ports:
+        - finding
+
+    Refuted are the model, the bounds or the measurement, whichever it may be, by
+
+    * abs(dhat) > delta1 + its error bound: no disturbance that is declared can be so
+      estimated;
+    * a state that is farther from the one predicted (Runge and Kutta's fourth order,
+      the mean input that was applied, no disturbance) than a disturbance of delta1, the
+      inputs' range within the interval and the measurement noise can take it;
+    * a state that stays the same, bit for bit, while its stamps are fresh and the input
+      or the model moves it;
+    * a motion's time that stands still, longer than a state may be old, although the
+      vehicle says that it is under way: without it nothing else can be compared.
+
+    What one tick alone refutes counts as a reset of the state's estimator; three in a
+    row (five equal states) are a finding. It is withdrawn when nothing was refuted for
+    a second; the third finding of a motion stays.
+
+    `finding` is the index of what is refuted in `FINDINGS`, -1 for nothing.
+
+    Args:
+        model: The plant's f, g, E.
+        input_set: What its actuators can do.
+        bounds: What is declared of the disturbance.
+        period: The control period [s].
+        settings: Their `longest_interval`, after which it begins anew, and their
+            `max_state_age`.
+        noise: The standard deviations of the measured state, (n,); none if empty.
+    """
+
+    def __init__(
+        self,
+        model: ControlAffineModel,
+        input_set: InputSet,
+        bounds: DisturbanceBounds,
+        period: float,
+        settings: Hardware,
+        noise: Array | None = None,
+    ) -> None:
+        super().__init__()
+        self._model, self._delta1 = model, bounds.delta1
+        self._longest = settings.longest_interval + 1e-6 * period
+        self._longest_stand = 1e6 * settings.max_state_age
+        self._range = np.asarray(input_set.scale, dtype=float)
+        n, m, q = model.num_states, model.num_inputs, model.num_disturbances
+        noises = np.zeros(n) if noise is None or not len(noise) else np.asarray(noise)
+        self._noise = 2.0 * _NOISES * noises
+        sizes = {
+            "state": n,
+            "applied_input": m,
+            "stamp": len(StateStamp._fields),
+            "estimate": DisturbanceEstimate.packed_size(q),
+        }
+        self._ports = [
+            self.DeclareVectorInputPort(name, size) for name, size in sizes.items()
+        ]
+        self.DeclareDiscreteState(np.array(_Memory()))
+        # The last state and the last input.
+        self.DeclareDiscreteState(np.full(n + m, np.nan))
+        self._judged = self.DeclareCacheEntry(
+            "judged",
+            ValueProducer(
+                lambda: Value[object](),
+                lambda context, judged: judged.set_value(self._judge(context)),
+            ),
+            {self.all_input_ports_ticket(), self.xd_ticket()},
+        )
+        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
+        self.DeclareVectorOutputPort("finding", 1, self._calc_finding)
+
+    def _calc_finding(self, context: Context, output: BasicVector) -> None:
+        output[0] = self._judged.Eval(context).finding
+
+    def _update(self, context: Context, discrete: DiscreteValues) -> None:
+        state, applied, *_ = (port.Eval(context) for port in self._ports)
+        discrete.set_value(0, np.array(self._judged.Eval(context)))
+        discrete.set_value(1, np.concatenate([state, applied]))
+
+    def _judge(self, context: Context) -> _Memory:
+        """The memory after this tick."""
+        x, u, stamped, packed = (port.Eval(context) for port in self._ports)
+        stamp = StateStamp(*stamped.tolist())
+        memory = _Memory(*context.get_discrete_state(0).CopyToVector().tolist())
+        last = context.get_discrete_state(1).CopyToVector()
+        x_0, u_0 = last[: len(x)], last[len(x) :]
+        now = stamp.time
+        if stamp.session != memory.session or now < memory.time:
+            return _Memory(stamp.session, now, stands_since=stamp.utime)
+        elapsed = now - memory.time
+        if elapsed == 0.0:
+            return self._with_standing_time(memory, stamp)
+        memory = memory._replace(time=now, stands_since=stamp.utime)
+        if not elapsed <= self._longest:
+            return memory._replace(refuted_estimate=0.0, refuted_motion=0.0, frozen=0.0)
+        estimate = DisturbanceEstimate.unpack(packed)
+        size = float(np.linalg.norm(estimate.disturbance))
+        is_large = size > self._delta1 + float(estimate.error_bound) + 1e-9
+        is_off = self._is_elsewhere(x_0, x, u, elapsed)
+        is_same = bool(np.all(x == x_0))
+        is_moved = is_off or bool(np.any(np.abs(u - u_0) > 1e-3 * self._range))
+        memory = memory._replace(
+            refuted_estimate=memory.refuted_estimate + 1 if is_large else 0.0,
+            refuted_motion=memory.refuted_motion + 1 if is_off else 0.0,
+            frozen=memory.frozen + is_moved if is_same else 0.0,
+        )
+        return _concluded(memory, is_large or is_off)
+
+    def _with_standing_time(self, memory: _Memory, stamp: StateStamp) -> _Memory:
+        """The memory after a tick at the same time of the motion as the one before."""
+        if not stamp.moves:
+            return memory._replace(stands_since=stamp.utime)
+        if stamp.utime - memory.stands_since <= self._longest_stand:
+            return memory
+        return _alarmed(memory, _FROZEN_TIME)
+
+    def _is_elsewhere(self, x_0: Array, x_1: Array, u: Array, elapsed: float) -> bool:
+        """Whether a state is farther from the predicted one than can be."""
+        model = self._model
+        predicted = runge_kutta_step(
+            model, x_0, u, np.zeros(model.num_disturbances), elapsed
+        )
+        _, g = model.drift_and_input_matrix(x_0)
+        pushes = np.column_stack(
+            [model.disturbance_matrix * self._delta1, g * self._range]
+        )
+        rate = model.nominal_rate(x_0, u)
+        # What a push of an interval's length does to the rates, for half of it.
+        turned = sum(
+            np.abs(model.nominal_rate(x_0 + elapsed * push, u) - rate)
+            for push in pushes.T
+        )
+        q = model.num_disturbances
+        allowed = elapsed * (np.abs(pushes[:, :q]).sum(axis=1) + turned / 2)
+        allowed = _SPARE * allowed + _OF_MOTION * np.abs(predicted - x_0)
+        allowed = allowed + self._noise * (1.0 + elapsed) + 1e-9
+        return bool(np.any(np.abs(model.difference(x_1, predicted)) > allowed))
+
+
+def _concluded(memory: _Memory, is_refuted: bool) -> _Memory:
+    """The memory with what its counts say."""
+    counts = memory.refuted_estimate, memory.refuted_motion, memory.frozen
+    limits = _PERSISTENT, _PERSISTENT, _FROZEN
+    if is_refuted:
+        memory = memory._replace(refuted_at=memory.time)
+    # A state that stands still is also off: the more exact word counts.
+    for finding in (2, 0, 1):
+        if counts[finding] >= limits[finding]:
+            return _alarmed(memory, finding)
+    is_quiet = memory.time - memory.refuted_at > _QUIET and memory.alarms < _MOST_ALARMS
+    return memory._replace(finding=-1.0) if is_quiet else memory
+
+
+def _alarmed(memory: _Memory, finding: int) -> _Memory:
+    """The memory with a finding."""
+    return memory._replace(
+        refuted_at=memory.time,
+        alarms=memory.alarms + (memory.finding < 0.0),
+        finding=float(finding),
+    )
