@@ -216,6 +216,20 @@ def test_a_terminated_command_ends_with_the_signals_status(tmp_path: Path) -> No
     assert list(tmp_path.iterdir()) == [records]
 
 
+def test_ctrl_c_ends_a_live_run_in_one_line(tmp_path: Path) -> None:
+    arguments = ["run", "car-avoidance", "--live", "--out", str(tmp_path / "out")]
+    command = [sys.executable, "-m", "vcbf_drake", *arguments]
+    running = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert running.stderr is not None
+    assert running.stderr.readline().startswith("open http://127.0.0.1:")
+    running.send_signal(signal.SIGINT)
+    assert running.communicate(timeout=60) == ("", "vcbf-drake: interrupted\n")
+    assert running.returncode == 128 + signal.SIGINT
+    assert not (tmp_path / "out").exists()
+
+
 def test_version(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.metadata.version", lambda name: f"{name} 1.2.3")
     shown = invoke("--version")

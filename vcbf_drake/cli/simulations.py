@@ -66,6 +66,17 @@ def run(
     figures: Annotated[
         bool, typer.Option("--figures/--no-figures", help="Write the figures.")
     ] = True,
+    live: Annotated[
+        bool,
+        typer.Option("--live", help="In real time, in a browser of this computer."),
+    ] = False,
+    by_hand: Annotated[
+        bool,
+        typer.Option(
+            "--by-hand",
+            help="Live, with sliders or a gamepad in the controller's place.",
+        ),
+    ] = False,
     log_to: Annotated[
         Path | None,
         typer.Option(
@@ -79,8 +90,11 @@ def run(
     """Simulate one scenario: results, figures, a replay and a summary."""
     chosen = load(scenario, override, method, scenario_name)
     directory = out or Path("out") / f"{chosen.name}-{chosen.method}"
+    if live or by_hand:
+        result = _simulate_live(chosen, by_hand, log_to)
     with progress() as begin:
-        (result,) = _simulate([chosen], begin, log_to)
+        if not (live or by_hand):
+            (result,) = _simulate([chosen], begin, log_to)
         with whole_directory(directory) as staging:
             result.save(staging)
         write_pictures([result], directory, begin, replay=replay, figures=figures)
@@ -167,6 +181,25 @@ def _simulate(
         simulate(each, begin(each.method), log_directory=log_directory)
         for each in scenarios
     ]
+
+
+def _simulate_live(
+    scenario: Scenario, by_hand: bool, log_directory: Path | None
+) -> Result:
+    from vcbf_drake.simulation.run import simulate
+    from vcbf_drake.viz.live import LiveView, Stick
+
+    def tell(address: str) -> None:
+        typer.echo(f"open {address} in a browser; the run begins there", err=True)
+
+    view = LiveView(scenario, tell)
+    try:
+        controller = Stick(view.meshcat, scenario) if by_hand else None
+        return simulate(
+            scenario, log_directory=log_directory, watch=view, controller=controller
+        )
+    finally:
+        view.close()
 
 
 def write_pictures(

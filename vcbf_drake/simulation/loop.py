@@ -11,6 +11,7 @@ from pydrake.systems.framework import (
     InputPort,
     LeafSystem,
     OutputPort,
+    System,
     TriggerType,
 )
 from pydrake.systems.primitives import LogVectorOutput
@@ -52,7 +53,7 @@ AUDIT = "audit"
 
 
 @typed
-def make_loop(scenario: Scenario) -> Diagram:
+def make_loop(scenario: Scenario, controller: System | None = None) -> Diagram:
     """Returns the whole closed loop of a scenario as a Drake diagram.
 
     The systems are named plant, disturbance, controller, filter, filter_hold and
@@ -65,17 +66,19 @@ def make_loop(scenario: Scenario) -> Diagram:
 
     Args:
         scenario: A validated scenario.
+        controller: In the place of the vehicle's own, with its ports.
     """
     builder = DiagramBuilder()
     simulated = add_simulated_plant(builder, scenario)
     plant, source = simulated.plant, simulated.source
     # The filter knows the scenario's plant, whatever is wrong with the true one.
     model = ControlAffineModel.from_system(scenario.vehicle.make_plant())
-    controller, loop = add_controller_and_filter(
+    added, loop = add_controller_and_filter(
         builder,
         scenario,
         model,
         source.bounds,
+        controller=controller,
         state=simulated.state,
         observer=make_observer(
             scenario,
@@ -91,7 +94,7 @@ def make_loop(scenario: Scenario) -> Diagram:
         truth = BarrierSet(model, barriers(scenario))
     add_collision_monitor(builder, plant, truth)
     _add_audit(builder, simulated, truth, loop)
-    _add_logs(builder, scenario, simulated, controller, loop)
+    _add_logs(builder, scenario, simulated, added, loop)
     lose_answers(builder, scenario, loop)
     diagram = builder.Build()
     diagram.set_name(scenario.name)
@@ -139,6 +142,7 @@ def add_controller_and_filter(
     model: ControlAffineModel,
     bounds: DisturbanceBounds,
     *,
+    controller: System | None = None,
     state: OutputPort,
     observer: DisturbanceObserver,
     plant_input: InputPort | None = None,
@@ -152,15 +156,16 @@ def add_controller_and_filter(
         scenario: A validated scenario.
         model: The plant's.
         bounds: Of the disturbance.
+        controller: In the place of the vehicle's own, with its ports.
         state: The measured state.
         observer: Estimates the disturbance; see `AddSafetyFilter`.
         plant_input: Takes the held input; None leaves that to be connected.
         applied_input: What the plant really applied; the held input by default.
         obstacles: What is seen of the obstacles; they are known without.
     """
-    controller = builder.AddNamedSystem(
-        "controller", scenario.vehicle.make_controller(scenario.target)
-    )
+    if controller is None:
+        controller = scenario.vehicle.make_controller(scenario.target)
+    controller = builder.AddNamedSystem("controller", controller)
     builder.Connect(state, controller.GetInputPort("state"))
     loop = AddSafetyFilter(
         builder,

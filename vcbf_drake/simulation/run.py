@@ -14,7 +14,7 @@ from pydrake.systems.analysis import (
     SimulatorConfig,
     SimulatorStatus,
 )
-from pydrake.systems.framework import Context, Diagram, EventStatus
+from pydrake.systems.framework import Context, Diagram, EventStatus, System
 
 from vcbf_drake.between_ticks.certified_heights import (
     certified_least_barrier,
@@ -47,6 +47,7 @@ from vcbf_drake.simulation.summary import Ending, summarise
 from vcbf_drake.typed import typed
 
 Progress = Callable[[float], None]
+Watch = Callable[[Diagram, Context], None]
 
 # Ticks whose CPU time is measured.
 _SAMPLES = 400
@@ -55,6 +56,7 @@ _WITNESS_ACCURACY = 1e-4
 # How often what was logged is finished, audited and put away: after this time [s], and
 # this many ticks, at the latest. Memory does not grow with a run but for its log.
 _LONGEST_PIECE, _MOST_TICKS = 10.0, 250
+_FRAMES = 25.0  # How often who watches is called, at least [Hz].
 
 
 @typed
@@ -63,6 +65,8 @@ def simulate(
     progress: Progress | None = None,
     step_time: bool = True,
     log_directory: str | Path | None = None,
+    watch: Watch | None = None,
+    controller: System | None = None,
 ) -> Result:
     """Runs the scenario's loop from its initial state to its end.
 
@@ -73,15 +77,18 @@ def simulate(
         log_directory: Where the log grows while the run goes, one .npy file an array,
             readable at any time by `read_log_files`; the result's arrays are mapped
             from there, and memory stays flat. In memory if None.
+        watch: Called with the loop and its context at the start, some 25 times a second
+            of the motion, and at the end; it may take its time.
+        controller: In the place of the vehicle's own, with its ports.
     """
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(scenario)
-    diagram = make_loop(scenario)
+    diagram = make_loop(scenario, controller)
     simulator = make_simulator(diagram, scenario)
     found = loop_assumptions(scenario, diagram, simulator.get_context())
     record = RunLog(diagram, log_directory)
     started = time.process_time()
-    ending = _advance(simulator, scenario, record, progress)
+    ending = _advance(simulator, scenario, record, progress, watch)
     log, path = record.ticks.arrays(), record.path.arrays()
     cpu_time = time.process_time() - started
     safety_filter: SafetyFilter = diagram.GetSubsystemByName("filter")
@@ -195,19 +202,28 @@ def loop_assumptions(
 
 
 def _advance(
-    simulator: Simulator, scenario: Scenario, record: RunLog, progress: Progress | None
+    simulator: Simulator,
+    scenario: Scenario,
+    record: RunLog,
+    progress: Progress | None,
+    watch: Watch | None,
 ) -> Ending:
     if scenario.ends_at_target:
         simulator.set_monitor(lambda root: _ends_at_target(scenario, simulator, root))
     status = simulator.Initialize()
-    for stop in _stops(scenario, progress is not None):
+    least = _FRAMES * scenario.duration if watch else 100 if progress else 1
+    for stop in _stops(scenario, math.ceil(least)):
         if _ending(status).monitor:
             break
+        if watch is not None:
+            watch(simulator.get_system(), simulator.get_mutable_context())
         status = simulator.AdvanceTo(stop)
         record.take(simulator.get_mutable_context())
         if progress is not None:
             progress(stop / scenario.duration)
     record.take(simulator.get_mutable_context())  # Where it ended before it began.
+    if watch is not None:
+        watch(simulator.get_system(), simulator.get_mutable_context())
     return _ending(status)
 
 
@@ -222,11 +238,16 @@ def _ends_at_target(
     return EventStatus.ReachedTermination(plant, "arrived")
 
 
-def _stops(scenario: Scenario, reports: bool) -> list[float]:
-    """Where to stop on the way, at control ticks so that no step is cut; the end."""
+def _stops(scenario: Scenario, least: int) -> list[float]:
+    """Where to stop on the way, at control ticks so that no step is cut; the end.
+
+    Args:
+        scenario: The scenario.
+        least: How many pieces to make at least.
+    """
     duration, period = scenario.duration, scenario.period
     longest = min(_LONGEST_PIECE, _MOST_TICKS * period)
-    pieces = max(math.ceil(duration / longest), 100 if reports else 1)
+    pieces = max(math.ceil(duration / longest), least)
     ticks = {int(k * duration / (pieces * period)) for k in range(1, pieces)}
     return [*(tick * period for tick in sorted(ticks - {0})), duration]
 

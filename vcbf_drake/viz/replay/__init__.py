@@ -45,7 +45,7 @@ def write_replay(results: Sequence[Result], path: Path) -> Path:
 def _meshcat_page(stage: Stage) -> str:
     """Meshcat's own page with the scene and its recording."""
     meshcat = private_meshcat()
-    _draw(meshcat, stage)
+    draw_scene(meshcat, stage)
     rate = stage.frames_per_second
     meshcat.StartRecording(rate, set_visualizations_while_recording=False)
     _record(meshcat, stage)
@@ -54,7 +54,8 @@ def _meshcat_page(stage: Stage) -> str:
     return str(meshcat.StaticHtml())
 
 
-def _draw(meshcat: Meshcat, stage: Stage) -> None:
+def draw_scene(meshcat: Meshcat, stage: Stage) -> None:
+    """Draws everything where it is at the start."""
     from vcbf_drake.viz.replay import scene
 
     scene.add_light(meshcat, stage.outline)
@@ -76,7 +77,7 @@ def _draw_run(meshcat: Meshcat, stage: Stage, index: int) -> None:
     ghost = run is not stage.runs[-1]
     small = np.diag([*[1.0 / stage.fraction] * 3, 1.0])
     for part in run.vehicle.geometry(run.color):
-        body = f"{_body_path(index, part.body, motion)}/body"
+        body = f"{body_path(index, part.body, motion)}/body"
         add_part(meshcat, f"{body}/{part.name}", part)
         meshcat.SetTransform(body, small)
     thickness = 0.0022 * stage.span
@@ -89,7 +90,7 @@ def _draw_run(meshcat: Meshcat, stage: Stage, index: int) -> None:
         add_shape(meshcat, f"failure/{index}/halo", Sphere(radius), place, ALARM, 0.16)
 
 
-def _body_path(index: int, body: str, motion: Motion) -> str:
+def body_path(index: int, body: str, motion: Motion) -> str:
     """Where a body of a run's vehicle is in Meshcat's tree."""
     is_one = len(motion.poses[0]) == 1
     return f"vehicle/{index}" if is_one else f"vehicle/{index}/{body or 'point'}"
@@ -109,7 +110,7 @@ def _record(meshcat: Meshcat, stage: Stage) -> None:
     for index, (run, motion) in enumerate(zip(stage.runs, stage.motions, strict=True)):
         for time, poses in zip(motion.time, motion.poses, strict=True):
             for body, pose in poses.items():
-                meshcat.SetTransform(_body_path(index, body, motion), pose, time)
+                meshcat.SetTransform(body_path(index, body, motion), pose, time)
         if run.failure:
             path = f"failure/{index}"
             meshcat.SetProperty(path, "visible", False, 0.0)

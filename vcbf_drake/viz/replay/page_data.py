@@ -102,8 +102,8 @@ def stage_words(stage: Stage) -> Words:
     return Words(title, " ".join(rest.split()), _remark(stage))
 
 
-def stage_data(stage: Stage) -> dict[str, Any]:
-    """The page's data of a stage."""
+def stage_data(stage: Stage, live: bool = False) -> dict[str, Any]:
+    """The page's data of a stage; of a run that goes on, what it has at the start."""
     shown = [
         Shown(
             run.label,
@@ -121,7 +121,8 @@ def stage_data(stage: Stage) -> dict[str, Any]:
     return {
         "duration": stage.duration,
         "frames_per_second": stage.frames_per_second,
-        **series_data(shown, stage.run.channels.input_labels, unit),
+        "live": live,
+        **series_data(shown, stage.run.channels.input_labels, unit, live),
         "camera": _camera(stage),
         "sizes": {
             "vehicle": stage.rise,
@@ -133,7 +134,7 @@ def stage_data(stage: Stage) -> dict[str, Any]:
 
 
 def series_data(
-    shown: Sequence[Shown], inputs: Sequence[str], unit: str
+    shown: Sequence[Shown], inputs: Sequence[str], unit: str, live: bool = False
 ) -> dict[str, Any]:
     """The page's runs, plots and feasible sets; ``None`` where a number is missing.
 
@@ -141,17 +142,18 @@ def series_data(
         shown: The runs, the one to bring out last.
         inputs: The inputs' names with units.
         unit: The barriers' unit; empty where they have several.
+        live: Whether more is to come: nobody knows of the slack yet.
     """
     has_filter = bool(shown[-1].log)
     return {
-        "runs": [_run_data(run) for run in shown],
-        "plots": _plots(shown, inputs, unit) if has_filter else [],
+        "runs": [run_data(run) for run in shown],
+        "plots": _plots(shown, inputs, unit, live) if has_filter else [],
         "choice": _choice_axes(shown[-1], inputs) if has_filter else None,
     }
 
 
 def _plots(
-    shown: Sequence[Shown], inputs: Sequence[str], unit: str
+    shown: Sequence[Shown], inputs: Sequence[str], unit: str, live: bool
 ) -> list[dict[str, Any]]:
     """The plots: barrier, volume, and the slack, or the inputs where it is nothing."""
     barrier = f"Barrier min h [{unit}]" if unit else "Barrier min h"
@@ -175,7 +177,7 @@ def _plots(
             zip(inputs, limits.lower, limits.upper, strict=True)
         )
     ]
-    note = "and limits; the slack is 0 throughout"
+    note = "and limits" if live else "and limits; the slack is 0 throughout"
     return [*plots, {"title": "Inputs", "note": note, "below": False, "lanes": lanes}]
 
 
@@ -185,7 +187,8 @@ def _plot(title: str, note: str, key: str, below: bool = True) -> dict[str, Any]
     return {"title": title, "note": note, "below": below, "lanes": lanes}
 
 
-def _run_data(run: Shown) -> dict[str, Any]:
+def run_data(run: Shown) -> dict[str, Any]:
+    """A run as the page has it."""
     kept, log = _kept(len(run.time), MAX_SAMPLES), run.log
     data: dict[str, Any] = {
         "label": run.label,

@@ -18,7 +18,7 @@ PHONES = '<meta name="viewport" content="width=device-width, initial-scale=1">'
 
 
 def write_page(page: str, words: Words, data: Mapping[str, Any], path: Path) -> Path:
-    """Writes Meshcat's page with the card, the plots and the player over it.
+    """Writes the page of a replay.
 
     Args:
         page: Meshcat's page with its recording.
@@ -29,13 +29,17 @@ def write_page(page: str, words: Words, data: Mapping[str, Any], path: Path) -> 
     Returns:
         The path.
     """
-    title = f"{PHONES}<title>{html.escape(words.title)} - vcbf_drake</title>"
-    head, tail = page.replace(MESHCAT_TITLE, title).rsplit("</body>", 1)
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    content = f"{head}{overlay_html(words, data)}</body>{tail}"
-    path.write_bytes(content.encode("utf-8"))
+    path.write_bytes(whole_page(page, words, data).encode("utf-8"))
     return path
+
+
+def whole_page(page: str, words: Words, data: Mapping[str, Any]) -> str:
+    """Returns Meshcat's page with the card, the plots and the player over it."""
+    title = f"{PHONES}<title>{html.escape(words.title)} - vcbf_drake</title>"
+    head, tail = page.replace(MESHCAT_TITLE, title).rsplit("</body>", 1)
+    return f"{head}{overlay_html(words, data)}</body>{tail}"
 
 
 def private_meshcat() -> Meshcat:

@@ -34,7 +34,7 @@ from vcbf_drake.viz.stage import MAX_FRAMES, cell_size
 
 _LOOK_FROM = np.deg2rad(-112.0), np.deg2rad(28.0)  # Azimuth and elevation of the eye.
 _GREY = Rgba(0.9, 0.9, 0.9, 1.0)
-_LOGGED = ("slack", "volume", "status", "barriers")
+_SCALARS = ("slack", "volume", "status")
 
 
 @dataclass
@@ -142,7 +142,8 @@ def _record(
             pose = query.GetPoseInWorld(frame)  # Drake's own, which goes on changing.
             recording.poses[frame].append(RigidTransform(pose))
         if safety_filter is not None:
-            _log(recording.log, safety_filter, context)
+            for name, value in filter_values(safety_filter, context).items():
+                recording.log[name].append(value)
         reached = SimulatorStatus.ReturnReason.kReachedBoundaryTime
         if status.reason() != reached:
             words = f"ended at {recording.time[-1]:.2f} s"
@@ -151,25 +152,33 @@ def _record(
     return recording
 
 
-def _log(log: dict[str, list[Any]], safety_filter: SafetyFilter, root: Context) -> None:
-    """Adds the values of a filter's ports."""
+def filter_values(safety_filter: SafetyFilter, root: Context) -> dict[str, Any]:
+    """The values of a filter's ports, one row of each array of a `Result`'s log.
+
+    Args:
+        safety_filter: The filter.
+        root: The context of the whole diagram.
+    """
     context = safety_filter.GetMyContextFromRoot(root)
-    for name in _LOGGED:
-        values = safety_filter.GetOutputPort(name).Eval(context)
-        log[name].append(values if name == "barriers" else values[0])
-    log["reference"].append(safety_filter.GetInputPort("reference").Eval(context))
-    log["input"].append(safety_filter.GetOutputPort("command").Eval(context))
-    packed = safety_filter.GetOutputPort("feasible_set").Eval(context)
+    ports = {
+        name: safety_filter.GetOutputPort(name).Eval(context)
+        for name in (*_SCALARS, "barriers", "feasible_set", "command")
+    }
     found = unpack_feasible_set(
-        packed[None], safety_filter.num_rows, safety_filter.model.num_inputs
+        ports["feasible_set"][None],
+        safety_filter.num_rows,
+        safety_filter.model.num_inputs,
     )
-    for name, values in (
-        ("polytope_A", found.A),
-        ("polytope_b", found.b),
-        ("ellipsoid_shape", found.shape),
-        ("ellipsoid_center", found.center),
-    ):
-        log[name].append(values[0])
+    return {
+        **{name: ports[name][0] for name in _SCALARS},
+        "barriers": ports["barriers"],
+        "reference": safety_filter.GetInputPort("reference").Eval(context),
+        "input": ports["command"],
+        "polytope_A": found.A[0],
+        "polytope_b": found.b[0],
+        "ellipsoid_shape": found.shape[0],
+        "ellipsoid_center": found.center[0],
+    }
 
 
 def _write(

@@ -61,14 +61,42 @@ function show() {
 }
 
 function seek(to) {
+  if (data.live) return; // There is nothing but the present.
   time = Math.min(Math.max(to, 0), data.duration);
   show();
 }
 
 function setPlaying(on) {
-  if (on && time >= data.duration) time = 0;
+  if (data.live) fetch(on ? "go" : "pause", { method: "POST" });
+  else if (on && time >= data.duration) time = 0;
   playing = on;
   byId("play").innerHTML = on ? icons.pause : icons.play;
+}
+
+/** Listens to a run that goes on, until it is over. */
+function listen() {
+  const stream = new EventSource("stream");
+  stream.onmessage = (message) => {
+    const run = data.runs.at(-1);
+    append(run, JSON.parse(message.data));
+    time = run.time.at(-1);
+    data.frames_per_second = (run.path.length - 1) / Math.max(time, 1e-6);
+    plots.forEach((plot) => plot.draw());
+    show();
+  };
+  stream.addEventListener("over", () => {
+    stream.close();
+    do_reconnect = false; // Meshcat's, which would wait for a server that is gone.
+    document.documentElement.classList.add("over");
+  });
+}
+
+/** Appends lists to lists of the same name, at any depth. */
+function append(known, news) {
+  for (const [name, value] of Object.entries(news)) {
+    if (Array.isArray(value)) known[name].push(...value);
+    else if (value instanceof Object) append(known[name], value);
+  }
 }
 
 /** Folds the card or opens it, and remembers which where the browser allows it. */
@@ -116,7 +144,7 @@ function onFrame(now) {
   // A page that was out of sight goes on from where it was.
   const elapsed = lastFrame === null ? 0 : Math.min((now - lastFrame) / 1000, 0.5);
   lastFrame = now;
-  if (playing) {
+  if (playing && !data.live) {
     time = Math.min(time + Number(byId("speed").value) * elapsed, data.duration);
     if (time >= data.duration) setPlaying(false);
     viewer.set_dirty();
@@ -170,5 +198,9 @@ new ResizeObserver(layOut).observe(pane);
 window.addEventListener("hashchange", seekToAddress);
 layOut();
 const calm = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
-if (!seekToAddress()) setPlaying(!calm);
+document.documentElement.classList.toggle("live", data.live);
+document.documentElement.classList.toggle("driven", data.sliders);
+if (data.live) listen();
+if (data.sliders) viewer.gui.open();
+if (!seekToAddress()) setPlaying(data.live || !calm);
 requestAnimationFrame(onFrame);

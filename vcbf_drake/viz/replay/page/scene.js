@@ -24,6 +24,7 @@ class ReplayScene {
     this.pane = pane;
     this.follows = false;
     this.fitted = true;
+    this.trail = new THREE.Mesh(); // Of a run that goes on.
     this.pixel = { value: 0 }; // The size of a pixel at a distance of 1 m [m].
     // The colours on the screen are those of the legend.
     viewer.renderer.toneMapping = THREE.NoToneMapping;
@@ -47,10 +48,14 @@ class ReplayScene {
     const frame = time * this.data.frames_per_second;
     this.finishMaterials();
     this.outlineGhosts();
-    viewer.animator.pause();
-    viewer.animator.seek(time);
-    viewer.animator.display_progress(time);
-    this.growTrails(frame);
+    if (this.data.live) {
+      this.drawTrail();
+    } else {
+      viewer.animator.pause();
+      viewer.animator.seek(time);
+      viewer.animator.display_progress(time);
+      this.growTrails(frame);
+    }
     if (this.follows) this.followTo(frame);
     viewer.set_dirty();
   }
@@ -129,6 +134,24 @@ class ReplayScene {
         mesh.geometry.setDrawRange(0, Math.floor(share * mesh.geometry.index.count));
       });
     });
+  }
+
+  /** Draws the way of a run that goes on, through places that are apart. */
+  drawTrail() {
+    const run = this.data.runs.at(-1);
+    const radius = 0.0022 * this.data.camera.span;
+    const places = [];
+    for (const place of run.path.map((values) => new THREE.Vector3(...values))) {
+      if (!places.length || place.distanceTo(places.at(-1)) > radius) places.push(place);
+    }
+    if (places.length < 2 || this.drawn === places.length) return;
+    this.drawn = places.length;
+    viewer.scene.remove(this.trail); // Its axes are Drake's.
+    this.trail.geometry.dispose();
+    const way = new THREE.CatmullRomCurve3(places);
+    const geometry = new THREE.TubeGeometry(way, 2 * places.length, radius, 6);
+    this.trail = new THREE.Mesh(geometry, new THREE.MeshPhongMaterial({ color: run.color }));
+    viewer.scene.add(this.trail);
   }
 
   /** Marks the runs that have less than the least volume at present. */

@@ -1,0 +1,285 @@
+"""A run in real time in a browser: Meshcat's scene, the plots beside it, a pause."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+import json
+from threading import Condition, Thread
+import time
+from typing import Any
+from urllib.error import HTTPError
+from urllib.request import urlopen
+
+import numpy as np
+from pydrake.geometry import Meshcat
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import BasicVector, Context, Diagram, LeafSystem
+
+from vcbf_drake.checks import require
+from vcbf_drake.plants.channels import channels_of
+from vcbf_drake.safety import FilterStatus, SafetyFilter
+from vcbf_drake.simulation.result import Result
+from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.viz.replay import body_path, draw_scene
+from vcbf_drake.viz.replay.page_data import Shown, run_data, stage_data, stage_words
+from vcbf_drake.viz.replay.pages import private_meshcat, whole_page
+from vcbf_drake.viz.replay.recording import filter_values
+from vcbf_drake.viz.runs import Event
+from vcbf_drake.viz.stage import Stage, set_stage
+
+_PLOTTED = 0.1  # Time between two points of the plots, at least [s].
+_NOTHING_YET = {
+    "outcome": "",
+    "infeasible_at": None,
+    "collided_at": None,
+    "reached_at": None,
+}
+_KEYS = ("ArrowLeft", "ArrowRight"), ("ArrowDown", "ArrowUp")
+
+
+class LiveView:
+    """Shows a run while it goes on; `simulate` calls it as its `watch`.
+
+    It holds the run up: before the first browser has opened the page, while that is
+    paused, and to real time.
+    """
+
+    def __init__(self, scenario: Scenario, tell: Callable[[str], None]) -> None:
+        """Starts the page's server, which this computer alone can see.
+
+        Args:
+            scenario: What will run.
+            tell: Called with the page's address, once.
+        """
+        self.meshcat = private_meshcat()
+        self._scenario, self._tell = scenario, tell
+        self._stage: Stage | None = None
+        self._events: dict[str, Event] = {}
+        self._next_point = 0.0
+        self._lead = 0.0  # The wall clock less the time of the motion [s].
+        self._stream = _Stream()
+
+    def __call__(self, diagram: Diagram, context: Context) -> None:
+        """Shows the present; returns when it is time to go on."""
+        plant = diagram.GetSubsystemByName("plant")
+        x = plant.GetOutputPort("state").Eval(plant.GetMyContextFromRoot(context))
+        safety_filter = diagram.GetSubsystemByName("filter")
+        now = context.get_time()
+        if self._stage is None:
+            values = filter_values(safety_filter, context)
+            log = {name: np.array([each]) for name, each in values.items()}
+            log |= {"time": np.array([now]), "state": np.array([x])}
+            self._stage = set_stage([Result(self._scenario, _NOTHING_YET, log)])
+            self._open(self._stage)
+        for body, pose in self._scenario.vehicle.poses(x).items():
+            path = body_path(0, body, self._stage.motions[0])
+            self.meshcat.SetTransform(path, pose)
+        for index, solid in enumerate(self._stage.solids):
+            if solid.moves:
+                offset = RigidTransform(solid.offset_at(now))
+                self.meshcat.SetTransform(f"obstacles/{index}", offset)
+        if now >= self._next_point:
+            self._next_point = now + _PLOTTED
+            self._stream.send(self._point(self._stage, x, safety_filter, context))
+        waited = self._stream.wait_while_paused()
+        self._lead += waited
+        time.sleep(max(0.0, self._lead + now - time.monotonic()))
+
+    def close(self) -> None:
+        """Ends the page's server; what the browsers show stays as it is."""
+        self._stream.close()
+
+    def _open(self, stage: Stage) -> None:
+        draw_scene(self.meshcat, stage)
+        data = stage_data(stage, live=True) | {
+            "duration": self._scenario.duration,
+            "sliders": bool(self.meshcat.GetSliderNames()),
+        }
+        address = self.meshcat.web_url()
+        with urlopen(address) as answer:
+            page = answer.read().decode()
+        page = page.replace("url = location.toString()", f'url = "{address}/"')
+        page = whole_page(page, stage_words(stage), data)
+        self._tell(self._stream.serve(page.encode(), address))
+        self._stream.wait_for_a_browser()
+        self._lead = time.monotonic()
+
+    def _point(
+        self, stage: Stage, x: Any, safety_filter: SafetyFilter, context: Context
+    ) -> dict[str, Any]:
+        """What the page does not know yet."""
+        now, run = context.get_time(), stage.run
+        values = filter_values(safety_filter, context)
+        place = stage.run.vehicle.positions(np.atleast_2d(x))
+        away = float(np.linalg.norm(place[0] - self._scenario.target))
+        found = []
+        for kind, holds, words in (
+            ("infeasible", values["status"] >= FilterStatus.INFEASIBLE, "since"),
+            ("collision", np.nanmin(values["barriers"], initial=0.0) < 0.0, "at"),
+            ("reached", away <= self._scenario.arrival_tolerance, "at"),
+        ):
+            if holds and kind not in self._events:
+                event = Event(now, kind, f"{kind} {words} {now:.1f} s")
+                self._events[kind] = event
+                found.append(event)
+        path = np.zeros((1, 3))
+        path[0, : place.shape[1]] = place[0]
+        log = {name: np.array([each]) for name, each in values.items()}
+        limits = self._scenario.input_set
+        shown = Shown(
+            run.label, run.color, run.dashes, found, path, np.array([now]), log, limits
+        )
+        return run_data(shown)
+
+
+class Stick(LeafSystem):
+    """Sliders of a Meshcat page, or a gamepad, in the place of a controller.
+
+    Ports:
+        state (n): not looked at.
+        reference (m), output: the input that the person wants.
+    """
+
+    def __init__(self, meshcat: Meshcat, scenario: Scenario) -> None:
+        """Adds a slider for every input, from its least to its greatest value.
+
+        Args:
+            meshcat: Whose page has them.
+            scenario: What will run.
+
+        Raises:
+            InvalidValueError: An input has no limit.
+        """
+        super().__init__()
+        channels = channels_of(scenario.vehicle.make_plant())
+        limits = scenario.input_set
+        self._meshcat, self._names = meshcat, channels.input_labels
+        self._low, self._high = np.array(limits.lower), np.array(limits.upper)
+        is_finite = bool(np.isfinite([self._low, self._high]).all())
+        rule = "finite, for a slider has two ends"
+        require(is_finite, "input_set", [limits.lower, limits.upper], rule)
+        for k, name in enumerate(self._names):
+            low, high = float(self._low[k]), float(self._high[k])
+            keys = _KEYS[k] if k < len(_KEYS) else ("", "")
+            at_rest = min(max(0.0, low), high)
+            meshcat.AddSlider(name, low, high, (high - low) / 20.0, at_rest, *keys)
+        self.DeclareVectorInputPort("state", len(scenario.initial_state))
+        self.DeclareVectorOutputPort(
+            "reference", len(self._names), self._calc_reference, {self.time_ticket()}
+        )
+
+    def _calc_reference(self, context: Context, output: BasicVector) -> None:
+        wish = np.array([self._meshcat.GetSliderValue(name) for name in self._names])
+        gamepad = self._meshcat.GetGamepad()
+        if gamepad.index is not None:
+            axes = np.resize(np.array(gamepad.axes), len(wish))
+            axes[1::2] *= -1.0  # A stick's way up is negative.
+            wish = self._low + 0.5 * (1.0 + axes) * (self._high - self._low)
+        output.SetFromVector(wish)
+
+
+class _Stream:
+    """A page, and what has to be added to it as the run goes on."""
+
+    def __init__(self) -> None:
+        self._sent: list[bytes] = []
+        self._changed = Condition()
+        self._browsers, self._paused, self._over = 0, False, False
+        self._server: ThreadingHTTPServer | None = None
+
+    def serve(self, page: bytes, meshcat: str) -> str:
+        """Serves the page on a free port of this computer; returns its address.
+
+        Args:
+            page: The page.
+            meshcat: The address of what it was made from, which has the rest of it.
+        """
+        stream = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                is_stream, content = self.path == "/stream", page
+                kind = "text/event-stream" if is_stream else "text/html"
+                if self.path not in ("/", "/stream"):
+                    try:
+                        with urlopen(meshcat + self.path) as answer:
+                            kind, content = (
+                                answer.headers.get_content_type(),
+                                answer.read(),
+                            )
+                    except HTTPError as error:
+                        return self.send_error(error.code)
+                self.send_response(200)
+                self.send_header("Content-Type", f"{kind}; charset=utf-8")
+                self.end_headers()
+                if is_stream:
+                    stream.write_to(self.wfile.write)
+                else:
+                    self.wfile.write(content)
+
+            def do_POST(self) -> None:
+                stream.pause(self.path == "/pause")
+                self.send_response(204)
+                self.end_headers()
+
+            def log_message(self, *args: Any) -> None:
+                """Nobody reads the requests."""
+
+        self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self._server.daemon_threads = True
+        Thread(target=self._server.serve_forever, daemon=True).start()
+        return f"http://127.0.0.1:{self._server.server_port}/"
+
+    def send(self, news: Mapping[str, Any]) -> None:
+        """Adds to every page that is open, or will be."""
+        with self._changed:
+            self._sent.append(json.dumps(news, allow_nan=False).encode())
+            self._changed.notify_all()
+
+    def write_to(self, write: Callable[[bytes], Any]) -> None:
+        """Writes everything, and what comes, until the run is over."""
+        with self._changed:
+            self._browsers += 1
+            self._changed.notify_all()
+        count, over = 0, False
+        while not over:
+            with self._changed:
+                while len(self._sent) == count and not self._over:
+                    self._changed.wait()
+                news, over = self._sent[count:], self._over
+            count += len(news)
+            try:
+                for each in news:
+                    write(b"data: " + each + b"\n\n")
+                if over:
+                    write(b"event: over\ndata:\n\n")
+            except OSError:
+                return  # The browser has left.
+
+    def pause(self, paused: bool) -> None:
+        """Holds the run up, or lets it go on."""
+        with self._changed:
+            self._paused = paused
+            self._changed.notify_all()
+
+    def wait_for_a_browser(self) -> None:
+        """Returns when the first one has opened the page."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._browsers > 0)
+
+    def wait_while_paused(self) -> float:
+        """Returns when the run may go on, and how long that took [s]."""
+        started = time.monotonic()
+        with self._changed:
+            self._changed.wait_for(lambda: not self._paused)
+        return time.monotonic() - started
+
+    def close(self) -> None:
+        """Tells the browsers that the run is over, and closes."""
+        with self._changed:
+            self._over = True
+            self._changed.notify_all()
+        if self._server is not None:
+            self._server.shutdown()
+            self._server.server_close()
