@@ -50,6 +50,10 @@ def add_filter(**changes):
     v.AddSafetyFilter(changes.pop("builder", builder), **(given | changes))
 
 
+def arm():
+    return MultibodyVehicle(ARM, "hand", weld="base").make_plant()
+
+
 # What is made, and arguments that are right.
 MADE = [
     (v.SphereObstacle, {"center": [0.0, 0.0], "radius": 1.0, "velocity": [1.0, 0.0]}),
@@ -109,6 +113,7 @@ MADE = [
     ),
     (v.InputSet, {"A": [[1.0], [-1.0]], "b": [1.0, 1.0]}),
     (v.InputSet.box, {"lower": [-1.0], "upper": [1.0]}),
+    (v.point_position, {"plant": arm(), "frame": "hand"}),
     (v.VolumeBarrier, {}),
     (v.FilterSettings, {}),
     (v.Corrections, {}),

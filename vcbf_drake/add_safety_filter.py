@@ -13,6 +13,7 @@ from vcbf_drake.between_ticks import BackupGate, HeldRows
 from vcbf_drake.checks import require
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceObserver
 from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.model.symbolic_dynamics import vector_ports
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.loop_monitor import LoopMonitor
 from vcbf_drake.safety.safety_filter import SafetyFilter
@@ -65,9 +66,10 @@ def AddSafetyFilter(
     Args:
         builder: Holds the plant and the controller already.
         plant: Any control-affine Drake system, whose input is its port ``input``, a
-            MultibodyPlant's ``actuation``, or its only one; or the input port itself,
-            where that is another. None where the plant is elsewhere: then `model` and
-            `state` are needed, and the hold's output is yours to connect.
+            MultibodyPlant's ``actuation``, or its only one beside ``disturbance``; or
+            the input port itself, where that is another. None where the plant is
+            elsewhere: then `model` and `state` are needed, and the hold's output is
+            yours to connect.
         reference: The controller's output port, (m,); None leaves the filter's port
             ``reference`` to connect, or to export from a diagram.
         barriers: What must stay true.
@@ -188,11 +190,18 @@ def _obstacles_port(safety_filter: SafetyFilter) -> InputPort:
 def _state_output(plant: System) -> OutputPort:
     if plant.HasOutputPort("state"):
         return plant.GetOutputPort("state")
-    return plant.get_output_port()
+    ports = [plant.get_output_port(i) for i in range(plant.num_output_ports())]
+    names = [port.get_name() for port in ports]
+    require(len(ports) == 1, "state", names, "the output port that is the state")
+    return ports[0]
 
 
 def _input_port(plant: System) -> InputPort:
     for name in ("input", "actuation"):  # The latter is a MultibodyPlant's.
         if plant.HasInputPort(name):
             return plant.GetInputPort(name)
-    return plant.get_input_port()
+    ports = [port for port in vector_ports(plant) if port.get_name() != "disturbance"]
+    names = [port.get_name() for port in ports]
+    rule = "a system with one input, or the port that it is: plant.GetInputPort(name)"
+    require(len(ports) == 1, "plant", names, rule)
+    return ports[0]

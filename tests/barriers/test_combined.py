@@ -314,3 +314,20 @@ def test_a_class_k_function_that_its_symbols_misread_is_refused(car):
     odd = barrier.with_class_k(lambda s: (s**2) ** 0.5 * s)
     with pytest.raises(ModelError, match=r"barrier 'b': class_k is .* of its symbols"):
         BarrierSet(car, [odd])
+
+
+def test_a_polygon_of_many_corners_comes(car):
+    """Its formula uses each piece many times; it is that of the pieces all the same."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 80, endpoint=False)
+    reach = 5.0 + np.random.default_rng(0).uniform(-1.0, 1.0, turn.size)
+    corners = np.column_stack([reach * np.cos(turn), reach * np.sin(turn)])
+    polygon = PolygonObstacle(corners)
+    size, formula, parameters = polygon.formula()
+    whole = BarrierSet(car, [polygon.barrier([2.0, 1.0])])
+    pieces = BarrierSet(car, polygon.barriers([2.0, 1.0]))
+    for x, y in ((8.0, 0.0), (-3.0, 7.0), (0.0, 0.0)):
+        state = np.array([x, y, 1.0, 0.3])
+        (h,) = whole.values(state, 0.0)
+        (written,) = [formula(state[:size], 0.0, np.array(parameters))]
+        assert h == pytest.approx(written)
+        assert h <= pieces.values(state, 0.0).min()

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import copy
 from dataclasses import dataclass
 from numbers import Real
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from pydrake.symbolic import Expression
@@ -19,6 +19,24 @@ ClassK: TypeAlias = Callable[[Any], Any]
 BarrierFunction: TypeAlias = Callable[
     [Expressions, Expression, Expressions], Expression
 ]
+
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def arithmetic(function: _Function) -> _Function:
+    """Marks a barrier's function that uses +, -, *, / and ** alone.
+
+    It can be read without pydrake's expressions, whose trees are as large as a formula
+    is when all that it uses twice is written twice.
+    """
+    function.arithmetic = True  # type: ignore[attr-defined]
+    return function
+
+
+def is_arithmetic(function: Callable[..., Any]) -> bool:
+    """Whether a function is marked as `arithmetic`."""
+    return getattr(function, "arithmetic", False)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 
+from vcbf_drake.barriers.barrier import is_arithmetic
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.agreement import require_agreement, sample_points
 from vcbf_drake.model.compiled import (
@@ -55,6 +56,9 @@ class Symbols:
     def call(self, function: Callable[..., Any], of_position: int | None = None) -> Any:
         """Returns function(x, t, p), in pydrake's expressions.
 
+        Of an `arithmetic` function, in nodes: where it uses a result twice they have it
+        once, whereas expressions repeat it.
+
         Args:
             function: A barrier's or limit's.
             of_position: How many coordinates of the position it takes in place of x;
@@ -64,10 +68,15 @@ class Symbols:
             ModelError: It raises.
         """
         x, p = as_expressions(self.model.state), as_expressions(self._parameters)
+        time: Any = Expression(self._time)
+        by_indices = of_position is None or not callable(self.model.position)
+        if is_arithmetic(function) and by_indices:
+            nodes = (self.model.dynamics.x, self.parameters)
+            (x, p), time = (np.array(each, dtype=object) for each in nodes), TIME
         if of_position is not None:
             x = self.model.position_of(x, of_position)
         try:
-            return function(x, Expression(self._time), p)
+            return function(x, time, p)
         except (
             AttributeError,
             IndexError,

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from pydrake.symbolic import Expression
 
-from vcbf_drake.barriers.barrier import Barrier
+from vcbf_drake.barriers.barrier import Barrier, arithmetic
 from vcbf_drake.barriers.shapes import Shape, ShapeFunction, barrier_of_position
 from vcbf_drake.barriers.unions import in_pairs, smooth_maximum, smooth_minimum
 from vcbf_drake.checks import Array, check_parameter, finite_array, require
@@ -115,6 +115,7 @@ def _formula(
 ) -> tuple[int, ShapeFunction, list[float]]:
     sizes = [len(piece) for piece in pieces]
 
+    @arithmetic
     def h(position: Expressions, t: Expression, p: Expressions) -> Expression:
         smoothing, margin = p[-2:]
         sides = iter(p[:-2].reshape(-1, 3))

@@ -11,7 +11,12 @@ import numpy as np
 from pydrake.symbolic import Expression
 from pydrake.trajectories import Trajectory
 
-from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
+from vcbf_drake.barriers.barrier import (
+    Barrier,
+    BarrierFunction,
+    arithmetic,
+    is_arithmetic,
+)
 from vcbf_drake.barriers.followed import TrajectoryBarrier, carried
 from vcbf_drake.checks import Array, check_parameter, finite_vector, require
 from vcbf_drake.model.compiled import Expressions
@@ -129,7 +134,13 @@ def barrier_of_position(
     if position is None:
         return Barrier(formula, gains, parameters, name, of_position=size)
     at = position_function(position, size, name)
-    return Barrier(lambda x, t, p: formula(at(x), t, p), gains, parameters, name)
+
+    def h(x: Expressions, t: Expression, p: Expressions) -> Expression:
+        return formula(at(x), t, p)
+
+    if is_arithmetic(formula) and not callable(position):
+        arithmetic(h)
+    return Barrier(h, gains, parameters, name)
 
 
 def position_function(position: Position, size: int, name: str) -> PositionFunction:

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, TypeAlias
 
-import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 
-from vcbf_drake.checks import Array
+from vcbf_drake.checks import Array, finite_array, require
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.compiled import Expressions
 from vcbf_drake.model.explained import first_line
@@ -42,7 +42,7 @@ def named_position(state_names: Sequence[str]) -> tuple[int, ...] | None:
 
 @typed
 def point_position(
-    plant: Any,
+    plant: MultibodyPlant,
     frame: str,
     point: Sequence[float] | Array = (0.0, 0.0, 0.0),
     axes: Sequence[int] = (0, 1, 2),
@@ -62,6 +62,12 @@ def point_position(
         ModelError: The plant has no such frame; when the position is called, that it
             does not convert to symbolic where symbols are needed.
     """
+    rule = "3 finite numbers, the point in its frame [m]"
+    offset = finite_array(point, "point", 1, rule)
+    require(offset.shape == (3,), "point", point, rule)
+    chosen = list(axes)
+    known = 1 <= len(chosen) == len(set(chosen)) and set(chosen) <= {0, 1, 2}
+    require(known, "axes", axes, "some of 0, 1 and 2, each once")
     name = plant.get_name() or "plant"
     if not plant.is_finalized():
         raise ModelError(f"{name}: point_position needs a plant that is finalised")
@@ -86,8 +92,6 @@ def point_position(
         context = symbolic.CreateDefaultContext()
         give_mass(symbolic, context)  # Positions do not depend on it.
         return symbolic, symbolic.GetFrameByName(frame), context
-
-    chosen, offset = list(axes), np.array(point, dtype=float)
 
     def position(x: Expressions) -> Expressions:
         if isinstance(x, OutputSymbols) and x.plant is plant:
