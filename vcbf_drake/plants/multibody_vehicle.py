@@ -19,7 +19,7 @@ from vcbf_drake.barriers import Barrier, StateInputLimit, StateLimit
 from vcbf_drake.checks import Array, check_finite, check_parameter, require
 from vcbf_drake.errors import below
 from vcbf_drake.files import IS_FILE
-from vcbf_drake.model.position import point_position
+from vcbf_drake.model.position import Position, point_position
 from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.plants.postures import posture_at
 from vcbf_drake.plants.robot_controllers import (
@@ -131,6 +131,14 @@ class MultibodyVehicle(Vehicle):
         for i in channels_of(self._plant).quaternions:
             found[i : i + 4] /= np.linalg.norm(found[i : i + 4])
         return found
+
+    def body_position(self, point: Sequence[float], frame: str = "") -> Position:
+        """Returns where a point of one of its frames is; see `Vehicle`."""
+        if not frame:
+            return point_position(
+                self._plant, self.frame, np.add(self.point, point or [0.0] * 3)
+            )
+        return point_position(self._plant, frame, point or [0.0] * 3)
 
     def make_controller(self, target: Sequence[float]) -> System:
         """Returns Drake's controller, told of a posture whose point is at the target.

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.geometry import Sphere
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform, RotationMatrix, cos, sin
 from pydrake.systems.framework import BasicVector, Context, LeafSystem, System
 
 from vcbf_drake.barriers import Barrier, StateInputLimit
@@ -61,6 +62,22 @@ class Vehicle(ABC):
     def barriers(self) -> list[Barrier | StateInputLimit]:
         """Returns the robot's own limits, obstacles apart: none by default."""
         return []
+
+    def body_position(self, point: Sequence[float], frame: str = "") -> Position:
+        """Returns where a point of the body is, as `position` does of the vehicle.
+
+        Args:
+            point: From the position, turned by the heading if there is one; empty for
+                the position itself [m].
+            frame: What it moves with; empty for the body.
+
+        Raises:
+            InvalidValueError: There is no such frame, or not one number a dimension.
+        """
+        require(not frame, "frame", frame, f"empty, for {tag(type(self))} is one body")
+        if not len(point):
+            return self.position
+        return _PointOfBody(self.position, tuple(point), self.heading)
 
     def altered(self, mass: float, drag: float) -> Vehicle:
         """Returns the vehicle that is really there when it is not as modelled.
@@ -128,6 +145,27 @@ class Vehicle(ABC):
             return np.array([self.position(x) for x in states], dtype=float)
         found: Array = states[:, list(self.position)]
         return found
+
+
+@dataclass(frozen=True)
+class _PointOfBody:
+    """Where a point of a body is, from a state in numbers or expressions (n,)."""
+
+    position: Position
+    point: tuple[float, ...]
+    heading: int | None
+
+    def __call__(self, x: Any) -> Any:
+        at = self.position
+        place = at(x) if callable(at) else x[list(at)]
+        rule = f"{len(place)} numbers"
+        require(len(self.point) == len(place), "point", [*self.point], rule)
+        offset = [*self.point]
+        if self.heading is not None:
+            ahead, left, *up = self.point
+            c, s = cos(x[self.heading]), sin(x[self.heading])
+            offset = [c * ahead - s * left, s * ahead + c * left, *up]
+        return np.array([p + o for p, o in zip(place, offset, strict=True)])
 
 
 class StateFeedback(LeafSystem):

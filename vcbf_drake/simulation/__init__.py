@@ -7,7 +7,14 @@ from vcbf_drake.simulation.loading import (
 )
 from vcbf_drake.simulation.log import read_log_files
 from vcbf_drake.simulation.loop import make_loop
-from vcbf_drake.simulation.obstacles import Obstacle, StateRange, barriers
+from vcbf_drake.simulation.obstacle_files import PolygonMap, SpheresFile
+from vcbf_drake.simulation.obstacle_kinds import (
+    BodyPoint,
+    MovingObstacle,
+    Obstacle,
+    StateRange,
+)
+from vcbf_drake.simulation.obstacles import barriers
 from vcbf_drake.simulation.result import Result, load_result
 from vcbf_drake.simulation.run import check_assumptions, simulate, step_cpu_time
 from vcbf_drake.simulation.scenario import (
@@ -18,10 +25,14 @@ from vcbf_drake.simulation.scenario import (
 from vcbf_drake.simulation.schema import scenario_page, scenario_schema
 
 __all__ = [
+    "BodyPoint",
     "InputLimits",
+    "MovingObstacle",
     "Obstacle",
+    "PolygonMap",
     "Result",
     "Scenario",
+    "SpheresFile",
     "StateRange",
     "barriers",
     "check_assumptions",

@@ -1,11 +1,11 @@
-"""Obstacles of a scenario, of every kind that has a barrier, and their barriers."""
+"""The barriers of a scenario's obstacles, for every point of the robot's body."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 import math
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from pydrake.symbolic import Expression
@@ -18,100 +18,99 @@ from vcbf_drake.barriers import (
     Geofence,
     HalfSpace,
     PerceivedSpheres,
+    PolygonObstacle,
     SphereObstacle,
     StateInputLimit,
     StateLimit,
 )
+from vcbf_drake.barriers.obstacles import SphereForm
 from vcbf_drake.barriers.shapes import Shape
-from vcbf_drake.checks import check_finite, check_parameter, require, require_choice
-from vcbf_drake.typed import check_fields
+from vcbf_drake.checks import Array, check_finite, require, require_choice
+from vcbf_drake.errors import below
+from vcbf_drake.model.position import Position
+from vcbf_drake.simulation.obstacle_files import PolygonMap, SpheresFile
+from vcbf_drake.simulation.obstacle_kinds import (
+    MovingObstacle,
+    Obstacle,
+    StateRange,
+)
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.scenario import Scenario
-
-
-@dataclass
-class Obstacle:
-    """A sphere, or in the plane a disc, to keep out of, standing or moving.
-
-    Attributes:
-        center: Centre at time zero [m], one number a dimension.
-        radius: Radius [m].
-        velocity: Velocity of the centre [m/s]; empty for an obstacle that stands.
-        margin: Distance to keep from the surface [m].
-    """
-
-    TAG: ClassVar[str] = "!Sphere"
-
-    center: list[float]
-    radius: float
-    velocity: list[float] = field(default_factory=list)
-    margin: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        check_finite("center", self.center, size=len(self.center))
-        check_parameter("radius", self.radius)
-        if len(self.velocity):
-            check_finite("velocity", self.velocity, size=len(self.center))
-        check_parameter("margin", self.margin, zero_allowed=True)
-
-
-@dataclass
-class StateRange:
-    """A range that one state keeps to, such as a speed or a height.
-
-    Attributes:
-        state: The state's name.
-        lower: Least value, in the state's unit; -.inf for none.
-        upper: Greatest value; .inf for none.
-        gains: K of (E4), one a derivative of the state until the input appears.
-    """
-
-    TAG: ClassVar[str] = "!StateLimit"
-
-    state: str
-    lower: float = -math.inf
-    upper: float = math.inf
-    gains: list[float] = field(default_factory=lambda: [1.0])
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        StateLimit(0, self.lower, self.upper)
-        check_parameter("gains", self.gains, size=len(self.gains))
-
 
 AnyObstacle: TypeAlias = (
     Obstacle
     | EllipsoidObstacle
     | CapsuleObstacle
     | BoxObstacle
+    | PolygonObstacle
     | HalfSpace
     | Geofence
     | StateRange
+    | MovingObstacle
+    | SpheresFile
+    | PolygonMap
 )
+
+
+class Carrier(NamedTuple):
+    """A point of the robot's body that keeps clear of obstacles.
+
+    Attributes:
+        position: Where it is, from the state.
+        radius: How much of the body around it is meant [m].
+        name: What is put behind a barrier's name.
+    """
+
+    position: Position
+    radius: float
+    name: str
+
+    def place(self, state: Array) -> list[float]:
+        """Returns where it is, from the state (n,) [m]."""
+        at: Any = self.position
+        found = at(state) if callable(at) else state[list(at)]
+        return [*map(float, found)]
+
+
+def with_files_read(
+    obstacles: Sequence[AnyObstacle],
+) -> Iterator[tuple[int, AnyObstacle]]:
+    """Yields the obstacles, those of files one by one, with their numbers in the list.
+
+    Raises:
+        InvalidValueError: A file cannot be read.
+    """
+    for i, obstacle in enumerate(obstacles):
+        if isinstance(obstacle, SpheresFile | PolygonMap):
+            with below("obstacles", i):
+                read = obstacle.obstacles()
+            for each in read:
+                yield i, each
+        else:
+            yield i, obstacle
 
 
 def barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
     """Returns the barriers of the obstacles, then the vehicle's own limits."""
     found: list[Barrier] = []
+    points = body(scenario)
     for i, obstacle in enumerate(scenario.obstacles):
-        found += _barriers(scenario, obstacle, i + 1)
+        found += _barriers(scenario, points, obstacle, i + 1)
     return [*_robust(scenario, found), *scenario.vehicle.barriers()]
 
 
 def seen_barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
     """Returns the same barriers where spheres have to be seen first."""
-    found: list[Barrier] = [
-        *perceived_spheres(scenario).barriers(
-            scenario.barrier.gains,
-            position=scenario.vehicle.position,
-            name="seen obstacle",
+    found: list[Barrier] = []
+    points = body(scenario)
+    for point in points:
+        found += replace(perceived_spheres(scenario), margin=point.radius).barriers(
+            scenario.barrier.gains, point.position, f"seen obstacle{point.name}"
         )
-    ]
     for i, obstacle in enumerate(scenario.obstacles):
         if not isinstance(obstacle, Obstacle):
-            found += _barriers(scenario, obstacle, i + 1)
+            found += _barriers(scenario, points, obstacle, i + 1)
     return [*_robust(scenario, found), *scenario.vehicle.barriers()]
 
 
@@ -131,28 +130,94 @@ def perceived_spheres(scenario: Scenario) -> PerceivedSpheres:
     return PerceivedSpheres(capacity, len(scenario.target), form=scenario.barrier.form)
 
 
-def _barriers(scenario: Scenario, obstacle: AnyObstacle, number: int) -> list[Barrier]:
-    gains, position = scenario.barrier.gains, scenario.vehicle.position
+def body(scenario: Scenario) -> list[Carrier]:
+    """Returns the points that keep clear of obstacles: the position without others.
+
+    Raises:
+        InvalidValueError: A point is not one of the vehicle's.
+    """
+    if not scenario.body:
+        return [Carrier(scenario.vehicle.position, 0.0, "")]
+    found = []
+    for i, each in enumerate(scenario.body):
+        with below("body", i):
+            position = scenario.vehicle.body_position(each.point, each.frame)
+        name = f" (point {i + 1})" if len(scenario.body) > 1 else ""
+        found.append(Carrier(position, each.radius, name))
+    return found
+
+
+def _barriers(
+    scenario: Scenario, points: Sequence[Carrier], obstacle: AnyObstacle, number: int
+) -> list[Barrier]:
     if isinstance(obstacle, StateRange):
         index = scenario.state_names.index(obstacle.state)
         limit = StateLimit(index, obstacle.lower, obstacle.upper)
         return limit.barriers(obstacle.gains, obstacle.state)
-    if isinstance(obstacle, Geofence):
-        return obstacle.barriers(gains, position, f"geofence {number}")
+    gains, found = scenario.barrier.gains, list[Barrier]()
+    path = obstacle.trajectory() if isinstance(obstacle, MovingObstacle) else None
+    for point in points:
+        for title, shape in _shapes(obstacle, scenario.barrier.form, point.radius):
+            name, position = f"{title.format(number)}{point.name}", point.position
+            if isinstance(shape, PolygonObstacle):
+                position = _in_plane(position)
+            if path is None:
+                found.append(shape.barrier(gains, position, name))
+            else:
+                found.append(shape.barrier_along(path, gains, position, name))
+    return found
+
+
+def _in_plane(position: Position) -> Position:
+    """The first two coordinates of a position: a polygon is a pillar in space."""
+    if callable(position):
+        return lambda x: position(x)[:2]
+    return position[:2]
+
+
+def _shapes(
+    obstacle: AnyObstacle, form: SphereForm, radius: float = 0.0
+) -> list[tuple[str, Shape]]:
+    """The shapes of an obstacle, each for one barrier, and what they are called.
+
+    Args:
+        obstacle: The obstacle.
+        form: Of a sphere's barrier.
+        radius: What is added to the margins [m].
+    """
+    if isinstance(obstacle, MovingObstacle):
+        return _shapes(obstacle.shape, form, radius)
     if isinstance(obstacle, Obstacle):
         sphere = SphereObstacle(
             obstacle.center,
             obstacle.radius,
             velocity=obstacle.velocity or None,
-            form=scenario.barrier.form,
-            margin=obstacle.margin,
+            form=form,
+            margin=obstacle.margin + radius,
         )
-        return [sphere.barrier(gains, position, f"obstacle {number}")]
-    return [obstacle.barrier(gains, position, f"{obstacle.kind} {number}")]
+        return [("obstacle {}", sphere)]
+    given: Any = obstacle
+    grown = replace(given, margin=given.margin + radius)
+    if isinstance(grown, Geofence):
+        sides = grown.half_spaces.items()
+        return [(f"geofence {{}} ({side})", each) for side, each in sides]
+    if isinstance(grown, PolygonObstacle):
+        pieces = [replace(grown, vertices=piece.tolist()) for piece in grown.pieces]
+        several = len(pieces) > 1
+        return [
+            ("polygon {}" + f".{i}" * several, piece)
+            for i, piece in enumerate(pieces, start=1)
+        ]
+    return [(f"{grown.kind} {{}}", grown)]
 
 
 def check_place(
-    obstacle: AnyObstacle, at: str, position: Sequence[float], what: str, target: bool
+    obstacle: AnyObstacle,
+    at: str,
+    position: Sequence[float],
+    what: str,
+    target: bool,
+    radius: float = 0.0,
 ) -> None:
     """Checks that a place is one where an obstacle lets the vehicle be.
 
@@ -162,23 +227,32 @@ def check_place(
         position: The place [m].
         what: What the obstacle is called in the scenario.
         target: Whether it is the target, over which a moving obstacle may pass.
+        radius: How much of the body around the place is meant [m].
 
     Raises:
         InvalidValueError: It is not.
     """
     if isinstance(obstacle, StateRange) or (target and moves(obstacle)):
         return
+    if isinstance(obstacle, MovingObstacle):
+        place, offset = np.array(position, dtype=float), obstacle.offset_at(0.0)
+        place[: len(offset)] -= offset  # A polygon is a pillar in space.
+        check_place(obstacle.shape, at, place.tolist(), what, target, radius)
+        return
     if isinstance(obstacle, Obstacle):
-        reach = obstacle.radius + obstacle.margin
+        reach = obstacle.radius + obstacle.margin + radius
         height = math.dist(position, obstacle.center) - reach
     else:
-        height = min(_height(each, position) for each in _shapes(obstacle))
+        shapes = _shapes(obstacle, "distance", radius)
+        height = min(_height(each, position) for _, each in shapes)
     rule = f"outside {what}, margin included; its signed distance is {height:.3g} m"
     require(height > 0.0, at, [*position], rule)
 
 
 def moves(obstacle: AnyObstacle) -> bool:
     """Returns whether an obstacle moves at all."""
+    if isinstance(obstacle, MovingObstacle):
+        return True
     velocity = getattr(obstacle, "velocity", None)
     return velocity is not None and bool(np.any(velocity))
 
@@ -197,20 +271,16 @@ def check_fits(
     Raises:
         InvalidValueError: It does not fit.
     """
-    if isinstance(obstacle, StateRange):
+    if isinstance(obstacle, MovingObstacle):
+        check_fits(obstacle.shape, (*path, "shape"), names, size)
+    elif isinstance(obstacle, StateRange):
         require_choice((*path, "state"), obstacle.state, names)
     elif isinstance(obstacle, Obstacle):
         check_finite((*path, "center"), obstacle.center, size=size)
-    else:
-        (found, *_) = _shapes(obstacle)[0].formula()
+    elif not isinstance(obstacle, PolygonObstacle):
+        found = _shapes(obstacle, "distance")[0][1].formula()[0]
         rule = f"of {size} dimensions, like the target"
         require(found == size, path, f"{found} dimensions", rule)
-
-
-def _shapes(obstacle: Shape | Geofence) -> list[Shape]:
-    if isinstance(obstacle, Geofence):
-        return [*obstacle.half_spaces.values()]
-    return [obstacle]
 
 
 def _height(shape: Shape, position: Sequence[float]) -> float:

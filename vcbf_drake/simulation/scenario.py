@@ -6,6 +6,7 @@ Each class checks itself when it is made. A value that is not allowed is answere
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 import math
 import re
@@ -33,11 +34,13 @@ from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.methods import METHODS
 from vcbf_drake.safety.settings import FilterSettings
 from vcbf_drake.simulation.faults import Faults
+from vcbf_drake.simulation.obstacle_kinds import BodyPoint, Obstacle
 from vcbf_drake.simulation.obstacles import (
     AnyObstacle,
-    Obstacle,
+    body,
     check_fits,
     check_place,
+    with_files_read,
 )
 from vcbf_drake.typed import check_fields
 
@@ -234,7 +237,9 @@ class Scenario(FilterSettings):
         vehicle: The robot: its plant, its controller, and its own limits.
         input_set: What the actuators can deliver.
         disturbance: The disturbance is the sum of these signals [m/s^2].
-        obstacles: What to keep out of.
+        obstacles: What to keep out of; those of files are read when it is made.
+        body: The points of the robot that keep out, each with a ball around it; empty
+            for its position.
         barrier: How: the barrier of each obstacle.
         initial_state: State at time zero, in the plant's units, (n,).
         target: Position to reach [m].
@@ -265,6 +270,7 @@ class Scenario(FilterSettings):
         Constant | Sinusoid | SmoothStep | BandLimitedNoise | Recorded
     ] = field(default_factory=list)
     obstacles: list[AnyObstacle] = field(default_factory=list)
+    body: list[BodyPoint] = field(default_factory=list)
     barrier: BarrierGains = field(default_factory=BarrierGains)
     initial_state: list[float]
     target: list[float]
@@ -278,6 +284,7 @@ class Scenario(FilterSettings):
 
     def __post_init__(self) -> None:
         check_fields(self)
+        numbered = [*with_files_read(self.obstacles)]
         require(
             not self.name or _NAME.fullmatch(self.name) is not None,
             "name",
@@ -289,7 +296,7 @@ class Scenario(FilterSettings):
         if not len(self.input_set.lower):
             own = self.vehicle.input_limits() or ([], [])
             self.input_set = InputLimits(*own, self.input_set.A, self.input_set.b)
-        self._check_sizes()
+        self._check_sizes(numbered)
         require(
             not METHODS[self.method].has_volume_row
             or self.input_set.input_set().is_bounded,
@@ -297,7 +304,8 @@ class Scenario(FilterSettings):
             [*self.input_set.lower, *self.input_set.upper],
             f"finite for the volume barrier of {self.method}; dob-cbf-qp has none",
         )
-        self._check_places()
+        self._check_places(numbered)
+        self.obstacles = [obstacle for _, obstacle in numbered]
 
     def _check_times(self) -> None:
         for name in ("duration", "period", "arrival_tolerance"):
@@ -314,7 +322,7 @@ class Scenario(FilterSettings):
         delay = self.faults.measurement_delay
         require(delay <= duration, ("faults", "measurement_delay"), delay, rule)
 
-    def _check_sizes(self) -> None:
+    def _check_sizes(self, numbered: Sequence[tuple[int, AnyObstacle]]) -> None:
         plant = self.vehicle.make_plant()
         channels = channels_of(plant)
         states, inputs = channels.states, channels.inputs
@@ -329,7 +337,7 @@ class Scenario(FilterSettings):
         at = self.vehicle.position
         axes = range(size) if callable(at) else [[*states][i] for i in at]
         check_finite("target", self.target, names=[*map(str, axes)])
-        for i, obstacle in enumerate(self.obstacles):
+        for i, obstacle in numbered:
             check_fits(obstacle, ("obstacles", i), [*states], size)
         for path, numbers in (
             (("noise", "std"), self.noise.std),
@@ -375,13 +383,16 @@ class Scenario(FilterSettings):
         states = np.array([self.initial_state])
         return [*map(float, self.vehicle.positions(states)[0])]
 
-    def _check_places(self) -> None:
+    def _check_places(self, numbered: Sequence[tuple[int, AnyObstacle]]) -> None:
         with below("faults"):
             self.vehicle.altered(self.faults.mass, self.faults.drag)
         self.vehicle.make_controller(self.target)  # It may refuse the target.
-        for i, obstacle in enumerate(self.obstacles):
+        state = np.array(self.initial_state)
+        places = [(each.radius, each.place(state)) for each in body(self)]
+        for i, obstacle in numbered:
             what = f"obstacles[{i}]"
-            check_place(obstacle, "initial_state", self.start, what, target=False)
+            for radius, place in places:
+                check_place(obstacle, "initial_state", place, what, False, radius)
             check_place(obstacle, "target", self.target, what, target=True)
 
     @property

@@ -14,7 +14,7 @@ from vcbf_drake.barriers import PerceivedSpheres
 from vcbf_drake.checks import Array
 
 if TYPE_CHECKING:
-    from vcbf_drake.simulation.obstacles import Obstacle
+    from vcbf_drake.simulation.obstacle_kinds import Obstacle
 
 # Ticks are compared with this part of a period to spare.
 _TO_SPARE = 1e-6

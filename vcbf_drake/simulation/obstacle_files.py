@@ -1,0 +1,246 @@
+"""Obstacles from files: spheres from a table, polygons from a map."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+import csv
+from dataclasses import dataclass, field
+import io
+import json
+import logging
+import math
+from pathlib import Path
+from typing import Any, ClassVar, TypeAlias
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from vcbf_drake.barriers import PolygonObstacle
+from vcbf_drake.checks import Array, check_parameter
+from vcbf_drake.errors import InvalidValueError
+from vcbf_drake.files import IS_FILE
+from vcbf_drake.simulation.obstacle_kinds import Obstacle
+from vcbf_drake.typed import check_fields
+
+_LOG = logging.getLogger("vcbf_drake")
+_SPACE, _PLANE = ("x", "y", "z"), ("x", "y")
+_Row: TypeAlias = dict[str, float]
+
+
+@dataclass
+class SpheresFile:
+    """Spheres, or in the plane discs, from a CSV file: each becomes a `!Sphere`.
+
+    Its first line names the columns: x, y, z for a robot in space, and radius [m];
+    where there are some, velocity_x, velocity_y, velocity_z [m/s] and margin [m].
+
+    Attributes:
+        file: The file, its path relative to the scenario's.
+        margin: Distance to keep from their surfaces, where the file has none [m].
+    """
+
+    TAG: ClassVar[str] = "!Spheres"
+
+    file: str = field(metadata=IS_FILE)
+    margin: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        check_parameter("margin", self.margin, zero_allowed=True)
+
+    def obstacles(self) -> list[Obstacle]:
+        """Returns the spheres.
+
+        Raises:
+            InvalidValueError: The file is not as it must be; one line says where.
+        """
+        needed, velocities = ("x", "y", "radius"), [f"velocity_{a}" for a in _SPACE]
+        found = []
+        for line, row in _table(self.file, needed, ("z", "margin", *velocities)):
+            axes = [axis for axis in _SPACE if axis in row]
+            velocity = [row.get(f"velocity_{axis}", 0.0) for axis in axes]
+            try:
+                found.append(
+                    Obstacle(
+                        [row[axis] for axis in axes],
+                        row["radius"],
+                        velocity if any(velocity) else [],
+                        row.get("margin", self.margin),
+                    )
+                )
+            except ValueError as error:
+                raise _wrong(self.file, f"line {line}: {error}") from None
+        return found
+
+
+@dataclass
+class PolygonMap:
+    """Polygons from a map in metres: each becomes one `!Polygon`, or more.
+
+    GeoJSON (``.geojson``, ``.json``): its Polygons and MultiPolygons, by themselves, in
+    features or in collections. CSV: a line a corner, with the columns polygon (a
+    number), x and y [m]; corners of one number follow each other.
+
+    What has no barrier is covered by more than itself, and the log says so: a hole is
+    filled, a polygon whose sides cross is its convex hull.
+
+    Attributes:
+        file: The file, its path relative to the scenario's.
+        margin: Distance to keep from the sides [m].
+        smoothing: The length over which two sides blend [m].
+    """
+
+    TAG: ClassVar[str] = "!PolygonMap"
+
+    file: str = field(metadata=IS_FILE)
+    margin: float = 0.0
+    smoothing: float = 0.05
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        check_parameter("margin", self.margin, zero_allowed=True)
+        check_parameter("smoothing", self.smoothing)
+
+    def obstacles(self) -> list[PolygonObstacle]:
+        """Returns the polygons.
+
+        Raises:
+            InvalidValueError: The file is not as it must be; one line says where.
+        """
+        if Path(self.file).suffix == ".csv":
+            rings = _csv_rings(self.file)
+        else:
+            rings = [*_geojson_rings(self.file, _parsed(self.file), "")]
+        if not rings:
+            raise _wrong(self.file, "no polygon")
+        return [self._polygon(where, corners) for where, corners in rings]
+
+    def _polygon(self, where: str, corners: Array) -> PolygonObstacle:
+        finite = corners.shape == (len(corners), 2) and np.isfinite(corners).all()
+        if not finite:
+            raise _wrong(self.file, f"{where}: corners of x and y, finite numbers each")
+        repeated = np.all(corners == np.roll(corners, -1, axis=0), axis=1)
+        corners = corners[~repeated]
+        try:
+            return PolygonObstacle(corners.tolist(), self.margin, self.smoothing)
+        except ValueError as error:
+            reason = error
+        try:
+            around = corners[ConvexHull(corners).vertices].tolist()
+        except QhullError:
+            raise _wrong(self.file, f"{where}: {reason}") from None
+        _say(self.file, f"{where} is taken as its convex hull ({reason})")
+        return PolygonObstacle(around, self.margin, self.smoothing)
+
+
+def _wrong(file: str, problem: str) -> InvalidValueError:
+    return InvalidValueError("file", f"{file}: {problem}")
+
+
+def _say(file: str, what: str) -> None:
+    _LOG.warning("%s: %s", file, what)
+
+
+def _text(file: str) -> str:
+    try:
+        return Path(file).read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise _wrong(file, error.strerror or "cannot be read") from None
+    except UnicodeDecodeError:
+        raise _wrong(file, "not a UTF-8 text file") from None
+
+
+def _table(
+    file: str, needed: Sequence[str], optional: Sequence[str] = ()
+) -> Iterator[tuple[int, _Row]]:
+    """Yields the rows of a CSV file with the numbers of their lines."""
+    reader = csv.reader(io.StringIO(_text(file)), skipinitialspace=True)
+    names = [name.strip() for name in next(reader, [])]
+    known = [*needed, *optional]
+    fits = set(needed) <= set(names) <= set(known) and len(set(names)) == len(names)
+    if not fits:
+        may = f"; it may name {', '.join(optional)}" * bool(optional)
+        given = ", ".join(names)[:80] or "nothing"
+        must = f"it must name {', '.join(needed)}{may}"
+        raise _wrong(file, f"line 1: {given}; {must}")
+    for values in reader:
+        if not values:
+            continue
+        line = reader.line_num
+        if len(values) != len(names):
+            problem = f"{len(values)} values for {len(names)} columns"
+            raise _wrong(file, f"line {line}: {problem}")
+        yield line, dict(zip(names, _numbers(file, line, names, values), strict=True))
+
+
+def _numbers(
+    file: str, line: int, names: Sequence[str], values: Sequence[str]
+) -> Iterator[float]:
+    for name, value in zip(names, values, strict=True):
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            problem = f"{name}: {value[:40]!r}; it must be a finite number"
+            raise _wrong(file, f"line {line}: {problem}")
+        yield number
+
+
+def _csv_rings(file: str) -> list[tuple[str, Array]]:
+    rings: dict[float, list[list[float]]] = {}
+    for _, row in _table(file, ("polygon", *_PLANE)):
+        rings.setdefault(row["polygon"], []).append([row["x"], row["y"]])
+    return [(f"polygon {key:g}", np.array(each)) for key, each in rings.items()]
+
+
+def _parsed(file: str) -> Any:
+    try:
+        return json.loads(_text(file))
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise _wrong(file, f"not JSON: {error}") from None
+
+
+def _geojson_rings(file: str, part: Any, at: str) -> Iterator[tuple[str, Array]]:
+    """Yields the outer rings of all polygons, with where they are in the file."""
+    kind = part.get("type") if isinstance(part, dict) else None
+    where = at or "the file"
+    inner = {
+        "FeatureCollection": "features",
+        "GeometryCollection": "geometries",
+        "Feature": "geometry",
+        "Polygon": "coordinates",
+        "MultiPolygon": "coordinates",
+    }.get(str(kind))
+    if inner is None or inner not in part:
+        shown = f"{kind!r}"[:40]
+        rule = "it must be a Polygon, a MultiPolygon, or what holds such"
+        raise _wrong(file, f"{where} is of type {shown}; {rule}")
+    content = part[inner]
+    if kind == "Feature":
+        yield from _geojson_rings(file, content, f"{at}.geometry".removeprefix("."))
+        return
+    items = [content] if kind == "Polygon" else content
+    if not isinstance(items, list):
+        raise _wrong(file, f"{where}: its {inner} must be a list")
+    for i, item in enumerate(items):
+        place = f"{at}.{inner}[{i}]".removeprefix(".")
+        if inner == "coordinates":
+            yield where if kind == "Polygon" else place, _outer(file, item, place)
+        else:
+            yield from _geojson_rings(file, item, place)
+
+
+def _outer(file: str, rings: Any, where: str) -> Array:
+    """Returns the corners of a polygon's outer ring, heights dropped, shape (n, 2)."""
+    try:
+        outer, *holes = rings
+        corners = np.array([point[:2] for point in outer], dtype=float)
+    except (TypeError, ValueError, KeyError, IndexError):
+        corners, holes = np.empty((0, 0)), []
+    if corners.ndim != 2 or len(corners) < 3:
+        raise _wrong(file, f"{where}: it must be rings of 3 corners or more, each x, y")
+    if holes:
+        number = "a hole" if len(holes) == 1 else f"{len(holes)} holes"
+        _say(file, f"{where} has {number}, which is taken as filled")
+    return corners
