@@ -13,12 +13,17 @@ from typing import Any
 from pydrake.common.yaml import yaml_load
 import pytest
 
-from vcbf_drake.simulation import scenario_page, scenario_schema, shipped_scenarios
+from vcbf_drake.simulation import (
+    loading,
+    scenario_page,
+    scenario_schema,
+    shipped_scenarios,
+)
 from vcbf_drake.simulation.loading import load_scenario
 from vcbf_drake.simulation.scenario import Scenario
 
 ROOT = Path(__file__).parents[2]
-SCENARIOS = Path(load_scenario.__code__.co_filename).parent / "scenarios"
+SCENARIOS = Path(loading.__file__).parent / "scenarios"
 
 
 PAGE = ROOT / "docs" / "guide" / "scenarios.md"

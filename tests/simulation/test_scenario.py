@@ -17,6 +17,7 @@ from vcbf_drake.simulation import (
     InputLimits,
     Obstacle,
     Scenario,
+    loading,
     simulate,
     validate,
 )
@@ -34,7 +35,7 @@ SHIPPED = (
     "car-avoidance",
     "car-sensitivity",
 )
-DIRECTORY = Path(load_scenario.__code__.co_filename).parent / "scenarios"
+DIRECTORY = Path(loading.__file__).parent / "scenarios"
 
 ONE_OF_EVERYTHING = """\
 _template: &wind
@@ -92,6 +93,9 @@ OneOfEverything:
   soft_penalties: [.inf, 100.0]
   solver: Clp
   warn: true
+  body: [{radius: 0.05}]
+  decay_penalty: 50.0
+  ends_at_target: true
   initial_state: [0.0, 0.0, 0.1, 0.2]
   target: [5.0, 0.0]
   duration: 6.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from pydrake.symbolic import Expression
 import pytest
@@ -16,7 +18,7 @@ from vcbf_drake.barriers import (
     PolygonObstacle,
     SphereObstacle,
 )
-from vcbf_drake.simulation import simulate
+from vcbf_drake.simulation import MovingObstacle, simulate
 from vcbf_drake.viz import write_figures, write_replay
 from vcbf_drake.viz.solids import hull, outline, solids, solids_of, walls_of
 
@@ -124,3 +126,22 @@ def test_a_run_among_them_is_drawn(scenario, tmp_path):
     assert len(page) > 1_000_000
     write_figures([result], tmp_path)
     assert (tmp_path / "paths.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_an_obstacle_on_waypoints_is_drawn_where_it_is():
+    shape = BoxObstacle([0.0, 0.0], [0.4, 0.2], margin=0.1)
+    moving = MovingObstacle(
+        shape, [0.0, 5.0, 10.0], [[4.0, -2.0], [4.0, -1.0], [5.0, 0.0]]
+    )
+    (solid,) = solids(moving, 0.1)
+    low, high = solid.body.surface.min(axis=0), solid.body.surface.max(axis=0)
+    np.testing.assert_allclose([low[:2], high[:2]], [[3.6, -2.2], [4.4, -1.8]])
+    np.testing.assert_allclose(solid.body.pose.translation()[:2], [4.0, -2.0])
+    for time, offset in ((0.0, [0.0, 0.0]), (5.0, [0.0, 1.0]), (99.0, [1.0, 2.0])):
+        np.testing.assert_allclose(solid.offset_at(time)[:2], offset, atol=1e-12)
+    # Between two of the times at which it is placed it goes straight, nearly.
+    times = solid.key_times(10.0)
+    for early, late in pairwise(times):
+        ends = [solid.offset_at(time) for time in (early, late)]
+        between = solid.offset_at(0.5 * (early + late))
+        np.testing.assert_allclose(between, np.mean(ends, axis=0), atol=2e-3)

@@ -22,7 +22,7 @@ from vcbf_drake.barriers import (
     SphereObstacle,
 )
 from vcbf_drake.checks import Array
-from vcbf_drake.simulation.obstacles import Obstacle
+from vcbf_drake.simulation.obstacle_kinds import MovingObstacle, Obstacle
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.scenario import Scenario
@@ -31,6 +31,7 @@ Thing: TypeAlias = (
     SphereObstacle | EllipsoidObstacle | CapsuleObstacle | BoxObstacle | PolygonObstacle
 )
 
+_KEY_TIMES = 100  # Of a path.
 _KEEP_OUT_HEIGHT = 0.4  # Of the obstacle's, in the plane, so that this stands out.
 
 
@@ -48,6 +49,11 @@ class Piece:
     pose: RigidTransform
     surface: Array
 
+    def moved(self, offset: RigidTransform) -> Piece:
+        """The same body elsewhere."""
+        surface = (offset @ self.surface.T).T
+        return Piece(self.shape, offset @ self.pose, surface)
+
 
 @dataclass(frozen=True)
 class Solid:
@@ -57,16 +63,18 @@ class Solid:
         body: The obstacle.
         keep_out: The obstacle with its margin around it; None without a margin.
         velocity: How fast both move, shape (3,) [m/s].
+        path: What carries them in place of a velocity.
     """
 
     body: Piece
     keep_out: Piece | None
     velocity: Array
+    path: MovingObstacle | None = None
 
     @property
     def moves(self) -> bool:
         """Whether it moves at all."""
-        return bool(self.velocity.any())
+        return self.path is not None or bool(self.velocity.any())
 
     @property
     def whole(self) -> Piece:
@@ -75,7 +83,13 @@ class Solid:
 
     def offset_at(self, time: float) -> Array:
         """How far it has moved by a time [s], shape (3,) [m]."""
-        return time * self.velocity
+        if self.path is None:
+            return time * self.velocity
+        return in_space(self.path.offset_at(time) - self.path.offset_at(0.0))
+
+    def key_times(self, end: float) -> Array:
+        """Times up to an end [s] between which it goes straight on, or nearly."""
+        return np.linspace(0.0, end, 2 if self.path is None else _KEY_TIMES)
 
 
 @dataclass(frozen=True)
@@ -142,6 +156,11 @@ def solids(obstacle: object, height: float) -> Iterator[Solid]:
         given = obstacle
         obstacle = SphereObstacle(given.center, given.radius, given.velocity)
         obstacle.margin = given.margin
+    if isinstance(obstacle, MovingObstacle):
+        start = RigidTransform(in_space(obstacle.offset_at(0.0)))
+        for each in solids(obstacle.shape, height):
+            keep_out = each.keep_out and each.keep_out.moved(start)
+            yield Solid(each.body.moved(start), keep_out, np.zeros(3), obstacle)
     if not isinstance(obstacle, Thing):
         return
     bodies = _pieces(obstacle, 0.0, height)

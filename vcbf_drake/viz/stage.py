@@ -194,8 +194,8 @@ def _extent(
     found = [run.target, *(motion.position for motion in motions)]
     found += [_places_of_bodies(motion) for motion in motions]
     for solid in solids:
-        ends = map(solid.offset_at, (0.0, motions[-1].time[-1]))
-        found += [solid.whole.surface + offset for offset in ends]
+        places = map(solid.offset_at, solid.key_times(motions[-1].time[-1]))
+        found += [solid.whole.surface + offset for offset in places]
     points = np.vstack(found)
     low, high = points.min(axis=0), points.max(axis=0)
     border = 0.06 * float(np.linalg.norm(high - low))

@@ -118,10 +118,10 @@ def _record(meshcat: Meshcat, stage: Stage) -> None:
             appears = float(frame / stage.frames_per_second)
             meshcat.SetProperty(path, "visible", True, appears)
     for index, solid in enumerate(stage.solids):
-        # Straight and steady: the page fills in between two poses.
-        for time in (0.0, stage.duration) if solid.moves else ():
+        # The page fills in between two poses.
+        for time in solid.key_times(stage.duration) if solid.moves else ():
             pose = RigidTransform(solid.offset_at(time))
-            meshcat.SetTransform(f"obstacles/{index}", pose, time)
+            meshcat.SetTransform(f"obstacles/{index}", pose, float(time))
 
 
 _TURNS = (
