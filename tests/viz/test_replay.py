@@ -239,6 +239,9 @@ def test_a_real_browser_shows_it(page_path, fragment, clock, words):
         # Barrier, volume and three inputs (the slack is 0); 3 runs, pale and strong.
         assert curves == 5 * 3 * 2
         assert tab.evaluate("document.querySelector('canvas').width > 100")
+        assert tab.evaluate("document.documentElement.className") == ""
+        panel = "getComputedStyle(document.querySelector('.dg')).display"
+        assert tab.evaluate(panel) == "none"
         assert not tab.errors
 
 

@@ -78,23 +78,29 @@ def _draw_floor(axes: Any, view: ParallelView, stage: Stage) -> None:
     (x0, y0, z), (x1, y1) = stage.low, stage.high[:2]
     corners = np.array([[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]])
     view.draw_face(axes, corners, fc=FLOOR, ec=GRID, lw=0.8, zorder=1)
-    step = 2.0 * stage.cell
-    for x in multiples(x0, x1, step):
-        line = np.array([[x, y0, z], [x, y1, z]])
-        view.draw_line(axes, line, color=GRID, lw=0.6, zorder=1)
-        _write(axes, view, line[0], f"{x:g}", (0, -4), ha="center", va="top")
-    for y in multiples(y0, y1, step):
-        line = np.array([[x0, y, z], [x1, y, z]])
-        view.draw_line(axes, line, color=GRID, lw=0.6, zorder=1)
-        _write(axes, view, line[1], f"{y:g}", (5, -2), ha="left", va="center")
-    middle = np.array([[0.5 * (x0 + x1), y0, z], [x1, 0.5 * (y0 + y1), z]])
-    _write(axes, view, middle[0], "x [m]", (0, -15), ha="center", va="top")
-    _write(axes, view, middle[1], "y [m]", (36, -8), ha="left", va="center")
+    for axis, name in enumerate(("x [m]", "y [m]")):
+        # Numbers stand at the nearer one of two edges, or where both are as near, at
+        # the right one.
+        other = 1 - axis
+        right, nearer = view.right[other], view.toward[other]
+        below = abs(nearer) >= abs(right)
+        end = int((nearer if below else right) > 0.0)
+        style = dict(ha="center", va="top") if below else dict(ha="left", va="center")
+        for value in multiples(stage.low[axis], stage.high[axis], 2.0 * stage.cell):
+            line = np.array([stage.low, stage.high])
+            line[:, axis], line[:, 2] = value, z
+            view.draw_line(axes, line, color=GRID, lw=0.6, zorder=1)
+            offset = (0, -4) if below else (5, -2)
+            _write(axes, view, line[end], f"{value:g}", offset, **style)
+        middle = 0.5 * (stage.low + stage.high)
+        middle[other], middle[2] = (stage.low, stage.high)[end][other], z
+        offset = (0, -15) if below else (36, -8)
+        _write(axes, view, middle, name, offset, **style)
 
 
 def _draw_height(axes: Any, view: ParallelView, stage: Stage) -> None:
-    """A ruler for the height at the far left corner of the floor."""
-    x, y = stage.low[0], stage.high[1]
+    """A ruler for the height at the floor's leftmost corner."""
+    x, y, _ = np.where(view.right > 0.0, stage.low, stage.high)
     marks = multiples(stage.low[2], stage.high[2], 2.0 * stage.cell)
     pole = np.array([[x, y, stage.low[2]], [x, y, stage.high[2]]])
     view.draw_line(axes, pole, color=MUTED, lw=0.8, zorder=1)

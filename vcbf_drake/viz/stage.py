@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,7 @@ from vcbf_drake.viz.runs import Run, label_runs
 from vcbf_drake.viz.solids import Solid, in_space, solids_of
 
 if TYPE_CHECKING:
+    from vcbf_drake.plants.vehicle import Vehicle
     from vcbf_drake.simulation.result import Result
 
 MAX_FRAMES = 300  # A page should stay small; the browser fills in between.
@@ -49,6 +51,7 @@ class Stage:
         solids: The obstacles.
         low: The least corner of the floor, shape (3,) [m].
         high: The greatest corner of what is shown, shape (3,) [m].
+        bodies: What a robot of several bodies reaches, shape (k, 3) [m].
         fraction: The vehicle is drawn at the scale 1 to this.
         rise: How far it is drawn above its position [m].
     """
@@ -58,6 +61,7 @@ class Stage:
     solids: list[Solid]
     low: Array
     high: Array
+    bodies: Array
     fraction: int
     rise: float
 
@@ -110,8 +114,7 @@ class Stage:
         tops = [_highest(solid.whole.surface) for solid in self.solids]
         up = np.array([0.0, 0.0, self.rise])
         paths = [motion.position[::5] + up for motion in self.motions]
-        bodies = [_places_of_bodies(motion) for motion in self.motions]
-        return np.vstack([*paths, *bodies, self.target, floor, *tops])
+        return np.vstack([*paths, self.bodies, self.target, floor, *tops])
 
     @property
     def cell(self) -> float:
@@ -135,9 +138,11 @@ def set_stage(results: Sequence[Result]) -> Stage:
     height = 0.04 * max(0.5, float(np.linalg.norm(span)))
     solids = solids_of(results[-1].scenario, height)
     fraction = _fraction(vehicle.length, solids)
-    low, high = _extent(motions, solids, runs[-1])
+    bodies = np.vstack([_body_corners(vehicle, motion) for motion in motions])
+    low, high = _extent(motions, solids, runs[-1], bodies)
     _, top = bounding_box(of_body(vehicle.geometry("#000000")))
-    return Stage(runs, motions, solids, low, high, fraction, float(top[2]) / fraction)
+    rise = float(top[2]) / fraction
+    return Stage(runs, motions, solids, low, high, bodies, fraction, rise)
 
 
 def cell_size(span: float) -> float:
@@ -180,19 +185,26 @@ def _highest(points: Array) -> Array:
     return top
 
 
-def _places_of_bodies(motion: Motion) -> Array:
-    """Where the bodies of a robot with several are, now and then, (k, 3) [m]."""
+def _body_corners(vehicle: Vehicle, motion: Motion) -> Array:
+    """The corners of what the bodies of a robot with several reach, (k, 3) [m]."""
+    parts = vehicle.geometry("#000000")
     some = motion.poses[:: max(len(motion.poses) // 20, 1)]
-    places = [each.translation() for poses in some for each in poses.values()]
-    return np.array(places if len(motion.poses[0]) > 1 else []).reshape(-1, 3)
+    names = [] if len(some[0]) == 1 else [*some[0]]
+    corners = {
+        name: np.array(
+            [*product(*zip(*bounding_box(of_body(parts, name)), strict=True))]
+        )
+        for name in names
+    }
+    found = [(poses[name] @ corners[name].T).T for poses in some for name in names]
+    return np.vstack([np.empty((0, 3)), *found])
 
 
 def _extent(
-    motions: Sequence[Motion], solids: Sequence[Solid], run: Run
+    motions: Sequence[Motion], solids: Sequence[Solid], run: Run, bodies: Array
 ) -> tuple[Array, Array]:
     """The corners of the box around everything, with a floor below it."""
-    found = [run.target, *(motion.position for motion in motions)]
-    found += [_places_of_bodies(motion) for motion in motions]
+    found = [run.target, bodies, *(motion.position for motion in motions)]
     for solid in solids:
         places = map(solid.offset_at, solid.key_times(motions[-1].time[-1]))
         found += [solid.whole.surface + offset for offset in places]
@@ -203,6 +215,8 @@ def _extent(
         low[2], high[2] = 0.0, 0.0
     else:
         low[2] -= border
+    if len(bodies):  # Bodies on joints stand on something.
+        low[2] += border
     # A floor much narrower than it is long would look like a plank.
     narrow = 0.5 * np.maximum(0.36 * (high - low)[1::-1] - (high - low)[:2], 0.0)
     low[:2] -= border + narrow

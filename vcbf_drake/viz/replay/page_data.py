@@ -291,13 +291,17 @@ def _labels(stage: Stage) -> list[dict[str, Any]]:
     labels: list[dict[str, Any]] = []
     for text, place in (("start", stage.start), ("target", stage.target)):
         labels.append(_label(text, place, "place", 1))
-    return labels + tick_labels(stage.low, stage.high, stage.cell)
+    toward = _camera(stage)["direction"]
+    return labels + tick_labels(stage.low, stage.high, stage.cell, toward)
 
 
-def tick_labels(low: Array, high: Array, cell: float) -> list[dict[str, Any]]:
-    """Numbers along the floor's near edge."""
+def tick_labels(
+    low: Array, high: Array, cell: float, toward: Sequence[float]
+) -> list[dict[str, Any]]:
+    """Numbers along the floor's edge that is nearer to an eye in a direction."""
     marks = multiples(low[0], high[0], 5.0 * cell)
-    places = [np.array([x, low[1] - 0.25 * cell, low[2]]) for x in marks]
+    edge = low[1] - 0.25 * cell if toward[1] < 0.0 else high[1] + 0.25 * cell
+    places = [np.array([x, edge, low[2]]) for x in marks]
     return [
         _label(f"{x:g} m", place, "tick", 0)
         for x, place in zip(marks, places, strict=True)

@@ -224,7 +224,7 @@ def _write(
             "direction": eye,
         },
         "sizes": {"vehicle": 0.04 * span, "marker": 0.01 * span},
-        "labels": tick_labels(low, high, cell),
+        "labels": tick_labels(low, high, cell, eye),
         "round": sum(map(len, frames.values())) < 100,
     }
     return write_page(str(meshcat.StaticHtml()), words, data, path)

@@ -111,7 +111,7 @@ def add_walls(meshcat: Meshcat, stage: Stage) -> None:
     middle, size = 0.5 * (stage.low + stage.high), 1.2 * stage.span
     for index, wall in enumerate(walls_of(stage.run.scenario)):
         for name, thick, alpha in (
-            ("body", -0.004 * size, 0.35),
+            ("body", -0.004 * size, 0.3),  # More would throw a shadow.
             ("keep_out", wall.margin, 0.15),
         ):
             if thick != 0.0:

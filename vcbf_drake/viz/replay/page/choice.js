@@ -16,7 +16,7 @@ class Choice {
   draw() {
     const { width, height } = this.svg.getBoundingClientRect();
     const { names, low, high } = this.data.choice;
-    const [left, right, top, bottom] = [42, width - 6, 5, height - 29];
+    const [left, right, top, bottom] = [52, width - 6, 5, height - 29];
     const room = [0, 1].map((axis) => 0.16 * (high[axis] - low[axis]) || 1);
     const scale = (axis, from, to) => (value) =>
       from + ((value - low[axis] + room[axis]) / (high[axis] - low[axis] + 2 * room[axis]))
@@ -42,7 +42,7 @@ class Choice {
       const place = { x: left - 4, y: this.y(value) + 4, "text-anchor": "end" };
       element("text", place, this.svg).textContent = short(value);
     }
-    const beside = `translate(${left - 32} ${(top + bottom) / 2}) rotate(-90)`;
+    const beside = `translate(${left - 42} ${(top + bottom) / 2}) rotate(-90)`;
     element("text", { transform: beside, "text-anchor": "middle" }, this.svg)
       .textContent = names[1];
     this.pane = element("g", { "clip-path": "url(#choice-pane)" }, this.svg);

@@ -122,8 +122,10 @@ class Plot {
       const name = lane.limits ? "limit" : value === 0 ? "zero" : "grid";
       const line = { class: name, x1: left, x2: this.right, y1: y(value), y2: y(value) };
       element("line", line, this.svg);
+    }
+    for (const [text, value] of this.numbers(lane, low, high, bottom - top)) {
       const place = { x: left - 6, y: y(value) + 4, "text-anchor": "end" };
-      element("text", place, this.svg).textContent = lane.limits ? short(value) : value;
+      element("text", place, this.svg).textContent = text;
     }
     this.drawCurves(lane, y);
     if (lane.name) {
@@ -134,6 +136,15 @@ class Plot {
       run, y, values: run[lane.key],
       node: element("circle", { r: 3.5, fill: run.color, class: "stop" }, this.svg),
     }));
+  }
+
+  /** What stands beside a lane and where: in a low one the limits share a line. */
+  numbers({ limits }, low, high, height) {
+    if (!limits) return ticks(low, high, 4).map((value) => [value, value]);
+    if (height > 26) return limits.map((value) => [short(value), value]);
+    const [least, most] = limits;
+    const text = least === -most ? `±${short(most)}` : `${short(least)}..${short(most)}`;
+    return [[text, 0.5 * (least + most)]];
   }
 
   /** Every curve twice: pale as a whole, and strong up to the cursor. */
