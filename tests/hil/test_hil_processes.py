@@ -280,6 +280,27 @@ def test_a_name_that_makes_no_channel_is_wrong_usage(start) -> None:
     )
 
 
+def test_what_is_wrong_with_a_bus_is_one_line_and_status_1() -> None:
+    """The words alone, without the name of a class."""
+    arguments = ["plant", "car-avoidance", "--lcm-url", "memq://"]
+    done = subprocess.run(
+        [*COMMAND, *arguments], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert done.stderr == (
+        "vcbf-drake: memq:// is no bus between processes; udpm:// and tcpq:// are\n"
+    )
+
+
+@needs_bus
+def test_a_vehicle_without_a_name_says_so(start) -> None:
+    plant = start("plant", "--name", "", "--wait", "0.2")
+    _, err = plant.communicate(timeout=60.0)
+    assert plant.returncode == 5
+    first = f"vehicle of car-avoidance on {URL} without a name"
+    assert err.splitlines()[0] == first
+
+
 def test_a_unicast_address_is_named() -> None:
     with pytest.raises(BusError, match=r"127\.0\.0\.1 is no multicast address"):
         check_bus("udpm://127.0.0.1:7667?ttl=0", patience=0.1)

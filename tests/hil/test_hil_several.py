@@ -275,6 +275,30 @@ def test_a_constant_offset_of_seconds_changes_nothing() -> None:
     assert arrived["rejected"] == {}
 
 
+def test_a_rate_that_is_not_kept_is_said_and_when_it_is_again() -> None:
+    """Of three states two are lost for two seconds: the periods have no command."""
+    count = 0
+
+    def relay(message):
+        nonlocal count
+        count += 1
+        is_lost = hasattr(message, "state") and 1.0 < message.time < 3.0
+        return None if is_lost and count % 3 else message
+
+    run = RelayedLoop(load_scenario(CAR), relay)
+    said: list[str] = []
+    run.controller.tell = said.append
+    for tick in range(250):
+        run.advance_to(0.02 * tick)
+        run.controller._say()
+    found = [line for line in said if "rate" in line]
+    assert len(found) == 2
+    number = int(found[0].split(": ")[1].split()[0])
+    assert found[0] == f"the rate is not kept: {number} of 50 periods were missed"
+    assert 25 < number < 40
+    assert found[1] == "the rate is kept again"
+
+
 # Perceived obstacles ---------------------------------------------------------------
 
 

@@ -243,7 +243,9 @@ class ControllerProcess(HardwareProcess):
             lambda: (
                 f"{status.time:8.1f} s  {mode}  {inbox.accepted} states,"
                 f" {inbox.lost} lost, V_v {status.volume:.3f}"
-            )
+            ),
+            self._sender.deadlines_missed,
+            self._sender.period,
         )
 
     def _receiver_context(self) -> Any:

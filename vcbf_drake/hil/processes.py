@@ -23,6 +23,8 @@ from vcbf_drake.simulation.run import make_simulator
 from vcbf_drake.simulation.scenario import Scenario
 
 _TIMES, _PAUSE = 10, 0.05  # [s]
+# The share of control periods, of a second's, that may be missed without a word.
+_MOST_MISSED = 0.1
 
 # Why a process ended, and its exit status.
 EXIT_STATUSES = {
@@ -66,7 +68,7 @@ class HardwareProcess:
         self.progress: Callable[[str], None] = lambda line: None
         self._stopping = False
         self._told: dict[str, str] = {}
-        self._progress_at = 0
+        self._progress_at = self._missed = 0
 
     def stop(self, *_: object) -> None:
         """Makes `run` end soon; fit to be a signal's handler."""
@@ -83,11 +85,27 @@ class HardwareProcess:
             self._told[subject] = text
             self.tell(line)
 
-    def _tell_progress(self, line: Callable[[], str]) -> None:
+    def _tell_progress(
+        self, line: Callable[[], str], missed: int, period: float
+    ) -> None:
+        """Tells once a second how things go, and whether the rate is kept.
+
+        Args:
+            line: How things go.
+            missed: How many control periods were missed so far.
+            period: The control period [s].
+        """
         now = self.bus.clock.utime()
-        if now - self._progress_at >= 1_000_000:
-            self._progress_at = now
-            self.progress(line())
+        if now - self._progress_at < 1_000_000:
+            return
+        periods = 1e-6 * (now - self._progress_at) / period
+        lately = missed - self._missed
+        self._progress_at, self._missed = now, missed
+        is_kept = lately <= _MOST_MISSED * periods
+        loss = f"the rate is not kept: {lately} of {periods:.0f} periods were missed"
+        words = "the rate is kept again" if is_kept else loss
+        self._tell_change("rate", "" if is_kept else "missed", words)
+        self.progress(line())
 
 
 def arrivals(inbox: Inbox) -> dict[str, Any]:
@@ -265,5 +283,7 @@ class PlantProcess(HardwareProcess):
             line = f"{self.time:.2f} s: commands: {complaint}"
             self._tell_change("commands", inbox.last_rejection, line)
         self._tell_progress(
-            lambda: f"{self.time:8.1f} s  {mode}  {inbox.accepted} commands"
+            lambda: f"{self.time:8.1f} s  {mode}  {inbox.accepted} commands",
+            self.deadlines_missed,
+            self.scenario.period,
         )
