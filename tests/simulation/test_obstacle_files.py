@@ -222,3 +222,39 @@ def test_every_point_of_the_body_keeps_clear():
 def test_a_wrong_point_of_the_body_is_one_line(point, words):
     with pytest.raises(ScenarioError, match=words):
         load_scenario("car-avoidance", {"body": [point]})
+
+
+def test_every_link_of_an_arm_keeps_clear():
+    """Each point by Drake's own kinematics, less the balls around obstacle and link."""
+    examples = Path(__file__).parents[2] / "examples"
+    points = [
+        {"frame": "hand"},
+        {"frame": "link_4", "point": [0, 0, 0.1], "radius": 0.06},
+    ]
+    scenario = load_scenario(examples / "arm.yaml", {"body": points})
+    plant = scenario.vehicle.make_plant()
+    model = ControlAffineModel.from_system(plant)
+    found = [each for each in barriers(scenario) if each.name.startswith("obstacle")]
+    state = np.array(scenario.initial_state)
+    context = plant.CreateDefaultContext()
+    plant.SetPositions(context, state[:7])
+    ball = scenario.obstacles[0]
+    distances = []
+    for frame, point, radius in (
+        ("hand", [0, 0, 0], 0.0),
+        ("link_4", [0, 0, 0.1], 0.06),
+    ):
+        place = plant.GetFrameByName(frame).CalcPoseInWorld(context) @ np.array(point)
+        away = np.linalg.norm(place - ball.center)
+        distances.append(away - ball.radius - radius)
+    values = BarrierSet(model, found).values(state, 0.0)
+    np.testing.assert_allclose(values, distances, atol=1e-12)
+    with pytest.raises(ScenarioError, match=r"body\[0\].*no frame 'foot'"):
+        load_scenario(examples / "arm.yaml", {"body": [{"frame": "foot"}]})
+
+
+def test_the_yard_of_the_gallery_is_driven_through():
+    yard = Path(__file__).parents[2] / "examples" / "yard" / "yard.yaml"
+    result = simulate(load_scenario(yard))
+    assert result.summary["outcome"] == "reached" and result.summary["guaranteed"]
+    assert result.summary["min_barrier"] > 0.0
