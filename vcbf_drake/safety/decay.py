@@ -119,7 +119,7 @@ class DecayRates:
             feasible: The feasible set.
             u: The input, shape (m,).
         """
-        excess = feasible.rows.A @ u - (feasible.rows.b + feasible.margin)
+        excess = feasible.rows.A @ u - feasible.bound
         grows = (self.slopes > 0.0) & np.isinf(feasible.penalties)
         growth = float(np.max(excess[grows] / self.slopes[grows], initial=0.0))
         # Rounded up, so that the rows hold with it where their numbers are large.

@@ -71,7 +71,7 @@ class FeasibleSet:
         A_v: The rows in normalised inputs, shape (k + N, m).
         b_v: Their right-hand sides, the disturbance's margin included, shape (k + N,).
         rows: The barrier rows.
-        margin: Lambda of each, shape (N,).
+        bound: The right-hand side of each with its margin, b + Lambda, shape (N,).
         known: What they take as known of the disturbance.
         weights: How much a violation of each barrier row counts, shape (N,).
         input_set: What limits the input whatever the state.
@@ -85,7 +85,7 @@ class FeasibleSet:
     A_v: Array
     b_v: Array
     rows: BarrierRows
-    margin: Array
+    bound: Array
     known: DisturbanceKnowledge
     weights: Array
     input_set: InputSet
@@ -100,7 +100,7 @@ class FeasibleSet:
     @property
     def b(self) -> Array:
         """Their right-hand sides, shape (k + N,)."""
-        b = np.where(np.isinf(self.penalties), self.rows.b + self.margin, np.inf)
+        b = np.where(np.isinf(self.penalties), self.bound, np.inf)
         return np.concatenate([self.input_set.b, b])
 
     @property
@@ -118,28 +118,23 @@ class FeasibleSet:
         b_v = self.b_v.copy()
         b_v[k:] -= reserve
         cutting = cutting_rows(self.input_set, self.A_v, b_v)
-        return replace(self, b_v=b_v, margin=self.margin - reserve, cutting=cutting)
+        return replace(self, b_v=b_v, bound=self.bound - reserve, cutting=cutting)
 
     @cached_property
     def is_finite(self) -> bool:
         """Whether every number in the rows is finite."""
-        b = self.rows.b + self.margin
-        return bool(np.isfinite(self.A_v).all() and np.isfinite(b).all())
+        return bool(np.isfinite(self.A_v).all() and np.isfinite(self.bound).all())
 
     @property
     def is_uncut(self) -> bool:
         """Whether every barrier row, if finite, holds for every input."""
         return len(self.cutting) == len(self.input_set.limits)
 
-    def soft_bound(self, row: int) -> float:
-        """Returns what stands on a soft barrier row's right, as of any other."""
-        return float(self.rows.b[row] + self.margin[row])
-
     def soft_slack(self, row: int, u: Array) -> float:
         """Returns how far a soft barrier row has to give way at an input; else > 0."""
-        return self.soft_bound(row) - float(self.rows.A[row] @ u)
+        return float(self.bound[row]) - float(self.rows.A[row] @ u)
 
-    @property
+    @cached_property
     def soft(self) -> NDArray[np.intp]:
         """Indices of the soft barrier rows, among the barriers'."""
         return np.isfinite(self.penalties).nonzero()[0]
@@ -147,7 +142,7 @@ class FeasibleSet:
 
 def disturbance_margin(rows: BarrierRows, known: DisturbanceKnowledge) -> Array:
     """Returns Lambda, the certified lower bound of w'd per row (E16), shape (N,)."""
-    w_norm = np.sqrt(np.einsum("ij,ij->i", rows.w, rows.w))
+    w_norm = np.sqrt(np.vecdot(rows.w, rows.w))
     return rows.w @ known.estimate - w_norm * known.bound
 
 
@@ -169,19 +164,18 @@ def feasible_set(
         penalties: Of soft rows, and infinity for the others, shape (N,); by default no
             row is soft.
     """
-    margin = disturbance_margin(rows, known)
-    A_v = np.concatenate([input_set.A_normalised, rows.A * input_set.scale])
-    b_v = rows.b + margin - rows.A @ input_set.center
+    bound = rows.b + disturbance_margin(rows, known)
+    distance = bound - rows.A @ input_set.center
     if penalties is None:
-        penalties = np.full(len(b_v), np.inf)
-    else:
-        b_v = np.where(np.isinf(penalties), b_v, np.inf)
-    b_v = np.concatenate([input_set.b_normalised, b_v])
+        penalties = np.full(len(bound), np.inf)
+    distance[np.isfinite(penalties)] = np.inf
+    A_v = np.concatenate([input_set.A_normalised, rows.A * input_set.scale])
+    b_v = np.concatenate([input_set.b_normalised, distance])
     return FeasibleSet(
         A_v=A_v,
         b_v=b_v,
         rows=rows,
-        margin=margin,
+        bound=bound,
         known=known,
         weights=np.ones(len(rows.b)) if weights is None else weights,
         input_set=input_set,

@@ -208,7 +208,7 @@ def state_qp(
     if frame.size != 1.0:
         z = z / frame.size
     soft = [
-        VolumeRow(feasible.rows.A[i], feasible.soft_bound(i), feasible.penalties[i])
+        VolumeRow(feasible.rows.A[i], float(feasible.bound[i]), feasible.penalties[i])
         for i in feasible.soft.tolist()
     ]
     further = [*volume_rows, *soft]
@@ -328,7 +328,7 @@ def finer_frame(
     for i in rows.tolist():
         entries = np.abs(feasible.rows.A[i]).tolist()
         length = math.hypot(*map(mul, entries, scale))
-        terms = abs(float(feasible.rows.b[i] + feasible.margin[i]))
+        terms = abs(float(feasible.bound[i]))
         terms += sum(map(mul, entries, reach))
         size = max(size, terms / length if length > 0.0 else 0.0)
     if not 0.0 < size < _SMALL * frame.size:
