@@ -91,7 +91,8 @@ def test_every_answer_is_a_solved_programs(monkeypatch, capsys):
     def solve(self, A, b):
         before = solved[EllipsoidProgram]
         found = largest(self, A, b)
-        if found.log_det != 0.0:
+        # A box that no row cuts, or one alone, has a closed form.
+        if found.log_det != 0.0 and (b < np.abs(A).sum(axis=1)).sum() > 1:
             cut["ellipsoids"] += 1
             cut["by a cone program"] += solved[EllipsoidProgram] > before
         return found
@@ -103,11 +104,11 @@ def test_every_answer_is_a_solved_programs(monkeypatch, capsys):
     with capsys.disabled():
         print(
             f"\nTest 2: {cut['ticks']} ticks whose reference did not pass,"
-            f" {cut['by a QP']} answered by a QP; {cut['ellipsoids']} ellipsoids of cut"
-            f" sets, {cut['by a cone program']} by a cone program"
+            f" {cut['by a QP']} answered by a QP; {cut['ellipsoids']} ellipsoids of"
+            f" sets that several rows cut, {cut['by a cone program']} by a cone program"
         )
     assert cut["by a QP"] == cut["ticks"] > 500
-    assert cut["by a cone program"] == cut["ellipsoids"] > 500
+    assert cut["by a cone program"] == cut["ellipsoids"] > 100
 
 
 @pytest.mark.parametrize("solver", [OsqpSolver, SnoptSolver])

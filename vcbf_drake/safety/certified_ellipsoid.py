@@ -72,12 +72,7 @@ def polish(
     best, least = None, math.inf
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         for step in range(8):
-            n = A @ frame
-            length = np.sqrt(np.vecdot(n, n))
-            n /= length[:, None]
-            e = (b - A @ center) / length - 1.0
-            w = multipliers * length
-            w[w <= e] = 0.0
+            n, length, e, w = _contacts(A, b, center, frame, multipliers)
             if step > 0:
                 gap = _gap(n, e, w)
                 if gap < least:
@@ -102,6 +97,37 @@ def polish(
             center = center + frame @ d
             frame = 1.5 * frame - 0.5 * frame @ ((n.T * (v - we)) @ n)
     return best and _inside(*best, least)
+
+
+def certified(
+    A: Array, b: Array, center: Array, frame: Array, multipliers: Array
+) -> CertifiedEllipsoid | None:
+    """Returns an ellipsoid as it is, with what is known of it; None without a bound.
+
+    Args:
+        A: As for `polish`, like the others.
+        b: The right-hand sides.
+        center: c.
+        frame: F.
+        multipliers: Of the rows.
+    """
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        n, length, e, w = _contacts(A, b, center, frame, multipliers)
+        gap = _gap(n, e, w)
+    return _inside(center, frame, w / length, e, gap) if gap < math.inf else None
+
+
+def _contacts(
+    A: Array, b: Array, center: Array, frame: Array, multipliers: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Unit normals n, lengths |B a_i|, excess distances e and weights w of `polish`."""
+    n = A @ frame
+    length = np.sqrt(np.vecdot(n, n))
+    n /= length[:, None]
+    e = (b - A @ center) / length - 1.0
+    w = multipliers * length
+    w[w <= e] = 0.0
+    return n, length, e, w
 
 
 def _gap(n: Array, e: Array, w: Array) -> float:

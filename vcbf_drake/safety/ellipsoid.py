@@ -19,9 +19,11 @@ from vcbf_drake.errors import EmptySetError, SolverError, UnboundedSetError
 from vcbf_drake.safety.certified_ellipsoid import (
     ACCEPTED_GAP,
     CertifiedEllipsoid,
+    certified,
     interval,
     polish,
 )
+from vcbf_drake.safety.cut_box import cut_box
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.polytope import (
     UnitRows,
@@ -167,8 +169,8 @@ class InscribedEllipsoidSolver:
     In normalised inputs v (see `InputSet`). When the input set's own largest ellipsoid
     meets every row, it is the answer: the plateau. A row with b_i > |a_i|_1 cuts
     nothing off the bounding box |v_j| <= 1. An input of a box that no other row
-    mentions is an axis of the ellipsoid, of half-length 1. What is left is the cone
-    program's, and needs the certificate.
+    mentions is an axis of the ellipsoid, of half-length 1. A box that one row cuts has
+    a closed form; what is left is the cone program's. Both need the certificate.
 
     Args:
         input_set: The inputs before any row cuts them.
@@ -284,6 +286,8 @@ def _of_rows(
     m = A.shape[1]
     if m == 1:
         found = interval(A, b)
+    elif is_box and len(b) == 2 * m + 1 and b[-1] + np.abs(A[-1]).sum() > THINNEST:
+        found = certified(A, b, *cut_box(A[-1], float(b[-1])))
     else:
         tolerance, kept = _FAST_TOLERANCE, np.arange(len(b))
         if m > _FEW_INPUTS:
