@@ -274,7 +274,7 @@ def test_a_manoeuvre_that_is_not_safe_is_told_before_it_collides():
 
 
 def test_brakes_weaker_than_the_disturbance_make_no_gate():
-    with pytest.raises(ModelError, match=r"no manoeuvre of .* is safe"):
+    with pytest.raises(ModelError, match=r"no backup manoeuvre of .* is safe"):
         car_before_a_disc(5.0, 0.5, delta=0.6)
 
 

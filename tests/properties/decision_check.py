@@ -21,7 +21,7 @@ from vcbf_drake.safety.qp import InfeasiblePolicy
 from vcbf_drake.safety.tick_qp import VolumeRow
 
 # What is done where no input satisfies the rows, of all that asks for nothing but them:
-# the policy "backup" keeps a manoeuvre and has tests of its own.
+# the policy "backup" needs a plant, and a manoeuvre of it.
 POLICIES: tuple[InfeasiblePolicy, ...] = ("stop", "least_violation", "hold", "decay")
 # The filter said that no solver's answer was verified: no promise, but worth a count.
 UNSOLVED = "solved"
@@ -116,6 +116,10 @@ def _broken(tick: Tick, decision: FilterDecision) -> Iterator[str]:
     limits = _Rows.of(tick.input_set, tick.input_set.A, tick.input_set.b)
     if limits.violation(v) > FEASIBILITY:
         yield "inside"
+    if decision.backup > 0.0:  # A manoeuvre acts; the QP is not what is to be judged.
+        if tick.policy != "backup":
+            yield "backup"
+        return
     if (status == FilterStatus.RELAXED) != (decision.slack < 0.0):
         yield "slack"
     if bool(decision.conflict) != (status == FilterStatus.INFEASIBLE):

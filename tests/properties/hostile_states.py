@@ -15,6 +15,7 @@ from vcbf_drake.barriers import (
     StateInputLimit,
     ackermann_limit,
 )
+from vcbf_drake.between_ticks import BackupGate
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
 from vcbf_drake.model import ControlAffineModel
@@ -53,7 +54,10 @@ def random_decision(rng: Generator, plant: str) -> tuple[Tick, FilterDecision]:
         plant: One of `PLANTS`.
     """
     method = str(rng.choice(list(METHODS)))
-    policy = POLICIES[int(rng.integers(len(POLICIES)))]
+    policies = (*POLICIES, "backup")
+    policy = policies[int(rng.integers(len(policies)))]
+    if method == "backup" and policy == "decay":  # Its rows have no decay rates.
+        policy = "backup"
     safety_filter, context, spheres = _filter(plant, method, policy)
     inputs = safety_filter.input_set
     signals = _signals(rng, safety_filter, spheres)
@@ -64,13 +68,17 @@ def random_decision(rng: Generator, plant: str) -> tuple[Tick, FilterDecision]:
         decision = safety_filter.decision(context)
         feasible = safety_filter.feasible_set(context)
     limits = len(inputs.b)
-    slopes, growth = _decay(safety_filter, feasible.rows)
+    slopes = growth = np.zeros(0)
+    if safety_filter.method.feasibility != "backup":
+        slopes, growth = _decay(safety_filter, feasible.rows)
     tick = Tick(
         input_set=inputs,
         A=feasible.A[limits:],
         b=feasible.b[limits:],
         weights=feasible.weights,
-        volume_rows=() if safety_filter.method.feasibility == "none" else None,
+        volume_rows=()
+        if safety_filter.method.feasibility in ("none", "backup")
+        else None,
         reference=signals["reference"],
         held_input=signals["held_input"],
         exact_slack=True,
@@ -127,6 +135,7 @@ def _filter(plant: str, method: str, policy: InfeasiblePolicy) -> _Filter:
         FilterSettings(method=method, infeasible=policy),
         bounds=DisturbanceBounds(0.1, 0.0, 0.0),
         estimate_gain=5.0,
+        make_gate=BackupGate,
     )
     return _Filter(system, system.CreateDefaultContext(), spheres)
 

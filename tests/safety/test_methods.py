@@ -17,6 +17,7 @@ def test_methods_do_what_their_papers_do():
         "dob-cbf-qp": ("estimated", "none", "rise"),
         "dob-vcbf-qp": ("estimated", "volume", "rise"),
         "optimal-decay": ("estimated", "decay", "rise"),
+        "backup": ("estimated", "backup", "rise"),
     }
     assert all(method.source for method in METHODS.values())
 

@@ -82,7 +82,9 @@ def test_every_method_keeps_its_rows_and_the_input_limits(model, method, fidelit
     growth = evaluate(safety_filter, context, "decay")[0] - 1.0
     assert (growth > 0.0) == (method == "optimal-decay")
     levels = evaluate(safety_filter, context, "levels")[1::2]
-    b = packed.b + growth * np.append(np.zeros(len(LIMITS.b)), levels)
+    b = packed.b.copy()
+    if growth > 0.0:
+        b += growth * np.append(np.zeros(len(LIMITS.b)), levels)
     assert np.all(packed.A @ u <= b + 1e-9)
     assert LIMITS.contains(u)
     assert evaluate(safety_filter, context, "status")[0] <= FilterStatus.RELAXED

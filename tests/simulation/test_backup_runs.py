@@ -96,7 +96,7 @@ def test_a_premise_that_fails_is_named_before_anything_fails(broken, before, rea
 
 def test_brakes_weaker_than_the_wind_are_refused_in_one_line():
     limits = {"lower": [-0.2, -0.3], "upper": [0.2, 0.3]}
-    with pytest.raises(VcbfError, match=r"no manoeuvre of .* is safe"):
+    with pytest.raises(VcbfError, match=r"no backup manoeuvre of .* is safe"):
         run(input_set=limits)
 
 

@@ -164,21 +164,7 @@ def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctio
         return RowFunctions(
             moved.row, moved.gradient, constants, moved.value, parameters, r
         )
-    symbols = Symbols(model, len(parameters))
-    h = symbols.call(barrier.function, barrier.of_position)
-    h = np.asarray(h, dtype=object)
-    if h.shape != ():
-        raise ModelError(
-            f"function(x, t, p) must return one scalar expression, got shape {h.shape}"
-        )
-    formula = Formula(
-        symbols.read(h).item(),
-        model.dynamics,
-        symbols.parameters,
-        r,
-        early is not None,
-        class_k_formula(barrier.class_k),
-    )
+    formula = barrier_formula(model, barrier)
     try:
         check_relative_degree(model, Chain.of(formula), constants)
         row, gradient, value = _compile_barrier(formula)
@@ -188,6 +174,31 @@ def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctio
             f" without abs and without the root of a square ({error})"
         ) from None
     return RowFunctions(row, gradient, constants, value, parameters, r)
+
+
+# As in `BarrierSet`: pydrake's expressions set the flag "invalid" in exact arithmetic.
+@np.errstate(invalid="ignore")
+def barrier_formula(model: ControlAffineModel, barrier: Barrier) -> Formula:
+    """Returns what a barrier's rows are derived from.
+
+    Raises:
+        ModelError: Its function returns no formula.
+    """
+    symbols = Symbols(model, len(barrier.parameters))
+    h = symbols.call(barrier.function, barrier.of_position)
+    h = np.asarray(h, dtype=object)
+    if h.shape != ():
+        raise ModelError(
+            f"function(x, t, p) must return one scalar expression, got shape {h.shape}"
+        )
+    return Formula(
+        symbols.read(h).item(),
+        model.dynamics,
+        symbols.parameters,
+        barrier.relative_degree,
+        barrier.early_disturbance is not None,
+        class_k_formula(barrier.class_k),
+    )
 
 
 def limit_functions(model: ControlAffineModel, limit: StateInputLimit) -> RowFunctions:

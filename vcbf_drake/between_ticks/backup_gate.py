@@ -11,9 +11,9 @@ from vcbf_drake.barriers.rows import RowFunctions
 from vcbf_drake.between_ticks.enclosures import RowEnclosures
 from vcbf_drake.between_ticks.interval import Interval, as_interval, interval_function
 from vcbf_drake.checks import Array
-from vcbf_drake.errors import ModelError
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.model.manoeuvre import Box, Manoeuvre, Plan
+from vcbf_drake.safety.backup import manoeuvres_of
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.qp import FilterDecision, FilterStatus
 from vcbf_drake.safety.row_holder import Tick
@@ -56,22 +56,9 @@ class BackupGate:
                 barrier has no enclosure on intervals; or the limits are no box.
         """
         RowEnclosures.at(barrier_set, 0.0, np.zeros(barrier_set.obstacles_size))
-        if not input_set.is_box:
-            raise ModelError("infeasible: backup; it needs limits of each input alone")
-        if model.make_manoeuvres is None:
-            raise ModelError(
-                f"infeasible: backup; {model.name} has no backup manoeuvre: give the"
-                " plant a method make_manoeuvres"
-            )
-        lower, upper = -input_set.b[model.num_inputs :], input_set.b[: model.num_inputs]
         self.manoeuvres = tuple(
-            model.make_manoeuvres(lower, upper, disturbance_bound, period)
+            manoeuvres_of(model, input_set, period, disturbance_bound)
         )
-        if not self.manoeuvres:
-            raise ModelError(
-                f"infeasible: backup; no manoeuvre of {model.name} is safe with these"
-                f" input limits and |d| <= {disturbance_bound:g} m/s^2"
-            )
         self._barriers, self._input_set = barrier_set, input_set
         self._disturbance_bound = disturbance_bound
 
@@ -98,8 +85,8 @@ class BackupGate:
         if any(check.passes(each, u) for each in self.manoeuvres):
             return replace(decision, is_certified=True)
         for each in self.manoeuvres:
-            backup = each.input(tick.state)
-            if not check.passes(each, backup):
+            backup = _input_of(each, tick.state)
+            if backup is None or not check.passes(each, backup):
                 continue
             partly = u.copy()
             partly[list(each.first)] = backup[list(each.first)]
@@ -112,10 +99,18 @@ class BackupGate:
                 is_certified=True,
                 qp=None,
             )
-        if decision.status < FilterStatus.INFEASIBLE:
+        backup = _input_of(self.manoeuvres[0], tick.state)
+        if decision.status < FilterStatus.INFEASIBLE or backup is None:
             return replace(decision, is_certified=False)
-        backup = self.manoeuvres[0].input(tick.state)
         return replace(decision, input=backup, backup=1.0, is_certified=False)
+
+
+def _input_of(manoeuvre: Manoeuvre, state: Array) -> Array | None:
+    """A manoeuvre's input; None beyond what floats hold."""
+    try:
+        return manoeuvre.input(state)
+    except (ArithmeticError, ValueError):
+        return None
 
 
 class _Check:
@@ -139,7 +134,10 @@ class _Check:
         limits = self._limits
         if (rows.A[limits] @ u > rows.b[limits] + _TOLERANCE).any():
             return False
-        plan = manoeuvre.plan(tick.state, tick.time, u)
+        try:
+            plan = manoeuvre.plan(tick.state, tick.time, u)
+        except (ArithmeticError, ValueError):  # Beyond what floats hold.
+            return False
         cells = self._cells_before_safety(plan)
         if cells is None:
             return False
@@ -196,8 +194,8 @@ _UNKNOWN = Interval(-1e300, 1e300)
 
 def _value(function: RowFunctions, box: Box) -> Interval:
     """Encloses a barrier over a box; anything where it is singular."""
-    arguments = [Interval(*each) for each in box]
     try:
+        arguments = [Interval(*each) for each in box]
         (h,) = interval_function(function.value)(*arguments, *function.parameters)
     except (ArithmeticError, ValueError):
         return _UNKNOWN

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 # Those of `vcbf_drake.safety.METHODS`, which --help must not import; a test compares.
 METHODS = (
     "cbf-qp, robust-cbf-qp, wang-xu-dob-cbf-qp, vcbf-qp, dob-cbf-qp, dob-vcbf-qp,"
-    " optimal-decay"
+    " optimal-decay, backup"
 )
 
 ScenarioArgument = Annotated[

@@ -5,9 +5,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from vcbf_drake.checks import Array
+from vcbf_drake.model.compiled import Expressions
 
 Box: TypeAlias = list[tuple[float, float]]
 """Least and greatest value of every state and, last, of the time [s]: n + 1 pairs."""
@@ -41,11 +42,13 @@ class Manoeuvre(ABC):
     """A law that leads the plant to safety, with a tube around where it leads.
 
     Attributes:
+        horizon: For how long method backup follows the law [s]; 0 where it has none.
         first: Which inputs give way first where a plan is not safe: the others keep
             what the filter chose, if that helps.
     """
 
     first: tuple[int, ...]
+    horizon = 0.0
 
     @abstractmethod
     def input(self, state: Array) -> Array:
@@ -64,6 +67,14 @@ class Manoeuvre(ABC):
             time: When that is [s].
             u: The input, shape (m,).
         """
+
+    def law(self, x: Expressions) -> Sequence[Any]:
+        """Returns a smooth form of the law, for method backup: m expressions.
+
+        Args:
+            x: The state's symbols, shape (n,).
+        """
+        raise NotImplementedError
 
 
 MakeManoeuvres: TypeAlias = Callable[[Array, Array, float, float], Sequence[Manoeuvre]]

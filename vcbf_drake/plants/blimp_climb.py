@@ -6,11 +6,12 @@ Sway has no actuator, so that no law keeps a blimp at rest in a wind. Heave has 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vcbf_drake.checks import Array
+from vcbf_drake.model.compiled import Expressions
 from vcbf_drake.model.manoeuvre import ANYWHERE, FOREVER, Box, Manoeuvre, Plan
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ class BlimpClimb(Manoeuvre):
     """
 
     first = (1,)
+    horizon = 6.0
 
     def __init__(
         self,
@@ -81,6 +83,11 @@ class BlimpClimb(Manoeuvre):
         stop = (self._yaw_drag - self._inertia / self._period) * yaw_rate
         moment = min(max(stop, float(self._lower[2])), float(self._upper[2]))
         return np.array([0.0, self._heave, moment])
+
+    def law(self, x: Expressions) -> list[Any]:
+        """Returns the heave that is left in the worst wind; see `Manoeuvre`."""
+        wind = self._heave_mass * self._delta
+        return [0.0, self._heave - wind if self._is_up else self._heave + wind, 0.0]
 
     def plan(self, state: Array, time: float, u: Array) -> Plan:
         """Returns where an input leads; see `Manoeuvre`."""

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
+from pydrake.math import tanh
 
 from vcbf_drake.checks import Array
+from vcbf_drake.model.compiled import Expressions
 from vcbf_drake.model.manoeuvre import FOREVER, Box, Manoeuvre, Plan
 
 # The least length of a cell [m]; and what rounding may move a box's ends by.
 _SHORTEST_CELL = 5e-4
 _ROUNDING = 1e-12
+# Below this speed the smooth law brakes less [m/s].
+_SLOW = 0.1
 
 
 class CarStop(Manoeuvre):
@@ -38,6 +43,7 @@ class CarStop(Manoeuvre):
     """
 
     first = (0,)
+    horizon = 6.0
 
     def __init__(
         self,
@@ -84,6 +90,11 @@ class CarStop(Manoeuvre):
         deadbeat = min(max(-v / self._period, -self._brake), self._push)
         ways = (deadbeat, -self._brake, self._push, self._delta, -self._delta)
         return np.array([self._mass * max(ways, key=room), 0.0])
+
+    def law(self, x: Expressions) -> list[Any]:
+        """Returns the weakest braking, smooth at rest; see `Manoeuvre`."""
+        weakest = min(self._brake_least, self._push_least)
+        return [-self._mass * weakest * tanh(x[2] / _SLOW), 0.0]
 
     def _reach(self, v: float, a: float) -> tuple[float, float]:
         """How far ahead and back the car gets, holding a and stopping after (E125)."""

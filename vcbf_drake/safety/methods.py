@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 DisturbanceHandling = Literal["ignored", "worst_case", "estimated"]
-Feasibility = Literal["none", "volume", "decay"]
+Feasibility = Literal["none", "volume", "decay", "backup"]
 ObserverKind = Literal["rise", "linear"]
 
 
@@ -18,7 +18,8 @@ class Method:
         disturbance: Every row either ignores the disturbance, takes its worst case
             within ``|d| <= delta1``, or uses the observer's estimate and error bound.
         feasibility: What keeps the rows from leaving no input: nothing, the volume
-            barrier's row in the QP, or decay rates that are variables of it.
+            barrier's row in the QP, decay rates that are variables of it, or rows along
+            the way of a backup law in place of the barriers' own.
         observer: The kind of observer; a method that does not estimate only logs it.
         source: Where the method comes from.
     """
@@ -42,4 +43,5 @@ METHODS: dict[str, Method] = {
     "dob-cbf-qp": Method("estimated", "none", "rise", "the paper (E19)"),
     "dob-vcbf-qp": Method("estimated", "volume", "rise", "the paper (E24)"),
     "optimal-decay": Method("estimated", "decay", "rise", "Zeng et al. 2021 (E99)"),
+    "backup": Method("estimated", "backup", "rise", "Chen et al. 2021 (E130)"),
 }

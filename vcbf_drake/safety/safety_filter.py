@@ -16,11 +16,12 @@ from pydrake.systems.framework import (
     State,
 )
 
-from vcbf_drake.barriers import Barrier, BarrierSet, StateInputLimit
+from vcbf_drake.barriers import Barrier, BarrierRows, BarrierSet, StateInputLimit
 from vcbf_drake.checks import Array, check_parameter
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety.backup import Gate, MakeGate
+from vcbf_drake.safety.backup import Gate, MakeGate, manoeuvres_of
+from vcbf_drake.safety.backup_rows import BackupRows
 from vcbf_drake.safety.cached_system import CachedSystem, held_by
 from vcbf_drake.safety.decay import DecayRates
 from vcbf_drake.safety.feasible_set import (
@@ -167,7 +168,9 @@ class SafetyFilter(CachedSystem):
         self.barriers = tuple(barriers)
         self.barrier_set = BarrierSet(model, barriers)
         self.input_set = input_set
-        self.row_names = RowNames.of(input_set, self.barrier_set.names)
+        self.backup_rows = self._make_backup_rows(input_set)
+        names = self.backup_rows.names if self.backup_rows else self.barrier_set.names
+        self.row_names = RowNames.of(input_set, names)
         self._estimate_gain = estimate_gain
         hold = max(self.settings.period, longest_hold)
         covers_hold = self.settings.corrections.error_floor
@@ -194,7 +197,7 @@ class SafetyFilter(CachedSystem):
                 )
             known = self.settings.period, self.bounds.delta1
             self.gate = make_gate(model, self.barrier_set, input_set, *known)
-        settings, count = self.settings, len(self.barriers)
+        settings, count = self.settings, len(self.row_names) - len(input_set.b)
         self._weights = settings.one_a_barrier("violation_weights", count, 1.0)
         self._penalties = settings.one_a_barrier("soft_penalties", count, np.inf)
         self._frame = Frame.of(input_set, settings.input_weights)
@@ -202,6 +205,19 @@ class SafetyFilter(CachedSystem):
         self._declare_inputs()
         self._declare_cache_entries()
         self._declare_outputs()
+
+    def _make_backup_rows(self, input_set: InputSet) -> BackupRows | None:
+        if self.method.feasibility != "backup":
+            return None
+        return BackupRows(
+            self.model,
+            self.barriers,
+            self.barrier_set,
+            manoeuvres_of(
+                self.model, input_set, self.settings.period, self.bounds.delta1
+            ),
+            self.settings.backup_margin,
+        )
 
     def _declare_inputs(self) -> None:
         m, q = self.model.num_inputs, self.model.num_disturbances
@@ -220,11 +236,17 @@ class SafetyFilter(CachedSystem):
             )
 
     def _declare_cache_entries(self) -> None:
-        optional = [port for port in (self._estimate, self._obstacles) if port]
+        needs = {self.time_ticket(), self._state.ticket()}
+        if self._obstacles is not None:
+            needs.add(self._obstacles.ticket())
+        self._rows_entry = self._entry("barrier rows", self._calc_rows, needs)
+        needs = {self._rows_entry.ticket()}
+        if self.backup_rows is not None:
+            needs |= {self.time_ticket(), self._state.ticket()}
+        if self._estimate is not None:
+            needs.add(self._estimate.ticket())
         self._feasible_entry = self._entry(
-            "feasible set",
-            self._calc_feasible_set,
-            {self.time_ticket(), *(p.ticket() for p in (self._state, *optional))},
+            "feasible set", self._calc_feasible_set, needs
         )
         self._determinants_entry = self._entry(
             "determinants", self._calc_determinants, {self._feasible_entry.ticket()}
@@ -250,6 +272,7 @@ class SafetyFilter(CachedSystem):
         m, n_rows = self.model.num_inputs, self.num_rows
         N, scale = self.barrier_set.size, self.input_set.scale
         decision, feasible = self._decision_entry, self._feasible_entry
+        rows = self._rows_entry
         self._output("command", m, decision, lambda decided: decided.input)
         self.DeclareVectorOutputPort(
             "fallback",
@@ -279,15 +302,18 @@ class SafetyFilter(CachedSystem):
         self._output(
             "volume", 1, self._volumes_entry, lambda v: [v[0].value if v[0] else np.nan]
         )
-        self._output("barriers", N, feasible, lambda found: found.rows.value)
+        self._output("barriers", N, rows, lambda found: found.value)
         self._output(
             "levels",
             sum(self.barrier_set.degrees),
-            feasible,
-            lambda found: np.concatenate([np.zeros(0), *found.rows.chain]),
+            rows,
+            lambda found: np.concatenate([np.zeros(0), *found.chain]),
         )
         self._output(
-            "authority", N, feasible, lambda found: found.rows.authority(scale)
+            "authority",
+            N,
+            feasible,
+            lambda found: self.of_barriers(found.rows.authority(scale)),
         )
         self.DeclareVectorOutputPort(
             "feasible_set",
@@ -299,7 +325,18 @@ class SafetyFilter(CachedSystem):
     @property
     def num_rows(self) -> int:
         """How many rows the feasible set has: input limits, then barriers."""
-        return len(self.input_set.b) + self.barrier_set.size
+        return len(self.row_names)
+
+    def of_barriers(self, of_rows: Array) -> Array:
+        """Returns the most of every barrier's rows, shape (..., N).
+
+        Args:
+            of_rows: A number of every row, shape (..., rows).
+        """
+        if self.backup_rows is None:
+            return of_rows
+        first = np.flatnonzero(np.diff(self.backup_rows.owners, prepend=-1))
+        return np.maximum.reduceat(of_rows, first, axis=-1)
 
     def knowledge(self, context: Context) -> DisturbanceKnowledge:
         """Returns what this method takes as known of the disturbance."""
@@ -339,11 +376,24 @@ class SafetyFilter(CachedSystem):
         widening = self.settings.volume.widening
         return state_programs(decision.qp, feasible, names, widening)
 
+    def barrier_rows(self, context: Context) -> BarrierRows:
+        """Returns the barriers' own rows at the context's state and time."""
+        value: BarrierRows = held_by(self._rows_entry, context)
+        return value
+
+    def _calc_rows(self, context: Context) -> BarrierRows:
+        x, t = self._state.Eval(context), context.get_time()
+        return self.barrier_set.rows(x, t, self._seen(context))
+
+    def _seen(self, context: Context) -> Array | None:
+        """What is perceived of obstacles."""
+        return None if self._obstacles is None else self._obstacles.Eval(context)
+
     def _calc_feasible_set(self, context: Context) -> FeasibleSet:
-        seen = None if self._obstacles is None else self._obstacles.Eval(context)
-        rows = self.barrier_set.rows(
-            self._state.Eval(context), context.get_time(), seen
-        )
+        rows = self.barrier_rows(context)
+        if self.backup_rows is not None:
+            x, t = self._state.Eval(context), context.get_time()
+            rows = self.backup_rows.rows(x, t, rows, self._seen(context))
         return feasible_set(
             self.input_set,
             rows,
@@ -398,9 +448,9 @@ class SafetyFilter(CachedSystem):
 
     def _tick(self, context: Context) -> Tick:
         """What is known at a tick."""
-        feasible, x = self.feasible_set(context), self._state.Eval(context)
-        seen = None if self._obstacles is None else self._obstacles.Eval(context)
-        return Tick(feasible.rows, x, context.get_time(), feasible.known, seen)
+        x, t = self._state.Eval(context), context.get_time()
+        rows, known = self.barrier_rows(context), self.knowledge(context)
+        return Tick(rows, x, t, known, self._seen(context))
 
     def _method_decision(self, context: Context) -> FilterDecision:
         """The method's own decision."""

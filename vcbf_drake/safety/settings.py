@@ -54,6 +54,8 @@ class FilterSettings:
         volume: The volume barrier, for the methods that have one.
         decay_penalty: What a decay rate's growth (omega - 1)^2 costs beside the squared
             distance to the reference (E99), with optimal-decay or infeasible: decay.
+        backup_margin: How far the way of the backup law keeps clear of every barrier,
+            in units of the position, with method backup (E130).
         between_ticks: "none" asks the rows to hold at the ticks alone, "certified" asks
             for inputs under which they hold until the next tick (E77), where there are
             such.
@@ -81,6 +83,7 @@ class FilterSettings:
     infeasible: InfeasiblePolicy = "least_violation"
     volume: VolumeBarrier = field(default_factory=VolumeBarrier)
     decay_penalty: float = DEFAULT_PENALTY
+    backup_margin: float = 0.05
     between_ticks: BetweenTicks = "none"
     violation_weights: list[float] = field(default_factory=list)
     input_weights: list[float] | list[list[float]] = field(default_factory=list)
@@ -94,6 +97,7 @@ class FilterSettings:
         check_solver(self.solver)
         check_parameter("period", self.period)
         check_parameter("decay_penalty", self.decay_penalty)
+        check_parameter("backup_margin", self.backup_margin, zero_allowed=True)
         require_choice("method", self.method, METHODS)
         weights = self.violation_weights
         check_parameter("violation_weights", weights, size=len(weights))
@@ -117,13 +121,25 @@ class FilterSettings:
             "none without the correction error_floor, for the printed error bound does"
             " not hold between ticks",
         )
+        is_backup = METHODS[self.method].feasibility == "backup"
+        require(
+            not (is_backup and self.infeasible == "decay"),
+            "infeasible",
+            self.infeasible,
+            f"backup or another with {self.method}, whose rows have no decay rates",
+        )
+        require(
+            not (is_backup and (self.violation_weights or self.soft_penalties)),
+            "method",
+            self.method,
+            "another with violation_weights or soft_penalties",
+        )
         require(
             self.between_ticks != "certified"
-            or METHODS[self.method].feasibility != "decay",
+            or METHODS[self.method].feasibility not in ("decay", "backup"),
             "between_ticks",
             self.between_ticks,
-            f"none with {self.method}, for no rate that a tick chooses is certified"
-            " until the next one",
+            f"none with {self.method}, whose rows are certified at the ticks alone",
         )
 
     def one_a_barrier(self, name: str, count: int, default: float) -> Array:

@@ -82,6 +82,10 @@ def audit_margins(
     along, w_norm = _each(rows.w, log["disturbance"]), np.linalg.norm(rows.w, axis=2)
     certified = _each(rows.w, estimate) - w_norm * bound[:, None]
     chi = rows.b + along - _each(rows.A, log["input"])
+    chain = _least_of_each(rows.chain[:, :, 1:])
+    if safety_filter.backup_rows is not None:
+        # It asks nothing of the barriers' own chains.
+        chi[:] = chain[:] = np.inf
     if safety_filter.method.feasibility == "decay":
         # What the law promises is phi' >= -omega lambda phi, for any omega allowed.
         period, watched = safety_filter.settings.period, barriers.barriers
@@ -103,7 +107,7 @@ def audit_margins(
         _least_of_each(chi),
         lasting,
         _least_of_each(rows.value),
-        _least_of_each(rows.chain[:, :, 1:]),
+        chain,
         volume,
         slack,
         _yes_or_no(status != FilterStatus.INFEASIBLE),

@@ -118,7 +118,8 @@ def finish_log(
     )
     log["polytope_A"], log["polytope_b"] = packed.A, packed.b
     rows = packed.A[:, len(safety_filter.input_set.b) :]
-    log["authority"] = np.linalg.norm(rows * safety_filter.input_set.scale, axis=2)
+    moved = np.linalg.norm(rows * safety_filter.input_set.scale, axis=2)
+    log["authority"] = safety_filter.of_barriers(moved)
     log["ellipsoid_shape"], log["ellipsoid_center"] = packed.shape, packed.center
     log["status"] = log["status"].astype(int)
     return log

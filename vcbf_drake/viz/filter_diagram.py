@@ -129,7 +129,8 @@ def _steps(safety_filter: SafetyFilter) -> dict[str, tuple[str, ...]]:
     """Returns what each entry computes, numbered on the way from state to input."""
     method, settings = safety_filter.method, safety_filter.settings
     steps: dict[str, tuple[str, ...]] = {
-        "feasible set": ("1  barrier rows (E7)", "2  feasible polytope (E18)"),
+        "barrier rows": ("1  barrier rows (E7)",),
+        "feasible set": ("2  feasible polytope (E18)",),
         "determinants": ("3  inscribed ellipsoid (E20)", "4  its gradient (E44)"),
         "volumes": ("5  V_v, above the threshold",),
     }

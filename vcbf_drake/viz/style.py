@@ -48,6 +48,7 @@ METHOD_STYLES = {
     "dob-cbf-qp": MethodStyle("DOB-CBF-QP", "#d55e00", (5.0, 1.6)),
     "dob-vcbf-qp": MethodStyle("DOB-VCBF-QP", "#0072b2", ()),
     "optimal-decay": MethodStyle("Optimal decay", "#56b4e9", (9.0, 1.6, 3.0, 1.6)),
+    "backup": MethodStyle("Backup CBF-QP", "#117733", (1.6, 1.6)),
 }
 
 RC_PARAMS: dict[str, Any] = {
