@@ -13,7 +13,7 @@ from vcbf_drake.between_ticks import BackupGate, HeldRows
 from vcbf_drake.checks import require
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceObserver
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.model.symbolic_dynamics import vector_ports
+from vcbf_drake.model.ports import input_port_of, state_port_of
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.loop_monitor import LoopMonitor
 from vcbf_drake.safety.safety_filter import SafetyFilter
@@ -101,14 +101,14 @@ def AddSafetyFilter(
     settings = settings or FilterSettings()
     plant_input: InputPort | None = None
     if plant is not None:
-        plant_input = plant if isinstance(plant, InputPort) else _input_port(plant)
+        plant_input = plant if isinstance(plant, InputPort) else input_port_of(plant)
         system = plant_input.get_system()
         # What holds between ticks is certified on symbolic dynamics.
         symbolic = settings.between_ticks == "certified"
         model = model or ControlAffineModel.from_system(
             system, plant_input, symbolic=symbolic
         )
-        state = state or _state_output(system)
+        state = state or state_port_of(system)
     if model is None or state is None:
         raise ValueError("plant: None; then model and state must be given")
     bounds = _checked_bounds(bounds, model)
@@ -185,23 +185,3 @@ def _obstacles_port(safety_filter: SafetyFilter) -> InputPort:
     if not safety_filter.HasInputPort("obstacles"):
         raise ValueError("obstacles: none of the barriers is of PerceivedSpheres")
     return safety_filter.GetInputPort("obstacles")
-
-
-def _state_output(plant: System) -> OutputPort:
-    if plant.HasOutputPort("state"):
-        return plant.GetOutputPort("state")
-    ports = [plant.get_output_port(i) for i in range(plant.num_output_ports())]
-    names = [port.get_name() for port in ports]
-    require(len(ports) == 1, "state", names, "the output port that is the state")
-    return ports[0]
-
-
-def _input_port(plant: System) -> InputPort:
-    for name in ("input", "actuation"):  # The latter is a MultibodyPlant's.
-        if plant.HasInputPort(name):
-            return plant.GetInputPort(name)
-    ports = [port for port in vector_ports(plant) if port.get_name() != "disturbance"]
-    names = [port.get_name() for port in ports]
-    rule = "a system with one input, or the port that it is: plant.GetInputPort(name)"
-    require(len(ports) == 1, "plant", names, rule)
-    return ports[0]

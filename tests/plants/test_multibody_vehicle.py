@@ -15,7 +15,8 @@ from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.plants.robot_controllers import Lqr
 from vcbf_drake.simulation.obstacles import StateRange
 
-ARM = Path(__file__).parents[2] / "examples" / "arm.yaml"
+EXAMPLES = Path(__file__).parents[2] / "examples"
+ARM = EXAMPLES / "arm.yaml"
 
 
 def test_limits_are_those_of_the_file() -> None:
@@ -125,6 +126,30 @@ def test_the_regulator_holds_a_robot_with_fewer_motors_than_joints() -> None:
         scenario.vehicle.make_controller([1.0, 0.25, 0.0])  # Outstretched sideways.
 
 
+def test_links_whose_meshes_drake_does_not_draw_are_rods(tmp_path: Path) -> None:
+    robot = tmp_path / "my_robot"
+    (robot / "urdf").mkdir(parents=True)
+    text = (EXAMPLES / "models" / "planar_arm.urdf").read_text()
+    mesh = "<geometry><mesh filename='package://my_robot/{}'/></geometry>"
+    start, end = text.index("<visual>", text.index("upper_arm")), text.index("forearm")
+    end = text.rindex("</visual>", 0, end) + len("</visual>")
+    visual = f"<visual>{mesh.format('a.dae')}</visual>"
+    collision = f"<collision>{mesh.format('a.stl')}</collision>"
+    text = text[:start] + visual + collision + text[end:]
+    (robot / "urdf" / "arm.urdf").write_text(text)
+    vehicle = MultibodyVehicle(str(robot / "urdf" / "arm.urdf"), "forearm")
+    parts = vehicle.geometry("#123456")
+    assert [each.body for each in parts].count("upper_arm") == 1
+    (rod,) = (each for each in parts if each.body == "upper_arm")
+    # From the shoulder to the elbow, 0.7 m along x.
+    np.testing.assert_allclose(rod.pose.translation(), [0.35, 0.0, 0.0], atol=1e-12)
+    assert rod.shape.length() == pytest.approx(0.7)
+    assert [each.body for each in parts].count("forearm") == 3
+    state = np.array([0.0, 0.5 * math.pi, 0.0, 0.0])
+    elbow = vehicle.poses(state)["forearm"].translation()
+    np.testing.assert_allclose(elbow, [0.7, 0.0, 1.1], atol=1e-12)
+
+
 def test_a_start_is_moved_by_an_offset() -> None:
     vehicle, offset = load_scenario(ARM).vehicle, np.array([0.01, -0.02, 0.015])
     state = np.array(load_scenario(ARM).initial_state)
@@ -160,7 +185,7 @@ def refusal(override: str) -> str:
         ("{target: [5, 0, 0]}", "target: [5.0, 0.0, 0.0]; it must be a place that the"),
         (
             "{vehicle: {actuators: [joint_1]}}",
-            "vehicle.controller: '1 motors for 7 velocities'; it must be a motor each",
+            "vehicle.controller: !InverseDynamics needs 7 motors for 7 velocities",
         ),
         ("{vehicle: {actuators: [elbow]}}", "actuators: 'elbow'; it must be one of"),
         ("{vehicle: {fixed: [elbow]}}", "fixed: 'elbow'; it must be one of joint_1"),

@@ -34,6 +34,7 @@ from vcbf_drake.hil.messages import vcbf_obstacles, vcbf_state
 from vcbf_drake.hil.timing import RoundTrip, Timeline, check_timing
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.model.multibody_model import MultibodyModel
+from vcbf_drake.model.ports import state_port_of
 from vcbf_drake.safety import InputSet
 from vcbf_drake.simulation.loop import (
     LOG_PREFIX,
@@ -365,7 +366,7 @@ def make_vehicle(scenario: Scenario, bus: Bus, timeline: Timeline) -> Diagram:
     builder.Connect(integral.get_output_port(), sender.GetInputPort("input_integral"))
     builder.Connect(mode, sender.GetInputPort("mode"))
     add_collision_monitor(builder, plant, BarrierSet(model, barriers(scenario)))
-    logged = {"path": plant.GetOutputPort("state"), "mode": mode}
+    logged = {"path": state_port_of(plant), "mode": mode}
     for name, port in logged.items():
         log = LogVectorOutput(port, builder, {TriggerType.kPerStep})
         log.set_name(LOG_PREFIX + name)

@@ -10,6 +10,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import PrismaticJoint
 from pydrake.systems.framework import System
 
+from vcbf_drake.model.ports import input_port_of, state_port_of
+
 
 @dataclass(frozen=True)
 class Channels:
@@ -58,9 +60,7 @@ def channels_of(plant: System) -> Channels:
         plant: With ports ``input`` (or ``actuation``), ``state`` and, if anything
             disturbs it, ``disturbance``.
     """
-    port = "input" if plant.HasInputPort("input") else "actuation"
-    num_inputs = plant.GetInputPort(port).size()
-    num_states = plant.GetOutputPort("state").size()
+    num_inputs, num_states = input_port_of(plant).size(), state_port_of(plant).size()
     if isinstance(plant, MultibodyPlant):
         return Channels(_joint_states(plant), _actuators(plant), {})
     disturbed = plant.HasInputPort("disturbance")

@@ -9,10 +9,10 @@ import math
 from typing import Any, ClassVar
 
 import numpy as np
-from pydrake.geometry import Rgba, Role, SceneGraph, Sphere
-from pydrake.math import RigidTransform
+from pydrake.geometry import Capsule, Rgba, Role, SceneGraph, Sphere
+from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex
+from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
 from pydrake.systems.framework import System
 
 from vcbf_drake.barriers import Barrier, StateInputLimit, StateLimit
@@ -27,7 +27,7 @@ from vcbf_drake.plants.robot_controllers import (
     JointStiffness,
     Lqr,
 )
-from vcbf_drake.plants.robot_file import RobotFile, bodies_of
+from vcbf_drake.plants.robot_file import RobotFile, bodies_of, joints_of
 from vcbf_drake.plants.shapes import Part
 from vcbf_drake.plants.vehicle import Vehicle
 from vcbf_drake.typed import check_fields
@@ -48,7 +48,8 @@ class MultibodyVehicle(Vehicle):
         point: The point in that frame [m].
         weld: The body that is fixed to the world; empty where the file fixes one, or
             the base floats.
-        actuators: The joints that have a motor; empty for those of the file.
+        actuators: The joints that have a motor; empty for those of the file, all where
+            it says nothing of motors.
         fixed: The joints that do not move at all, a gripper's say.
         controller: Drake's own, towards a posture whose point is at the target.
         posture: Which of several such postures: one near these positions, (nq,); empty
@@ -176,16 +177,21 @@ class MultibodyVehicle(Vehicle):
     length = 2.0 * _BALL  # Of what stands for the point.
 
     def geometry(self, color: str) -> list[Part]:
-        """Returns what the file shows, body by body, and a ball for the point."""
+        """Returns what the file shows, body by body, and a ball for the point.
+
+        A body of which it shows nothing that Drake draws is rods between its joints.
+        """
         scene_graph = SceneGraph()
         plant = self._robot.plant(scene_graph)
         inspector = scene_graph.model_inspector()
         parts = [Part("point", Sphere(_BALL), color)]
         for body in bodies_of(plant):
             frame = plant.GetBodyFrameIdOrThrow(body.index())
-            for each in inspector.GetGeometries(frame, Role.kIllustration):
-                shown = inspector.GetIllustrationProperties(each)
-                rgba = shown.GetPropertyOrDefault("phong", "diffuse", _NO_COLOR)
+            shown = inspector.GetGeometries(frame, Role.kIllustration)
+            parts += [] if shown else _rods(plant, body, color)
+            for each in shown:
+                looks = inspector.GetIllustrationProperties(each)
+                rgba = looks.GetPropertyOrDefault("phong", "diffuse", _NO_COLOR)
                 parts.append(
                     Part(
                         f"{body.name()}/{each.get_value()}",
@@ -216,6 +222,22 @@ class MultibodyVehicle(Vehicle):
             body.name(): plant.EvalBodyPoseInWorld(context, body)
             for body in bodies_of(plant)
         }
+
+
+def _rods(plant: MultibodyPlant, body: RigidBody, color: str) -> list[Part]:
+    """A rod from a body's frame to every joint of a body that hangs on it."""
+    rods = []
+    for joint in joints_of(plant):
+        if joint.parent_body().index() == body.index():
+            end = joint.frame_on_parent().GetFixedPoseInBodyFrame().translation()
+            length = float(np.linalg.norm(end))
+            if length > _BALL:
+                turn = RotationMatrix.MakeFromOneVector(end, 2)
+                shape, pose = Capsule(_BALL, length), RigidTransform(turn, 0.5 * end)
+                rods.append(
+                    Part(f"{joint.name()}/rod", shape, color, pose, body.name())
+                )
+    return rods
 
 
 _NO_COLOR = Rgba(0.0, 0.0, 0.0, 0.0)

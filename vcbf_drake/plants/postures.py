@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,8 +12,10 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import MultibodyForces_
 from pydrake.solvers import Solve
 
-from vcbf_drake.checks import Array, require
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import InvalidValueError
 
+_TRIES = 20
 _NEAR = 0.005  # How near the target the posture has to come [m].
 
 
@@ -77,11 +79,21 @@ def posture_at(
         still = _StaticBalance(plant)
         program.AddConstraint(still, none, none, np.concatenate([q, u]))
         rule += ", and where its motors can hold it"
-    program.SetInitialGuess(q, seed)
-    program.SetInitialGuess(u, np.zeros(len(u)))
-    solved = Solve(program)
-    require(solved.is_success(), "target", [*target], rule)
-    return Posture(solved.GetSolution(q), solved.GetSolution(u))
+    for guess in _guesses(plant, seed):
+        solved = Solve(program, np.concatenate([guess, np.zeros(len(u))]))
+        if solved.is_success():
+            return Posture(solved.GetSolution(q), solved.GetSolution(u))
+    raise InvalidValueError("target", f"{[*target]}; it must be {rule}")
+
+
+def _guesses(plant: MultibodyPlant, seed: Array) -> Iterator[Array]:
+    """Where to look from: a posture, then seeded ones within the joints' ranges."""
+    low = np.fmax(plant.GetPositionLowerLimits(), -np.pi)
+    high = np.fmin(plant.GetPositionUpperLimits(), np.pi)
+    yield np.clip(seed, low, high)
+    random = np.random.default_rng(0)
+    for _ in range(_TRIES):
+        yield random.uniform(low, high)
 
 
 class _StaticBalance:

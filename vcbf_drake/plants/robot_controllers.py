@@ -18,6 +18,7 @@ from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import ConstantVectorSource
 
 from vcbf_drake.checks import Array, check_finite, check_parameter, require
+from vcbf_drake.errors import InvalidValueError
 from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.plants.postures import Posture
 
@@ -44,9 +45,12 @@ class InverseDynamics:
     def check(self, plant: MultibodyPlant) -> None:
         """Checks that it is for such a robot, and has as many numbers."""
         n = plant.num_velocities()
-        found = f"{plant.num_actuators()} motors for {n} velocities"
-        rule = "a motor each; !JointStiffness and !Lqr need fewer"
-        require(is_driven(plant), (), found, rule)
+        if not is_driven(plant):
+            problem = f"!InverseDynamics needs {n} motors for {n} velocities; there are"
+            problem += f" {plant.num_actuators()} (!JointStiffness and !Lqr need fewer)"
+            for body in map(plant.get_body, plant.GetFloatingBaseBodies()):
+                problem += f"; weld: {body.name()} fixes the floating base"
+            raise InvalidValueError((), problem)
         _check_sizes(self, ("stiffness", "damping"), n)
 
     def make(self, plant: MultibodyPlant, posture: Posture) -> System:

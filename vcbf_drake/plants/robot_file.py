@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources import files
+import logging
 import math
 from pathlib import Path
 import xml.etree.ElementTree as ElementTree
@@ -19,6 +21,8 @@ from vcbf_drake.checks import require
 from vcbf_drake.errors import InvalidValueError
 
 _KINDS = (".urdf", ".sdf", ".xml", ".yaml")  # What Drake's Parser reads.
+_CHANGEABLE = (".urdf", ".sdf")
+_MESHES = (".obj", ".gltf", ".glb")  # What Meshcat draws.
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
@@ -29,7 +33,8 @@ class RobotFile:
     Attributes:
         file: The file, or its URL (``package://NAME/...``).
         weld: The body that is fixed to the world; empty for none beside the file's.
-        actuators: The joints that have a motor; empty for those of the file.
+        actuators: The joints that have a motor; empty for those of the file, all where
+            it says nothing of motors.
         fixed: The joints that do not move at all.
         mass: Masses and inertias over those of the file.
         drag: Dampings of the joints over those of the file.
@@ -58,10 +63,8 @@ class RobotFile:
         parser = Parser(plant)
         path = self._path(parser.package_map())
         try:
-            if self.fixed or self.mass != 1.0 or self.drag != 1.0:
-                parser.AddModelsFromString(self._changed(path), path.suffix[1:])
-            else:
-                parser.AddModels(str(path))
+            with _warned_once(self.file):
+                self._read(parser, path, scene_graph is not None)
         except (RuntimeError, ValueError, ElementTree.ParseError) as error:
             problem = f"{self.file!r}; Drake does not read it: {error}"
             raise InvalidValueError("file", " ".join(problem.split())) from None
@@ -78,6 +81,13 @@ class RobotFile:
             reason = " ".join(str(error).split())
             raise InvalidValueError((), f"it does not move: {reason}") from None
         return plant
+
+    def _read(self, parser: Parser, path: Path, is_drawn: bool) -> None:
+        is_changed = self.fixed or self.mass != 1.0 or self.drag != 1.0
+        if is_changed or (is_drawn and path.suffix in _CHANGEABLE):
+            parser.AddModelsFromString(self._changed(path), path.suffix[1:])
+        else:
+            parser.AddModels(str(path))
 
     def _path(self, packages: PackageMap) -> Path:
         """Where the file is, after the packages around it have been found."""
@@ -96,17 +106,22 @@ class RobotFile:
         else:
             path = Path(self.file).resolve()
         require(path.is_file() and path.suffix in _KINDS, "file", self.file, rule)
-        for above in path.parents:
-            if (above / "package.xml").is_file() and above.name not in (
-                packages.GetPackageNames()
-            ):
+        for above in path.parents[:-1]:
+            if (above / "package.xml").is_file():
                 packages.AddPackageXml(str(above / "package.xml"))
+        for above in path.parents[:-1]:  # Installed, a package often is its folder.
+            if not packages.Contains(above.name):
+                packages.Add(above.name, str(above))
         return path
 
     def _changed(self, path: Path) -> str:
-        """The file's text with joints fixed, other masses and other dampings."""
+        """The file's text with joints fixed, other masses and other dampings.
+
+        Of its geometry what Drake can draw is left: collisions and other meshes are not
+        even read, since Drake refuses a file for some of them.
+        """
         require(
-            path.suffix in (".urdf", ".sdf"),
+            path.suffix in _CHANGEABLE,
             "file",
             self.file,
             "URDF or SDFormat, where mass, drag or fixed change something",
@@ -120,6 +135,11 @@ class RobotFile:
         for name in self.fixed:
             _require_one("fixed", name, [*joints])
             joints[name].set("type", "fixed")
+        for link in robot.iter("link"):
+            for each in link.findall("collision"):
+                link.remove(each)
+            for each in filter(_cannot_be_drawn, link.findall("visual")):
+                link.remove(each)
         scales = dict.fromkeys(("mass", "inertia", *_INERTIA), self.mass)
         scales |= dict.fromkeys(("dynamics", "damping"), self.drag)
         for each in robot.iter():
@@ -139,19 +159,15 @@ class RobotFile:
                 plant.get_joint_actuator, plant.GetJointActuatorIndices()
             )
         }
-        if not self.actuators:
-            rule = (
-                f"the joints with a motor, for the file has none: {', '.join(joints)}"
-            )
-            require(bool(has), "actuators", [], rule)
-            return
-        for name in self.actuators:
+        wanted = self.actuators or [*has] or [*joints]
+        require(bool(wanted), "file", self.file, "a robot with joints that move")
+        for name in wanted:
             _require_one("actuators", name, [*joints])
             if name not in has:
                 effort = _efforts(path).get(name, math.inf)
                 plant.AddJointActuator(name, joints[name], effort)
         for name, actuator in has.items():
-            if name not in self.actuators:
+            if name not in wanted:
                 plant.RemoveJointActuator(actuator)
 
     def _weld(self, plant: MultibodyPlant) -> None:
@@ -164,6 +180,23 @@ class RobotFile:
         except RuntimeError:
             rule = "empty, for the file has fixed it already"
             require(False, "weld", self.weld, rule)
+
+
+@contextmanager
+def _warned_once(file: str) -> Iterator[None]:
+    """Leaves Drake's warnings about a file away when it is read again."""
+    logger = logging.getLogger("drake")
+    level = logger.level
+    if file in _READ:
+        logger.setLevel(logging.ERROR)
+    _READ.add(file)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
+
+
+_READ: set[str] = set()
 
 
 def bodies_of(plant: MultibodyPlant) -> list[RigidBody]:
@@ -198,9 +231,17 @@ def _multiply(element: ElementTree.Element, factor: float) -> None:
         element.text = repr(factor * float(str(element.text)))
 
 
+def _cannot_be_drawn(visual: ElementTree.Element) -> bool:
+    """Whether a visual has a mesh of a kind that Drake does not draw."""
+    names = [
+        each.get("filename") or each.findtext("uri") for each in visual.iter("mesh")
+    ]
+    return any(Path(name or "").suffix.lower() not in _MESHES for name in names)
+
+
 def _efforts(path: Path) -> dict[str, float]:
     """The effort limits of a file's joints, which Drake keeps for motors alone."""
-    if path.suffix not in (".urdf", ".sdf"):
+    if path.suffix not in _CHANGEABLE:
         return {}
     found = {}
     for joint in ElementTree.parse(path).getroot().iter("joint"):

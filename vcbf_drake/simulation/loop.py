@@ -27,6 +27,7 @@ from vcbf_drake.disturbances import (
 )
 from vcbf_drake.errors import below
 from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.model.ports import input_port_of, state_port_of
 from vcbf_drake.safety import (
     SafetyFilter,
 )
@@ -129,11 +130,10 @@ def add_simulated_plant(builder: DiagramBuilder, scenario: Scenario) -> Simulate
     disturbance = true_disturbance(builder, faults, source.get_output_port())
     if plant.HasInputPort("disturbance"):
         builder.Connect(disturbance, plant.GetInputPort("disturbance"))
-    actuators = "input" if plant.HasInputPort("input") else "actuation"
-    plant_input = faulty_actuator(builder, scenario, plant.GetInputPort(actuators))
+    applied = faulty_actuator(builder, scenario, input_port_of(plant))
     state = _measured_state(builder, scenario, plant)
     state = faulty_measurement(builder, scenario, state)
-    return SimulatedPlant(plant, plant_input, source, disturbance, state)
+    return SimulatedPlant(plant, applied, source, disturbance, state)
 
 
 def add_controller_and_filter(
@@ -232,7 +232,7 @@ def obstacles_in_sight(
     """Returns the port of what is seen; None where all obstacles are known."""
     if scenario.faults.sight == 0.0 or not scenario.spheres:
         return None
-    state = plant.GetOutputPort("state")
+    state = state_port_of(plant)
     seeing = builder.AddNamedSystem(
         "obstacles_in_sight",
         ObstaclesInSight(
@@ -250,7 +250,7 @@ def obstacles_in_sight(
 def _measured_state(
     builder: DiagramBuilder, scenario: Scenario, plant: LeafSystem
 ) -> OutputPort:
-    state = plant.GetOutputPort("state")
+    state = state_port_of(plant)
     if not any(scenario.noise.std):
         return state
     noise = builder.AddNamedSystem(
@@ -267,7 +267,7 @@ def add_collision_monitor(
     builder: DiagramBuilder, plant: LeafSystem, barrier_set: BarrierSet
 ) -> None:
     """Adds what ends a simulation when a barrier becomes negative."""
-    state = plant.GetOutputPort("state")
+    state = state_port_of(plant)
     monitor = builder.AddNamedSystem(
         COLLISION_MONITOR, CollisionMonitor(barrier_set, state.size())
     )
@@ -300,7 +300,7 @@ def _add_audit(
         AUDIT, Audit(loop.filter, barrier_set, simulated.source.bounds)
     )
     for name, port in {
-        "state": simulated.plant.GetOutputPort("state"),
+        "state": state_port_of(simulated.plant),
         "disturbance": simulated.disturbance,
         "estimate": loop.observer.GetOutputPort("estimate"),
         "input": loop.filter.GetOutputPort("command"),
@@ -321,7 +321,7 @@ def _add_logs(
     controller: LeafSystem,
     loop: AddedSafetyFilter,
 ) -> None:
-    state = simulated.plant.GetOutputPort("state")
+    state = state_port_of(simulated.plant)
     ports = {
         "state": state,
         "disturbance": simulated.disturbance,

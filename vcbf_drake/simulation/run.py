@@ -23,6 +23,7 @@ from vcbf_drake.between_ticks.certified_heights import (
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceEstimate
 from vcbf_drake.errors import ModelError
+from vcbf_drake.model.ports import state_port_of
 from vcbf_drake.safety import (
     Assumption,
     SafetyFilter,
@@ -231,7 +232,7 @@ def _ends_at_target(
     scenario: Scenario, simulator: Simulator, context: Context
 ) -> EventStatus:
     plant = simulator.get_system().GetSubsystemByName("plant")
-    state = plant.GetOutputPort("state").Eval(plant.GetMyContextFromRoot(context))
+    state = state_port_of(plant).Eval(plant.GetMyContextFromRoot(context))
     (place,) = scenario.vehicle.positions(state[None])
     if math.dist(place, scenario.target) > scenario.arrival_tolerance:
         return EventStatus.DidNothing()

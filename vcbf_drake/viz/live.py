@@ -17,6 +17,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context, Diagram, LeafSystem
 
 from vcbf_drake.checks import require
+from vcbf_drake.model.ports import state_port_of
 from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.safety import FilterStatus, SafetyFilter
 from vcbf_drake.simulation.result import Result
@@ -63,7 +64,7 @@ class LiveView:
     def __call__(self, diagram: Diagram, context: Context) -> None:
         """Shows the present; returns when it is time to go on."""
         plant = diagram.GetSubsystemByName("plant")
-        x = plant.GetOutputPort("state").Eval(plant.GetMyContextFromRoot(context))
+        x = state_port_of(plant).Eval(plant.GetMyContextFromRoot(context))
         safety_filter = diagram.GetSubsystemByName("filter")
         now = context.get_time()
         if self._stage is None:

@@ -21,6 +21,7 @@ from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, Outpu
 
 from vcbf_drake.barriers.obstacles import Obstacle as MovingObstacle
 from vcbf_drake.barriers.shapes import Shape
+from vcbf_drake.model.ports import state_port_of
 from vcbf_drake.plants.shapes import Part, of_body
 from vcbf_drake.plants.vehicle import Vehicle
 from vcbf_drake.viz.solids import in_space, solids
@@ -127,7 +128,7 @@ class VehicleGeometry(PosedGeometry):
                 for each in self._bodies
             ],
         )
-        size = vehicle.make_plant().GetOutputPort("state").size()
+        size = state_port_of(vehicle.make_plant()).size()
         self._vehicle = vehicle
         self._state = self.DeclareVectorInputPort("state", size)
 
