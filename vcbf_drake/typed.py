@@ -32,7 +32,12 @@ _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
 _BOOLEANS = (bool, np.bool_)
-_WORDS = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
+TYPE_WORDS = {
+    float: "a number",
+    int: "a whole number",
+    bool: "true or false",
+    str: "text",
+}
 _PLURALS = {float: "numbers", int: "whole numbers", str: "texts"}
 
 
@@ -185,4 +190,4 @@ def _in_words(hint: Any) -> str:
         return "a function"
     kind = get_origin(hint) or hint
     name = getattr(kind, "__name__", str(kind)).removesuffix("_[float]")
-    return _WORDS.get(kind) or f"a{'n' * (name[0] in 'AEIOU')} {name}"
+    return TYPE_WORDS.get(kind) or f"a{'n' * (name[0] in 'AEIOU')} {name}"

@@ -60,7 +60,7 @@ def test_without_faults_no_system_is_added():
         "delay": {"delayed_measurement"},
         "lag": {"actuator_lag"},
         "limit": {"actuator_limit"},
-        "gust": {"undeclared_disturbance"},
+        "gust": {"gust_0", "with_gust_0"},
         "solver": {"solver_failures"},
         "process": {"outages", "no_input"},
         "mass": set(),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,12 +19,15 @@ from pydrake.systems.primitives import (
     Adder,
     ConstantVectorSource,
     FirstOrderLowPassFilter,
+    Gain,
     Saturation,
+    TrajectorySource,
 )
+from pydrake.trajectories import PiecewisePolynomial
 
 from vcbf_drake.add_safety_filter import AddedSafetyFilter
 from vcbf_drake.safety import FilterStatus
-from vcbf_drake.simulation.faults import Faults, StepGust
+from vcbf_drake.simulation.faults import Faults
 from vcbf_drake.simulation.sensors import (
     DelayedMeasurement,
     LostMeasurements,
@@ -34,39 +37,6 @@ from vcbf_drake.simulation.sensors import (
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.scenario import Scenario
-
-
-class UndeclaredDisturbance(LeafSystem):
-    """Scales a declared disturbance and adds gusts that come and go at once.
-
-    .. pydrake_system::
-
-        name: UndeclaredDisturbance
-        input_ports:
-        - declared
-        output_ports:
-        - disturbance
-    """
-
-    def __init__(self, size: int, ratio: float, gusts: Sequence[StepGust]) -> None:
-        """Declares the ports.
-
-        Args:
-            size: q, of the disturbance.
-            ratio: The true disturbance over the declared one.
-            gusts: What comes on top.
-        """
-        super().__init__()
-        self._ratio, self._gusts = ratio, tuple(gusts)
-        self._declared = self.DeclareVectorInputPort("declared", size)
-        self.DeclareVectorOutputPort("disturbance", size, self._calc)
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        t, total = context.get_time(), self._ratio * self._declared.Eval(context)
-        for gust in self._gusts:
-            if gust.start <= t < gust.start + gust.duration:
-                total = total + np.array(gust.amplitude)
-        output.SetFromVector(total)
 
 
 class LostAnswers(LeafSystem):
@@ -134,10 +104,22 @@ def true_disturbance(
         faults: What is wrong with it.
         declared: The source's port.
     """
-    if not faults.changes_disturbance:
-        return declared
-    system = UndeclaredDisturbance(declared.size(), faults.disturbance, faults.gusts)
-    return _behind(builder, declared, "undeclared_disturbance", system)
+    acting = declared
+    if faults.disturbance != 1.0:
+        gain = Gain(faults.disturbance, declared.size())
+        acting = _behind(builder, acting, "scaled_disturbance", gain)
+    for i, gust in enumerate(faults.gusts):
+        times = [gust.start, gust.start + gust.duration]
+        push, none = gust.amplitude, np.zeros(declared.size())
+        course = PiecewisePolynomial.ZeroOrderHold(
+            [times[0] - 1.0, *times, times[1] + 1.0],
+            np.column_stack([none, push, none, none]),
+        )
+        source = builder.AddNamedSystem(f"gust_{i}", TrajectorySource(course))
+        adder = Adder(2, declared.size())
+        acting = _behind(builder, acting, f"with_gust_{i}", adder)
+        builder.Connect(source.get_output_port(), adder.get_input_port(1))
+    return acting
 
 
 def faulty_measurement(
@@ -155,10 +137,9 @@ def faulty_measurement(
         bias = builder.AddNamedSystem(
             "measurement_bias", ConstantVectorSource(np.array(faults.measurement_bias))
         )
-        biased = builder.AddNamedSystem("biased_state", Adder(2, n))
-        builder.Connect(state, biased.get_input_port(0))
+        biased = Adder(2, n)
+        state = _behind(builder, state, "biased_state", biased)
         builder.Connect(bias.get_output_port(), biased.get_input_port(1))
-        state = biased.get_output_port()
     if faults.measurement_delay > 0.0:
         late = DelayedMeasurement(n, period, faults.measurement_delay)
         state = _behind(builder, state, "delayed_measurement", late)
@@ -241,7 +222,7 @@ def _behind(
 ) -> OutputPort:
     """Adds a system behind an output port; returns its own."""
     builder.AddNamedSystem(name, system)
-    builder.Connect(port, system.get_input_port())
+    builder.Connect(port, system.get_input_port(0))
     return system.get_output_port()
 
 

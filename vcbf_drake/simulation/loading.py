@@ -42,7 +42,7 @@ from vcbf_drake.errors import (
 from vcbf_drake.files import names_file, resolved
 from vcbf_drake.simulation.python_file import scenario_of
 from vcbf_drake.simulation.scenario import Scenario
-from vcbf_drake.typed import typed
+from vcbf_drake.typed import TYPE_WORDS, typed
 
 Node: TypeAlias = Any  # A yaml.Node; PyYAML has no type stubs.
 
@@ -50,7 +50,6 @@ _DIRECTORY = Path(__file__).parent / "scenarios"
 _OVERRIDE = "override"
 # No quantity is as large, in SI units; a product of a few such numbers is still finite.
 _LARGEST = 1e15
-_KINDS = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
 
 
 def shipped_scenarios() -> tuple[str, ...]:
@@ -321,7 +320,7 @@ def _build(node: Node, hint: Any, path: KeyPath) -> Any:
             _fail(node, path, f"expected a list, got {_shown(node)}")
         (item,) = get_args(first)
         return [_build(each, item, (*path, i)) for i, each in enumerate(node.value)]
-    return _build_scalar(node, first if first in _KINDS else str, path)
+    return _build_scalar(node, first if first in TYPE_WORDS else str, path)
 
 
 def _build_object(
@@ -380,7 +379,7 @@ def _build_scalar(node: Node, kind: Any, path: KeyPath) -> float | int | bool | 
             return cast(float, number)
     except (KeyError, ValueError):
         pass
-    _fail(node, path, f"expected {_KINDS[kind]}, got {_shown(node)}")
+    _fail(node, path, f"expected {TYPE_WORDS[kind]}, got {_shown(node)}")
 
 
 def plain(value: Any, hint: Any) -> Any:

@@ -23,7 +23,7 @@ def scenario_of(path: Path) -> Scenario:
         ScenarioError: One line that says where the file fails, or what it lacks.
     """
     try:
-        make = getattr(_module(path.resolve()), "scenario", None)
+        make = getattr(module_of(path.resolve()), "scenario", None)
         made = make() if callable(make) else None
     except InvalidValueError as error:
         raise ScenarioError(f"{_place(path, error)}: {error}") from error
@@ -41,8 +41,12 @@ def scenario_of(path: Path) -> Scenario:
 
 
 @cache
-def _module(path: Path) -> ModuleType:
-    """Returns the module of a file; its dataclasses' types are found by its name."""
+def module_of(path: Path) -> ModuleType:
+    """Returns the module of a file; its dataclasses' types are found by its name.
+
+    Args:
+        path: The file; it is run, once a process.
+    """
     spec = importlib.util.spec_from_file_location(f"vcbf_scenario_{path.stem}", path)
     if spec is None or spec.loader is None:
         raise ImportError("it is no Python file")

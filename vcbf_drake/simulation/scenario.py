@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 import math
 import re
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydrake.systems.analysis import GetIntegrationSchemes
@@ -121,7 +121,6 @@ class BarrierGains:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        require_choice("form", self.form, get_args(SphereForm))
         check_parameter("gains", self.gains, size=len(self.gains))
         try:
             decay_rates(np.array(self.gains), "obstacles")
@@ -208,14 +207,11 @@ class Hardware:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        require_choice("fallback", self.fallback, get_args(Fallback))
-        require_choice("audit", self.audit, get_args(AuditPolicy))
-        require_choice("obstacles", self.obstacles, get_args(ObstacleSource))
-        for name in ("brake_rate", "command_timeout", "max_state_age"):
+        for name in (
+            *("brake_rate", "command_timeout", "max_state_age", "longest_interval"),
+            *("most_obstacles", "max_obstacle_age", "max_clock_offset"),
+        ):
             check_parameter(name, getattr(self, name))
-        for name in ("longest_interval", "max_obstacle_age", "max_clock_offset"):
-            check_parameter(name, getattr(self, name))
-        check_parameter("most_obstacles", self.most_obstacles)
         check_parameter("hold_time", self.hold_time, zero_allowed=True)
 
 

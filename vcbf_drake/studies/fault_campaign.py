@@ -27,13 +27,14 @@ class FaultDraw:
 
     Attributes:
         name: What results call it.
-        description: What is wrong, with its numbers.
-        overrides: Returns the scenario's overrides that make it so.
     """
 
     name: str
-    description: str
-    overrides: Callable[[Scenario, Generator], dict[str, Any]]
+
+    @property
+    def description(self) -> str:
+        """What is wrong, with its numbers."""
+        return _FAULTS[self.name][0]
 
     def draw(self, scenario: Scenario, seed: int, index: int) -> dict[str, Any]:
         """Returns one draw, as overrides; see `Draw`.
@@ -44,7 +45,8 @@ class FaultDraw:
             index: Which draw of the study.
         """
         start = _random_start(scenario, np.random.default_rng([seed, index]))
-        return start | self.overrides(scenario, np.random.default_rng([seed, index, 1]))
+        _, overrides = _FAULTS[self.name]
+        return start | overrides(scenario, np.random.default_rng([seed, index, 1]))
 
 
 def _random_start(scenario: Scenario, generator: Generator) -> dict[str, Any]:
@@ -53,10 +55,6 @@ def _random_start(scenario: Scenario, generator: Generator) -> dict[str, Any]:
     away = np.array([generator.uniform(*each) for each in offsets])
     start = scenario.vehicle.moved(np.array(scenario.initial_state), away)
     return {"initial_state": start.tolist()}
-
-
-def _none(scenario: Scenario, generator: Generator) -> dict[str, Any]:
-    return {}
 
 
 def _noise(scenario: Scenario, generator: Generator) -> dict[str, Any]:
@@ -69,31 +67,11 @@ def _bias(scenario: Scenario, generator: Generator) -> dict[str, Any]:
     return {"faults": {"measurement_bias": (0.02 * signs).tolist()}}
 
 
-def _delay(scenario: Scenario, generator: Generator) -> dict[str, Any]:
-    return {"faults": {"measurement_delay": 2.0 * scenario.period}}
-
-
-def _loss(scenario: Scenario, generator: Generator) -> dict[str, Any]:
-    return {"faults": {"measurement_loss": 0.1, "seed": _seed(generator)}}
-
-
-def _lag(scenario: Scenario, generator: Generator) -> dict[str, Any]:
-    return {"faults": {"actuator_lag": 0.1}}
-
-
-def _limit(scenario: Scenario, generator: Generator) -> dict[str, Any]:
-    return {"faults": {"actuator_limit": 0.8}}
-
-
 def _plant(scenario: Scenario, generator: Generator) -> dict[str, Any]:
     mass, drag = generator.choice([0.7, 1.3], 2).tolist()
     true = {"mass": mass, "drag": drag}  # Of what the vehicle has.
     has = {k: each for k, each in true.items() if hasattr(scenario.vehicle, k)}
     return {"faults": has}
-
-
-def _disturbance(scenario: Scenario, generator: Generator) -> dict[str, Any]:
-    return {"faults": {"disturbance": 2.0}}
 
 
 def _gust(scenario: Scenario, generator: Generator) -> dict[str, Any]:
@@ -105,45 +83,48 @@ def _gust(scenario: Scenario, generator: Generator) -> dict[str, Any]:
     return {"faults": {"gusts": [gust]}}
 
 
-def _sight(scenario: Scenario, generator: Generator) -> dict[str, Any]:
-    return {"faults": {"sight": 2.5}}
-
-
-def _solver(scenario: Scenario, generator: Generator) -> dict[str, Any]:
-    return {"faults": {"solver_failure": 0.05, "seed": _seed(generator)}}
-
-
-def _process(scenario: Scenario, generator: Generator) -> dict[str, Any]:
-    outage = scenario.period / 5.0
-    return {"faults": {"outage": outage, "seed": _seed(generator)}}
-
-
 def _seed(generator: Generator) -> int:
     return int(generator.integers(2**31))
 
 
-FAULTS = tuple(
-    FaultDraw(*each)
-    for each in (
-        ("none", "nothing is wrong", _none),
-        ("noise", "white noise of 0.005 (m, rad, m/s, rad/s) on every state", _noise),
-        ("bias", "every measured state off by 0.02, either way", _bias),
-        ("delay", "measurements two control periods old", _delay),
-        ("loss", "a tenth of the measurements lost, the last one stays", _loss),
-        ("lag", "actuators of first order, time constant 0.1 s", _lag),
-        ("limit", "actuators reach 80 % of the declared limits", _limit),
-        ("plant", "true mass and drag each 30 % above or below the model's", _plant),
-        ("disturbance", "the disturbance is twice what is declared", _disturbance),
-        ("gust", "a step of size delta1, 2 s long, in a random direction", _gust),
-        ("sight", "obstacles appear 2.5 m ahead", _sight),
-        ("solver", "the solvers fail at a twentieth of the ticks", _solver),
-        (
-            "process",
-            "filter and observer die every 5 s or so; no input for 0.5 s, then anew",
-            _process,
-        ),
-    )
-)
+# What is wrong in words, and the overrides that make it so.
+_FAULTS: dict[str, tuple[str, Callable[[Scenario, Generator], dict[str, Any]]]] = {
+    "none": ("nothing is wrong", lambda s, g: {}),
+    "noise": ("white noise of 0.005 (m, rad, m/s, rad/s) on every state", _noise),
+    "bias": ("every measured state off by 0.02, either way", _bias),
+    "delay": (
+        "measurements two control periods old",
+        lambda s, g: {"faults": {"measurement_delay": 2.0 * s.period}},
+    ),
+    "loss": (
+        "a tenth of the measurements lost, the last one stays",
+        lambda s, g: {"faults": {"measurement_loss": 0.1, "seed": _seed(g)}},
+    ),
+    "lag": (
+        "actuators of first order, time constant 0.1 s",
+        lambda s, g: {"faults": {"actuator_lag": 0.1}},
+    ),
+    "limit": (
+        "actuators reach 80 % of the declared limits",
+        lambda s, g: {"faults": {"actuator_limit": 0.8}},
+    ),
+    "plant": ("true mass and drag each 30 % above or below the model's", _plant),
+    "disturbance": (
+        "the disturbance is twice what is declared",
+        lambda s, g: {"faults": {"disturbance": 2.0}},
+    ),
+    "gust": ("a step of size delta1, 2 s long, in a random direction", _gust),
+    "sight": ("obstacles appear 2.5 m ahead", lambda s, g: {"faults": {"sight": 2.5}}),
+    "solver": (
+        "the solvers fail at a twentieth of the ticks",
+        lambda s, g: {"faults": {"solver_failure": 0.05, "seed": _seed(g)}},
+    ),
+    "process": (
+        "filter and observer die every 5 s or so; no input for 0.5 s, then anew",
+        lambda s, g: {"faults": {"outage": s.period / 5.0, "seed": _seed(g)}},
+    ),
+}
+FAULTS = tuple(map(FaultDraw, _FAULTS))
 
 
 def fault_trials(

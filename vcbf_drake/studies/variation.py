@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 import hashlib
-import importlib.util
 import math
 from pathlib import Path
 from typing import Any, Protocol
@@ -15,6 +14,8 @@ import numpy as np
 import yaml
 
 from vcbf_drake.errors import ScenarioError
+from vcbf_drake.simulation.loading import merge_overrides
+from vcbf_drake.simulation.python_file import module_of
 from vcbf_drake.simulation.scenario import Scenario
 
 Generator = np.random.Generator
@@ -66,7 +67,7 @@ class Variation:
     @property
     def name(self) -> str:
         """The label, or the text on one line."""
-        return self.label or (_on_one_line(self.text) if self.text else "none")
+        return self.label or (merge_overrides(self.text) if self.text else "none")
 
     def draw(self, scenario: Scenario, seed: int, index: int) -> dict[str, Any]:
         """Returns one draw, as overrides of the scenario; see `Draw`.
@@ -265,31 +266,11 @@ def _field(own: Any, key: str) -> Any:
     return own.get(key) if isinstance(own, dict) else getattr(own, key, None)
 
 
-def _on_one_line(text: str) -> str:
-    node = yaml.compose(text, yaml.SafeLoader)
-    for each in _nodes(node):
-        if isinstance(each, yaml.CollectionNode):
-            each.flow_style = True
-    line: str = yaml.serialize(node, Dumper=yaml.SafeDumper, width=math.inf)
-    return line.strip()
-
-
-def _nodes(node: yaml.Node) -> list[yaml.Node]:
-    if isinstance(node, yaml.MappingNode):
-        inside = [each for pair in node.value for each in pair]
-    else:
-        inside = node.value if isinstance(node, yaml.SequenceNode) else []
-    return [node, *(found for each in inside for found in _nodes(each))]
-
-
-@lru_cache
 def _function(path: str) -> Any:
-    spec = importlib.util.spec_from_file_location(f"variation_{abs(hash(path))}", path)
-    if spec is None or spec.loader is None:
-        raise ScenarioError(f"{path}: not a Python file")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    function = getattr(module, "draw", None)
+    try:
+        function = getattr(module_of(Path(path).resolve()), "draw", None)
+    except Exception as error:  # The file's own code may raise anything.
+        raise ScenarioError(f"{path}: {type(error).__name__}: {error}") from error
     if not callable(function):
         raise ScenarioError(f"{path}: has no function draw(scenario, generator)")
     return function
