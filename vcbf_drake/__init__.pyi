@@ -43,6 +43,8 @@ from .errors import (
 )
 from .model import (
     ControlAffineModel as ControlAffineModel,
+    Manoeuvre as Manoeuvre,
+    Plan as Plan,
     point_position as point_position,
 )
 from .plants import (

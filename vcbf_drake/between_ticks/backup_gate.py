@@ -108,7 +108,7 @@ class BackupGate:
 def _input_of(manoeuvre: Manoeuvre, state: Array) -> Array | None:
     """A manoeuvre's input; None beyond what floats hold."""
     try:
-        return manoeuvre.input(state)
+        return np.asarray(manoeuvre.input(state), dtype=float)
     except (ArithmeticError, ValueError):
         return None
 

@@ -2,6 +2,13 @@
 
 from vcbf_drake.model.compiled import compile_expressions
 from vcbf_drake.model.control_affine import ControlAffineModel
+from vcbf_drake.model.manoeuvre import Manoeuvre, Plan
 from vcbf_drake.model.position import point_position
 
-__all__ = ["ControlAffineModel", "compile_expressions", "point_position"]
+__all__ = [
+    "ControlAffineModel",
+    "Manoeuvre",
+    "Plan",
+    "compile_expressions",
+    "point_position",
+]

@@ -237,5 +237,7 @@ class _Flow:
             numbers = np.array(self._rate(*now[:, 0].tolist()))
         except (ArithmeticError, ValueError):
             return np.full(now.shape, np.nan)
-        rate, slopes = numbers[:n], numbers[n:].reshape(n, n)
-        return np.column_stack([rate, slopes @ now[:, 1:]])
+        moved = np.empty_like(now)
+        moved[:, 0] = numbers[:n]
+        np.matmul(numbers[n:].reshape(n, n), now[:, 1:], out=moved[:, 1:])
+        return moved
