@@ -139,7 +139,10 @@ def test_a_sender_that_cannot_be_true_by_its_own_clock_is_not_met(name, value) -
     message.utime = message.utime_measured = clock.now
     setattr(message, name, value)
     inbox.receive(message.encode(), clock.now)
-    assert inbox.rejections == {Reason.STAMPS: 1}
+    assert inbox.rejections == {Reason.TIME if name == "time" else Reason.STAMPS: 1}
+    assert ("(on by 60 s in a session of 1 s" in inbox.last_rejection) == (
+        name == "time"
+    )
 
 
 # Who is followed -------------------------------------------------------------------

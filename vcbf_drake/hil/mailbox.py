@@ -270,8 +270,9 @@ class _Sender:
     ) -> Rejection | None:
         """Takes the message's number and times down; returns what is wrong with it."""
         self.skipped = 0
-        if not self._is_known and not _is_consistent(message):
-            return Rejection(Reason.STAMPS)
+        contradiction = None if self._is_known else _contradiction(message)
+        if contradiction is not None:
+            return contradiction
         order = self._order(message, now)
         if order is not None:
             return Rejection(order)
@@ -328,13 +329,15 @@ class _Sender:
         return None
 
 
-def _is_consistent(message: Any) -> bool:
-    """Whether a sender's first message can be true, by its own clock."""
+def _contradiction(message: Any) -> Rejection | None:
+    """Why a sender's first message cannot be true, by its own clock."""
     runs_for = message.utime - message.session
     measured = getattr(message, "utime_measured", message.utime)
+    most = _BURST + runs_for * 1e-6 / SHORTEST_PERIOD
+    if message.sequence > most or message.session > measured:
+        return Rejection(Reason.STAMPS)
     time = getattr(message, "time", 0.0)
-    return bool(
-        message.sequence <= _BURST + runs_for * 1e-6 / SHORTEST_PERIOD
-        and message.session <= measured
-        and 1e6 * time <= runs_for + _TIME_AHEAD
-    )
+    if 1e6 * time > runs_for + _TIME_AHEAD:
+        words = f"on by {time:.3g} s in a session of {1e-6 * runs_for:.3g} s"
+        return Rejection(Reason.TIME, f"{words}; its unit is s")
+    return None
