@@ -137,6 +137,41 @@ def test_a_vehicle_that_calls_itself_waiting_but_obeys_is_found_too() -> None:
     assert run.controller.report()["findings"].keys() == {NO_TIME}
 
 
+@pytest.mark.parametrize("session", [0, -1])
+def test_a_vehicle_that_fills_in_nothing_but_its_state_is_found(session) -> None:
+    """It obeys, and calls itself waiting for a first command all the time."""
+
+    def bare(message):
+        message.time, message.mode = 0.0, VehicleMode.WAITING
+        message.command_session = message.command_sequence = session
+        message.input_integral = [0.0] * 3
+        return message
+
+    run = RelayedLoop(scenario(), state_changed(bare))
+    run.advance_to(0.5)
+    assert run.controller.report()["findings"].keys() == {NO_TIME}
+    assert run.controller.mode is CommandMode.FALLBACK
+
+
+def test_a_vehicle_that_waits_may_drift_and_its_sensors_be_noisy() -> None:
+    """As the wind and noise that are declared move it; not for longer than that."""
+    noise = {"std": [2e-3] * 8, "seed": 1}
+    known, rng = scenario(noise=noise), np.random.default_rng(2)
+
+    def drift(message):
+        t, push = message.time, 0.02
+        x = np.array(known.initial_state)
+        x[0], x[4] = x[0] + push * t**2 / 2, x[4] + push * t
+        message.state = (x + 2e-3 * rng.standard_normal(8)).tolist()
+        message.time, message.mode = 0.0, VehicleMode.WAITING
+        message.command_session, message.input_integral = -1, [0.0] * 3
+        return message
+
+    run = RelayedLoop(scenario(), state_changed(drift), known=known)
+    run.advance_to(2.0)
+    assert run.controller.report()["findings"] == {}
+
+
 def test_a_vehicle_that_waits_and_one_whose_time_comes_in_steps_are_fine() -> None:
     """Waiting for longer than a state may be old; a plant slower than its messages."""
 

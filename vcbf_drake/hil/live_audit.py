@@ -56,7 +56,8 @@ class _Memory(NamedTuple):
     refuted_at: float = -math.inf
     alarms: float = 0.0
     finding: float = -1.0
-    # Since when the motion's time stands, by the vehicle's clock [us].
+    # Since when the motion's time stands, or the last state of one that waits, by the
+    # vehicle's clock [us].
     stands_since: float = math.nan
 
 
@@ -84,7 +85,8 @@ class LiveAudit(LeafSystem):
     * a state that stays the same, bit for bit, while its stamps are fresh and the input
       or the model moves it;
     * a motion's time that stands still, longer than a state may be old, although the
-      vehicle says that it is under way: without it nothing else can be compared.
+      vehicle says that it is under way, or moves as without an input it would not:
+      without that time nothing else can be compared.
 
     What one tick alone refutes counts as a reset of the state's estimator; three in a
     row (five equal states) are a finding. It is withdrawn when nothing was refuted for
@@ -114,7 +116,7 @@ class LiveAudit(LeafSystem):
         super().__init__()
         self._model, self._delta1 = model, bounds.delta1
         self._longest = settings.longest_interval + 1e-6 * period
-        self._longest_stand = 1e6 * settings.max_state_age
+        self._longest_stand = settings.max_state_age
         self._range = np.asarray(input_set.scale, dtype=float)
         n, m, q = model.num_states, model.num_inputs, model.num_disturbances
         noises = np.zeros(n) if noise is None or not len(noise) else np.asarray(noise)
@@ -162,7 +164,7 @@ class LiveAudit(LeafSystem):
             return _Memory(stamp.session, now, stands_since=stamp.utime)
         elapsed = now - memory.time
         if elapsed == 0.0:
-            return self._with_standing_time(memory, stamp)
+            return self._with_standing_time(memory, stamp, x_0, x)
         memory = memory._replace(time=now, stands_since=stamp.utime)
         if not elapsed <= self._longest:
             return memory._replace(refuted_estimate=0.0, refuted_motion=0.0, frozen=0.0)
@@ -179,13 +181,25 @@ class LiveAudit(LeafSystem):
         )
         return _concluded(memory, is_large or is_off)
 
-    def _with_standing_time(self, memory: _Memory, stamp: StateStamp) -> _Memory:
+    def _with_standing_time(
+        self, memory: _Memory, stamp: StateStamp, x_0: Array, x: Array
+    ) -> _Memory:
         """The memory after a tick at the same time of the motion as the one before."""
-        if not stamp.moves:
-            return memory._replace(stands_since=stamp.utime)
-        if stamp.utime - memory.stands_since <= self._longest_stand:
-            return memory
-        return _alarmed(memory, _FROZEN_TIME)
+        elapsed = 1e-6 * (stamp.utime - memory.stands_since)
+        if stamp.moves:
+            is_long = elapsed > self._longest_stand
+            return _alarmed(memory, _FROZEN_TIME) if is_long else memory
+        # It says that it waits: then it stands, or drifts without an input.
+        change = np.abs(self._model.difference(x, x_0))
+        zero = np.zeros(self._model.num_inputs)
+        is_driven = (
+            elapsed <= self._longest
+            and bool(np.any(change > self._noise + 1e-9))
+            and self._is_elsewhere(x_0, x, zero, elapsed)
+        )
+        count = memory.refuted_motion + 1 if is_driven else 0.0
+        memory = memory._replace(stands_since=stamp.utime, refuted_motion=count)
+        return _alarmed(memory, _FROZEN_TIME) if count >= _PERSISTENT else memory
 
     def _is_elsewhere(self, x_0: Array, x_1: Array, u: Array, elapsed: float) -> bool:
         """Whether a state is farther from the predicted one than can be."""
