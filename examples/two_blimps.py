@@ -8,9 +8,12 @@ sensor sees comes through its port `obstacles`.
 """
 
 import argparse
+from pathlib import Path
 
 import numpy as np
 from pictures import draw
+from pydrake.geometry import SceneGraph, Sphere
+from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Demultiplexer, LogVectorOutput, Multiplexer
@@ -26,7 +29,11 @@ from vcbf_drake import (
 )
 from vcbf_drake.barriers import PairDistance, PerceivedSpheres
 from vcbf_drake.disturbances import Sinusoid
+from vcbf_drake.plants import BlimpVehicle
+from vcbf_drake.plants.shapes import Part
 from vcbf_drake.safety import FilterStatus
+from vcbf_drake.viz import VehicleGeometry, write_diagram_replay
+from vcbf_drake.viz.scene_graph import Body, PosedGeometry
 
 STARTS = [[0.0, 0.0, 1.0, 0.0], [6.0, 0.1, 1.1, np.pi]]  # x, y, z [m], yaw [rad].
 TARGETS = [[6.0, 0.0, 1.0], [0.0, 0.1, 1.1]]  # [m]
@@ -46,6 +53,19 @@ def ball(t):
 def ball_velocity(t):
     """Returns how fast it moves; the filter takes it to go on like that."""
     return np.array([0.12 * np.cos(0.4 * t), 0.0, 0.1])
+
+
+class Ball(PosedGeometry):
+    """The ball, for the eye."""
+
+    def __init__(self, scene_graph):
+        super().__init__(
+            scene_graph, [Body("ball", [Part("body", Sphere(BALL), "#9aa5b4")])]
+        )
+
+    def poses(self, context):
+        """Returns where it is."""
+        return [RigidTransform(ball(context.get_time()))]
 
 
 class Perception(LeafSystem):
@@ -121,12 +141,27 @@ def main() -> None:
         bounds=wind.bounds,
         settings=FilterSettings(period=PERIOD),
     )
+    scene_graph = builder.AddSystem(SceneGraph())
+    builder.AddSystem(Ball(scene_graph)).ConnectTo(builder, scene_graph)
+    for i, color in enumerate(("#0072b2", "#d55e00")):
+        VehicleGeometry.AddToBuilder(
+            builder,
+            BlimpVehicle(),
+            states.get_output_port(i),
+            scene_graph,
+            f"blimp {i}",
+            color,
+        )
     log = LogVectorOutput(plant.get_output_port(), builder)
     status = LogVectorOutput(safety.filter.GetOutputPort("status"), builder, PERIOD)
-    simulator = Simulator(builder.Build())
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
     context = simulator.get_mutable_context()
     start = np.concatenate([[*each, 0.0, 0.0, 0.0, 0.0] for each in STARTS])
     plant.GetMyMutableContextFromRoot(context).SetContinuousState(start)
+    replay = Path("out/examples/two_blimps.html")
+    title = "Two blimps change places"
+    write_diagram_replay(diagram, replay, duration, context, title)
     simulator.AdvanceTo(duration)
 
     x, time = log.FindLog(context).data().T, log.FindLog(context).sample_times()
@@ -147,6 +182,7 @@ def main() -> None:
     ]
     print(f"min h: {h.min():.5f} m; to the targets: {left[0]:.2f} m, {left[1]:.2f} m")
     print(f"infeasible ticks: {np.sum(codes >= FilterStatus.INFEASIBLE)}")
+    print(f"replay: {replay}")
     print(f"volume row relaxed at {np.sum(codes == FilterStatus.RELAXED)} ticks")
 
 

@@ -67,7 +67,8 @@ def write_diagram_replay(
 
     What the diagram has registered with its SceneGraph for illustration is what the
     page shows; if it holds a `SafetyFilter`, the plots and the feasible set of the
-    first one stand below. The frame that travels farthest leaves a trail.
+    first one stand below. Of every source of the SceneGraph, a vehicle's say, the frame
+    that travels farthest leaves a trail.
 
     Args:
         diagram: A built diagram with a SceneGraph.
@@ -96,7 +97,9 @@ def write_diagram_replay(
     safety_filter = _first(diagram, SafetyFilter)
     recording = _record(diagram, start, duration, scene_graph, safety_filter, frames)
     words = Words(title or diagram.get_name() or "Replay")
-    return _write(path, words, frames, recording, safety_filter)
+    inspector = scene_graph.model_inspector()
+    sources = {frame: inspector.GetOwningSourceName(frame) for frame in frames}
+    return _write(path, words, frames, recording, safety_filter, sources)
 
 
 def _first(diagram: Diagram, kind: type) -> Any:
@@ -187,12 +190,17 @@ def _write(
     frames: dict[FrameId, list[Part]],
     recording: _Recording,
     safety_filter: SafetyFilter | None,
+    sources: dict[FrameId, str],
 ) -> Path:
     places = {
         frame: np.array([pose.translation() for pose in poses])
         for frame, poses in recording.poses.items()
     }
-    leader = max(places, key=lambda each: float(np.ptp(places[each], axis=0).sum()))
+    travel = {frame: float(np.ptp(places[frame], axis=0).sum()) for frame in places}
+    farthest: dict[str, FrameId] = {}
+    for frame in sorted(travel, key=travel.__getitem__):
+        farthest[sources[frame]] = frame
+    leader = max(travel, key=travel.__getitem__)
     low, high = _extent(frames, recording)
     span = max(float(np.linalg.norm(high - low)), 1e-3)
     cell = cell_size(span)
@@ -201,9 +209,10 @@ def _write(
     meshcat = private_meshcat()
     scene.add_light(meshcat, outline)
     scene.add_ground(meshcat, low, high, cell)
-    moves = float(np.ptp(places[leader], axis=0).max()) > 1e-6
-    if moves:
-        scene.add_trail(meshcat, "trail/0", places[leader], 0.0016 * span, BLUE)
+    for number, frame in enumerate(farthest.values()):
+        if travel[frame] > 1e-6:
+            path_name, thickness = f"trail/{number}", 0.0016 * span
+            scene.add_trail(meshcat, path_name, places[frame], thickness, BLUE)
     rate = _animate(meshcat, frames, recording)
     name = safety_filter.get_name() if safety_filter is not None else words.title
     log = {key: np.array(values) for key, values in recording.log.items()}

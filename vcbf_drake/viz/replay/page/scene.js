@@ -126,13 +126,10 @@ class ReplayScene {
 
   /** Draws only the triangles of the trails that lie before the frame. */
   growTrails(frame) {
-    this.data.runs.forEach((run, index) => {
-      const node = viewer.scene_tree.find(["drake", "trail", String(index)]);
-      node.object.traverse((mesh) => {
-        if (!mesh.isMesh) return;
-        const share = frame / (run.path.length - 1);
-        mesh.geometry.setDrawRange(0, Math.floor(share * mesh.geometry.index.count));
-      });
+    const share = frame / (this.data.runs.at(-1).path.length - 1);
+    viewer.scene_tree.find(["drake", "trail"]).object.traverse((mesh) => {
+      if (!mesh.isMesh) return;
+      mesh.geometry.setDrawRange(0, Math.floor(share * mesh.geometry.index.count));
     });
   }
 
