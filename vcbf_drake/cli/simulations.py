@@ -111,7 +111,10 @@ def compare(
     scenario_name: ScenarioNameOption = None,
     out: Annotated[Path | None, out_option("out/SCENARIO")] = None,
 ) -> None:
-    """Simulate one scenario under several methods: one replay, one set of figures."""
+    """Simulate one scenario under several methods: one replay, one set of figures.
+
+    They bring out the scenario's own method.
+    """
     from vcbf_drake.safety.methods import METHODS
 
     names = list(METHODS) if methods is None else method_names(methods)
@@ -122,7 +125,9 @@ def compare(
         with whole_directory(directory) as staging:
             for result in results:
                 result.save(staging / result.scenario.method)
-        write_pictures(results, directory, begin)
+        own = load(scenario, override, None, scenario_name).method
+        in_front = sorted(results, key=lambda each: each.scenario.method == own)
+        write_pictures(in_front, directory, begin)
     report_results(results, directory)
 
 

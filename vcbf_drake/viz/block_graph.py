@@ -20,6 +20,7 @@ _NO_GRAPHVIZ = (
 _FONT = f"{RC_PARAMS['font.family']},Verdana,sans-serif"
 _LINES = "#3d4754"
 _JOINED: dict[str, Any] = {"headclip": "false"}
+_BUNDLE = 4  # So many wires between two blocks, or more, are drawn as one.
 
 
 class Pin(NamedTuple):
@@ -89,8 +90,9 @@ def graph_dot(
 ) -> str:
     """The DOT text of blocks and wires, from left to right, the same for the same.
 
-    Wires that lead back to a block on the way do not move it. A block all of whose
-    wires lead back stands below the way, mirrored: its outputs are on its left.
+    Many wires between two blocks' ports of the same names are one thick line. Wires
+    that lead back to a block on the way do not move it. A block all of whose wires lead
+    back stands below the way, mirrored: its outputs are on its left.
 
     Args:
         blocks: The blocks, the first ones of the way first.
@@ -98,7 +100,7 @@ def graph_dot(
         title: The graph's name.
         heading: What stands above everything.
     """
-    from pydot import Dot, Node
+    from pydot import Dot, Edge, Node
 
     graph = Dot(_quoted(title), graph_type="digraph", rankdir="LR", bgcolor="white")
     graph.set("nodesep", 0.35)
@@ -115,8 +117,14 @@ def graph_dot(
     below = _below(blocks, wires, backward)
     for block in blocks:
         graph.add_node(_node(block, block.name in below, wires))
+    bundles = _bundles(blocks, [w for w in wires if w not in backward])
+    for (source, sink), bundle in bundles.items():
+        text = _quoted(f" {len(bundle)} signals ")
+        ends = f"{_quoted(source)}:e", f"{_quoted(sink)}:w"
+        graph.add_edge(Edge(*ends, weight=4, penwidth=2.5, label=text))
+    bundled = {wire for bundle in bundles.values() for wire in bundle}
     nets: dict[Pin, list[Wire]] = {}
-    for wire in wires:
+    for wire in (each for each in wires if each not in bundled):
         nets.setdefault(wire.source, []).append(wire)
     for number, net in enumerate(nets.values()):
         for part in _net(number, net, backward, below):
@@ -144,6 +152,19 @@ def write_dot(dot: str, directory: Path, name: str) -> list[Path]:
         return [source]
     subprocess.run([program, "-Tsvg", "-o", picture, source], check=True)
     return [source, picture]
+
+
+def _bundles(
+    blocks: Sequence[Block], wires: Sequence[Wire]
+) -> dict[tuple[str, str], list[Wire]]:
+    """The wires that are drawn as one, by the names of the two blocks."""
+    named = {block.name: block for block in blocks}
+    found: dict[tuple[str, str], list[Wire]] = {}
+    for wire in wires:
+        (source, _, i), (sink, _, j) = wire.source, wire.sink
+        if named[source].outputs[i] == named[sink].inputs[j]:
+            found.setdefault((source, sink), []).append(wire)
+    return {ends: each for ends, each in found.items() if len(each) >= _BUNDLE}
 
 
 def _backward(blocks: Sequence[Block], wires: Sequence[Wire]) -> set[Wire]:

@@ -32,6 +32,7 @@ class FeasibleSet:
         input: The chosen input, shape (m,).
         corners: The corners of the set between low and high, shape (k, m).
         volume: The volume barrier V_v; nan when the filter did not know it.
+        decay: By how much barriers decay faster than A and b say (E99); 1: they do not.
     """
 
     A: Array
@@ -45,11 +46,17 @@ class FeasibleSet:
     input: Array
     corners: Array
     volume: float
+    decay: float
 
     @property
     def empty(self) -> bool:
         """Whether there is nothing to choose from."""
         return len(self.corners) == 0
+
+    @property
+    def has_choice(self) -> bool:
+        """Whether an input satisfies the rows, at faster decay rates perhaps."""
+        return not self.empty or self.decay > 1.0
 
     @property
     def conflict(self) -> list[int]:
@@ -100,6 +107,7 @@ def feasible_set_of_tick(
         input=log["input"][tick],
         corners=polytope_vertices(A[finite], b[finite], low, high),
         volume=float(log["volume"][tick]),
+        decay=float(log["decay"][tick]) if "decay" in log else 1.0,
     )
 
 

@@ -73,17 +73,20 @@ def draw_feasible_set(axes: Any, chosen: FeasibleSet, color: str) -> None:
     limits: Style = dict(fill=False, ec=MUTED, lw=0.9, ls=(0, (4, 2)), zorder=2)
     box = [low, (high[0], low[1]), high, (low[0], high[1])]
     axes.add_patch(Polygon(np.array(box), **limits))
-    conflict = chosen.conflict if chosen.empty else []
+    conflict = [] if chosen.has_choice else chosen.conflict
     for row in range(chosen.limits, len(chosen.b)):
         _draw_forbidden(axes, chosen, row, view, row in conflict)
     if chosen.empty:
         words = dict(ha="center", va="center", color=ALARM, fontsize=12, weight="bold")
+        if chosen.has_choice:
+            words |= dict(color=MUTED, fontsize=8)
         paper = dict(boxstyle="round,pad=0.25", fc="white", ec="none", alpha=0.85)
         middle, extent = view.mean(axis=0), view[1] - view[0]
         away = np.abs(chosen.reference[:2] - middle) / extent
         if away[0] < 0.25 and away[1] < 0.12:  # The ring would be on the word.
             middle = middle - [0.0, 0.2 * extent[1]]
-        axes.text(*middle, "empty", **words, bbox=paper, zorder=6)
+        told = "empty but for\nfaster decay" if chosen.has_choice else "empty"
+        axes.text(*middle, told, **words, bbox=paper, zorder=6)
     else:
         outline = hull(chosen.corners[:, :2])
         axes.add_patch(Polygon(outline, fc=color, alpha=0.2, lw=0, zorder=2))
@@ -144,7 +147,7 @@ def _draw_choice(axes: Any, chosen: FeasibleSet, view: Array, color: str) -> Non
     inside = bool(np.all(reference == chosen.reference[:2]))
     style: Style = dict(mfc="white", mec=INK, ms=6, mew=1.2, zorder=5)
     axes.plot(*reference, "o" if inside else "s", **style)
-    if not chosen.empty:
+    if chosen.has_choice:
         arrow = dict(arrowstyle="-", color=INK, lw=0.7, shrinkA=3, shrinkB=3)
         axes.annotate("", chosen.input[:2], reference, arrowprops=arrow, zorder=4)
         axes.plot(*chosen.input[:2], "o", mfc=color, mec="white", ms=7, zorder=5)
@@ -165,11 +168,12 @@ def _legend_handles() -> list[Any]:
     ]
 
 
-_CORNER = dict(xycoords="axes fraction", fontsize=8, weight="bold", va="top", zorder=7)
-_LOWER_RIGHT = dict(
-    ha="right",
-    va="bottom",
-    weight="normal",
-    fontsize=7.5,
-    bbox=dict(boxstyle="round,pad=0.15", fc="white", ec="none", alpha=0.85),
+_CORNER = dict(
+    xycoords="axes fraction",
+    fontsize=8,
+    weight="bold",
+    va="top",
+    zorder=7,
+    bbox=dict(boxstyle="round,pad=0.15", fc="white", ec="none", alpha=0.9),
 )
+_LOWER_RIGHT = dict(ha="right", va="bottom", weight="normal", fontsize=7.5)

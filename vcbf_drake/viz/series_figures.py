@@ -113,6 +113,7 @@ def disturbance_figure(runs: Sequence[Run]) -> Any:
         middle = 0.5 * (true.max() + true.min())
         axes.set_ylim(middle - room, middle + room)
     _legend_above(panels[0])
+    figure.align_ylabels(panels)
     return figure
 
 
@@ -147,6 +148,7 @@ def input_figure(runs: Sequence[Run]) -> Any:
     panels[0].plot([], [], color=ALARM, lw=0.8, ls=(0, (4, 2)), label="limits")
     panels[-1].set_xlabel("time [s]")
     _legend_above(panels[0])
+    figure.align_ylabels(panels)
     return figure
 
 

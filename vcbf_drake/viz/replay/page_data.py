@@ -236,6 +236,7 @@ def _sets(run: Shown) -> dict[str, list[Any]]:
     return {
         "time": _finite(run.time[kept]),
         "outline": [_outline(each) for each in sets],
+        "eased": [int(each.empty and each.has_choice) for each in sets],
         "ellipse": [_ellipse(each) for each in sets],
         "reference": [_in_plane(each.reference) for each in sets],
         "input": [_in_plane(each.input) for each in sets],

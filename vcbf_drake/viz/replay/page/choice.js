@@ -77,8 +77,9 @@ class Choice {
       const place = primary
         ? { x: (left + right) / 2, y: (top + bottom) / 2 + 4, "text-anchor": "middle" }
         : { x: left + 3, y: bottom - 4 - 12 * this.data.runs.indexOf(run) };
+      const word = sets.eased[k] ? "faster decay" : "empty";
       element("text", { class: "empty", ...place, style: primary ? "" : `fill: ${run.color}` }, group)
-        .textContent = primary ? "empty" : `${run.label}: empty`;
+        .textContent = primary ? word : `${run.label}: ${word}`;
     }
     if (primary && sets.ellipse[k]) this.drawEllipse(sets.ellipse[k], group);
     this.drawChoice(run, sets, k, primary, group);
@@ -104,7 +105,7 @@ class Choice {
       element("line", { class: "way", x1: x, y1: y, x2: chosenX, y2: chosenY }, group);
       element("circle", { class: "reference", cx: x, cy: y, r: 4 }, group);
     }
-    if (!sets.outline[k].length) return;
+    if (!sets.outline[k].length && !sets.eased[k]) return;
     const style = { class: "stop", cx: chosenX, cy: chosenY, fill: run.color };
     element("circle", { ...style, r: primary ? 4.5 : 3 }, group);
   }
