@@ -125,16 +125,8 @@ class VolumeMeasure:
         solver: str = DEFAULT_SOLVER,
     ) -> None:
         self._num_limits = len(input_set.b_normalised)
-        self._threshold, self._widening = threshold, widening
+        self._threshold, self.widening = threshold, widening
         self._solver = InscribedEllipsoidSolver(input_set, solver)
-
-    @cached_property
-    def of_input_set(self) -> Measurement | None:
-        """V_v of a set that no row cuts; None if rows are felt before they cut."""
-        if self._widening > 1.0:
-            return None
-        m = self._solver.num_inputs
-        return self(np.zeros((0, m)), np.zeros(0))
 
     def __call__(self, A: Array, b: Array) -> Measurement:
         """Returns V_v of the input set under the rows ``A v <= b``.
@@ -146,13 +138,13 @@ class VolumeMeasure:
         Raises:
             SolverError: No ellipsoid could be certified.
         """
-        if self._widening == 1.0:
+        if self.widening == 1.0:
             return self._measured(A, b)
-        found = self._measured(A, b / self._widening)
+        found = self._measured(A, b / self.widening)
         return replace(
             found,
-            multipliers=found.multipliers / self._widening,
-            contacts=found.contacts * self._widening,
+            multipliers=found.multipliers / self.widening,
+            contacts=found.contacts * self.widening,
             ellipsoid=None,
         )
 

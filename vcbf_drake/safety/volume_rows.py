@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -65,15 +66,23 @@ class VolumeRows:
         if not (feasible.is_finite and self._is_bounded):
             return None
         measure = self._guard_measure if guard else self._measure
-        if feasible.is_uncut and measure.of_input_set is not None:
-            n, q = self._model.num_states, self._model.num_disturbances
-            return Volume.unmoved(measure.of_input_set, n, q)
+        if feasible.is_uncut and measure.widening == 1.0:
+            return self._unmoved
         k = feasible.num_input_rows
         try:
             measured = measure(feasible.A_v[k:], feasible.b_v[k:])
         except (SolverError, np.linalg.LinAlgError):
             return None
         return volume(measured, feasible, self._input_set)
+
+    @cached_property
+    def _unmoved(self) -> Volume:
+        """V_v + xi of the input set as it is."""
+        measured = self._guard_measure(
+            np.zeros((0, self._model.num_inputs)), np.zeros(0)
+        )
+        n, q = self._model.num_states, self._model.num_disturbances
+        return Volume.unmoved(measured, n, q)
 
     def ellipsoid(
         self, feasible: FeasibleSet, known: Iterable[Volume | None]

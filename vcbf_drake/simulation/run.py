@@ -51,7 +51,7 @@ Progress = Callable[[float], None]
 Watch = Callable[[Diagram, Context], None]
 
 # Ticks whose CPU time is measured.
-_SAMPLES = 400
+_SAMPLES = 200
 # Isolates the instant of a collision to a microsecond; integration has fixed steps.
 _WITNESS_ACCURACY = 1e-4
 # How often what was logged is finished, audited and put away: after this time [s], and
