@@ -113,8 +113,11 @@ class VolumeMeasure:
     Args:
         input_set: The inputs before any row cuts them.
         threshold: xi, the share of the bounding box's volume that must remain.
-        widening: kappa.
+        widening: See the attribute.
         solver: The name of the solver that proposes ellipsoids.
+
+    Attributes:
+        widening: kappa.
     """
 
     def __init__(
