@@ -17,7 +17,7 @@ from statistics import median
 
 from vcbf_drake import simulate
 from vcbf_drake.files import atomic_write
-from vcbf_drake.studies import Record, Trial, run_study
+from vcbf_drake.studies import Record, run_study
 from vcbf_drake.studies.worker_processes import new_pool
 
 from .page import page
@@ -64,15 +64,23 @@ def run_part(population: Population, part: int, out: Path, workers: int) -> None
     # New processes for every part: pydrake does not free every diagram.
     with new_pool(workers) as pool:
         records = run_study(first, out / f"{population.name}-{part:02}.jsonl", pool)
-        others: list[Trial] = [
-            population.trial(contender, *pair)
+        chosen = [
+            pair
             for pair, record in zip(pairs, records, strict=True)
             if is_lost(record) or population.is_sampled(*pair)
-            for name, contender in contenders.items()
-            if name != BASE
         ]
-        path = out / f"{population.name}-{part:02}-others.jsonl"
-        run_study(others, path, pool)
+        found = {BASE: dict(zip(pairs, records, strict=True))}
+        for number, (name, contender) in enumerate(contenders.items()):
+            if name == BASE:
+                continue
+            own = [
+                pair
+                for pair in chosen
+                if not contender.acts_on or is_lost(found[contender.acts_on][pair])
+            ]
+            trials = [population.trial(contender, *pair) for pair in own]
+            path = out / f"{population.name}-{part:02}-{number}.jsonl"
+            found[name] = dict(zip(own, run_study(trials, path, pool), strict=True))
 
 
 def time_ticks(path: Path) -> None:

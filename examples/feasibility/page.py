@@ -10,7 +10,16 @@ from statistics import median
 from vcbf_drake.studies import Record, Trial
 from vcbf_drake.studies.statistics import share_interval
 
-from .study import BASE, DURATION, POPULATIONS, SOON, Population, is_lost
+from .study import (
+    BASE,
+    CONTENDERS,
+    DURATION,
+    POPULATIONS,
+    SOON,
+    THE_PAPERS,
+    Population,
+    is_lost,
+)
 
 Pair = tuple[int, int]
 
@@ -89,6 +98,10 @@ def section(
         trials: dict[Pair, Trial] = {p: population.trial(contender, *p) for p in pairs}
         keys = {pair: key(trial.identity) for pair, trial in trials.items()}
         found[name] = {p: records[k] for p, k in keys.items() if k in records}
+        if contender.acts_on:
+            known = found[contender.acts_on].items()
+            same = {pair: record for pair, record in known if not is_lost(record)}
+            found[name] = same | found[name]
     base = found[BASE]
     lost = [pair for pair, record in base.items() if is_lost(record)]
     sampled = [p for p in base if p not in set(lost) and population.is_sampled(*p)]
@@ -118,7 +131,7 @@ def table(
     times: dict[str, float],
 ) -> Iterator[str]:
     """Yields the lines of a table, one method a line."""
-    paper = found["dob-vcbf-qp, the paper's form"]
+    paper = found[THE_PAPERS]
     heads = ["method", "runs", "kept", "lost, kept by the paper's form"]
     if population.arrives:
         heads += [f"arrive in {DURATION:g} s", f"in {SOON:g} s", "median arrival"]
@@ -129,7 +142,7 @@ def table(
         own = {pair: of[pair] for pair in pairs if pair in of}
         count = len(own)
         lost = {pair for pair, record in own.items() if is_lost(record)}
-        cells = [f"`{name}`" if "," not in name else name, str(count)]
+        cells = [words(name), str(count)]
         cells.append(share(count - len(lost), count))
         cells.append(str(sum(p in paper and not is_lost(paper[p]) for p in lost)))
         if population.arrives:
@@ -143,6 +156,12 @@ def table(
         cells += [str(touched), f"{min(heights):.3f}" if heights else "-"]
         cells.append(f"{times[name]:.2f} ms" if name in times else "-")
         yield f"| {' | '.join(cells)} |"
+
+
+def words(name: str) -> str:
+    """Returns a contender's name, with its method where that says more."""
+    method = f"`{CONTENDERS[name].method}`"
+    return method if name == CONTENDERS[name].method else f"{method}, {name}"
 
 
 def share(count: int, total: int) -> str:

@@ -10,7 +10,6 @@ import numpy as np
 
 from examples.paper.blimp_courses import blimp_course
 from examples.paper.car_courses import APPROACH_GAINS, car_course
-from vcbf_drake.safety import METHODS
 from vcbf_drake.simulation.loading import merge_overrides
 from vcbf_drake.studies import Record, Trial
 
@@ -22,7 +21,7 @@ FIRST_JUDGE = 20_000
 
 PAPER = {"volume": {"threshold": 0.02, "gain": 3.0}}
 WIDENED = {"volume": {"threshold": 0.02, "gain": 0.1, "widening": 8.0}}
-DECAY = {"infeasible": "decay"}
+DECAY, BACKUP = {"infeasible": "decay"}, {"infeasible": "backup"}
 
 
 @dataclass(frozen=True)
@@ -33,25 +32,27 @@ class Contender:
         method: The method.
         overrides: Of the scenario's filter settings.
         is_slow: Whether the barriers' gains are the population's small ones.
+        acts_on: Whose runs these are but where that one had no input.
     """
 
     method: str
     overrides: dict[str, Any] = field(default_factory=dict)
     is_slow: bool = False
+    acts_on: str = ""
 
 
-BASE = "dob-cbf-qp"
+BASE, THE_PAPERS, WIDE = "dob-cbf-qp", "the paper's form", "widened"
 CONTENDERS = {
     BASE: Contender("dob-cbf-qp"),
-    "dob-vcbf-qp, the paper's form": Contender("dob-vcbf-qp", PAPER),
-    "dob-vcbf-qp, widened": Contender("dob-vcbf-qp", WIDENED),
+    THE_PAPERS: Contender("dob-vcbf-qp", PAPER),
+    WIDE: Contender("dob-vcbf-qp", WIDENED),
     "optimal-decay": Contender("optimal-decay"),
-    "dob-cbf-qp, infeasible: decay": Contender("dob-cbf-qp", DECAY),
-    "widened, infeasible: decay": Contender("dob-vcbf-qp", WIDENED | DECAY),
-    "dob-cbf-qp, smaller gains": Contender("dob-cbf-qp", is_slow=True),
-    "backup": Contender("backup"),
+    "infeasible: decay": Contender("dob-cbf-qp", DECAY, acts_on=BASE),
+    "widened and decay": Contender("dob-vcbf-qp", WIDENED | DECAY, acts_on=WIDE),
+    "infeasible: backup": Contender("dob-cbf-qp", BACKUP),
+    "widened and backup": Contender("dob-vcbf-qp", WIDENED | BACKUP),
+    "smaller gains": Contender("dob-cbf-qp", is_slow=True),
 }
-CONTENDERS = {n: each for n, each in CONTENDERS.items() if each.method in METHODS}
 
 
 @dataclass(frozen=True)
@@ -87,6 +88,7 @@ class Population:
         slow: What makes the barriers' gains small; nothing where that is not asked.
         sample: The share of the pairs that `BASE` does not lose that others run, too.
         arrives: Whether there is a target.
+        has_backup: Whether the vehicle has a backup manoeuvre.
     """
 
     name: str
@@ -98,6 +100,7 @@ class Population:
     slow: tuple[tuple[str, Any], ...] = ()
     sample: float = 0.1
     arrives: bool = True
+    has_backup: bool = True
 
     def blocks(self, number: int) -> Iterator[range]:
         """Yields the courses in so many blocks of about the same size."""
@@ -125,7 +128,12 @@ class Population:
 
     def contenders(self) -> dict[str, Contender]:
         """Returns who takes part."""
-        return {n: c for n, c in CONTENDERS.items() if self.slow or not c.is_slow}
+        return {
+            name: each
+            for name, each in CONTENDERS.items()
+            if (self.slow or not each.is_slow)
+            and (self.has_backup or each.overrides.get("infeasible") != "backup")
+        }
 
     def is_sampled(self, course: int, variant: int) -> bool:
         """Whether a pair is in the sample of those that nothing was wrong with."""
@@ -176,6 +184,7 @@ CRUISE = Population(
     tuple({"vehicle": {"gain": gain}} for gain in (1.0, 2.0, 5.0)),
     sample=0.2,
     arrives=False,
+    has_backup=False,
 )
 POPULATIONS = (BLIMP, CAR, CRUISE)
 
@@ -186,6 +195,8 @@ def is_lost(record: Record) -> bool:
         return True
     if record["failed_ticks"]:
         return True
+    if record["guaranteed_feasible"]:
+        return False
     # Where rates grew instead the run went on as it should.
     left = record["infeasible_ticks"] - record["decayed_ticks"]
     if record["infeasible_at"] is None or left <= 0:

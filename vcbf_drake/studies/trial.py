@@ -110,6 +110,8 @@ def run_trial(trial: Trial) -> Record:
     except Exception as error:
         return error_record(trial, f"{type(error).__name__}: {error}")
     numbers = {name: _finite(summary[name]) for name in _NUMBERS}
+    # Only where a backup manoeuvre is kept there is something to guarantee.
+    numbers["guaranteed_feasible"] = summary.get("guaranteed_feasible")
     numbers["running_time"] = min(scenario.duration, summary["running_time"])
     return {
         **trial.identity,
@@ -130,7 +132,7 @@ def error_record(trial: Trial, error: str) -> Record:
     return {
         **trial.identity,
         "outcome": "error",
-        **dict.fromkeys((*_NUMBERS, "reasons_against")),
+        **dict.fromkeys((*_NUMBERS, "guaranteed_feasible", "reasons_against")),
         "error": error,
     }
 
