@@ -65,6 +65,7 @@ TICKS = {
     "ticks": 1001,
     "relaxed_ticks": 3,
     "infeasible_ticks": 0,
+    "decayed_ticks": 0,
     "failed_ticks": 1,
     "final_status": 1,
     "reasons_against": ["audit: slack"],
@@ -206,6 +207,7 @@ def test_a_record_is_plain_and_strict_json() -> None:
         "min_volume": None,
         "max_abs_slack": 0.0,
         **TICKS,
+        "guaranteed_feasible": None,
         "error": None,
     }
     json.dumps(record, allow_nan=False)
