@@ -11,6 +11,8 @@ import numpy as np
 if TYPE_CHECKING:
     from vcbf_drake.checks import Array
 
+# A set that is empty by less than this may be flat [units of u].
+_ROUNDING = 1e-9
 # Fields and list indices that lead to one value, outermost first.
 Path: TypeAlias = tuple[str | int, ...]
 
@@ -20,21 +22,24 @@ class VcbfError(Exception):
 
 
 class EmptySetError(VcbfError):
-    """No point satisfies ``A u <= b``.
+    """No point satisfies ``A u <= b``, or none but those of a flat set.
 
     Attributes:
         A: The rows, shape (n, m).
         b: The right-hand sides, shape (n,).
-        inradius: The signed Chebyshev radius, negative (in units of u), or that of
-            the rows in conflict alone, which is no less.
+        inradius: The signed Chebyshev radius (in units of u), or that of the rows in
+            conflict alone, which is no less; negative, but for a set that is flat
+            where an interior is asked for.
         conflict: Indices of rows that exclude each other, where they are known.
     """
 
     def __init__(
         self, A: Array, b: Array, inradius: float, conflict: Sequence[int] = ()
     ) -> None:
+        # Where rounding leaves it open whether there is a point, at least no ball is.
+        what = "is empty" if inradius < -_ROUNDING else "has no interior"
         super().__init__(
-            f"the set {{u : A u <= b}} is empty: its signed Chebyshev radius is"
+            f"the set {{u : A u <= b}} {what}: its signed Chebyshev radius is"
             f" {inradius:.3g}"
         )
         self.A, self.b, self.inradius = A, b, inradius

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 
 from vcbf_drake import Car, ControlAffineModel, SafetyFilter, SphereObstacle
 from vcbf_drake.barriers import BarrierRows
@@ -67,6 +68,61 @@ def test_an_oblique_row_is_met_to_its_own_size(far, other):
     if expected[1] > 0.1:
         expected = [0.95, 0.1]
     np.testing.assert_allclose(decision.input, expected, atol=2e-8)
+
+
+@pytest.mark.parametrize("far", FAR)
+def test_a_limit_that_matters_beside_one_that_does_not(far):
+    """u_1 <= 5, u_1 >= 6 beside u_2 <= 0.5, which holds to a unit of its own."""
+    box, A = InputSet.box([-far, -1.0], [far, 1.0]), [[1.0, 0.0], [-1.0, 0.0], [0, 1.0]]
+    decision = choose(box, A, [5.0, -6.0, 0.5], [7.0, 0.4])
+    assert decision.status == FilterStatus.INFEASIBLE and decision.conflict == (4, 5)
+    np.testing.assert_allclose(decision.input, [5.5, 0.4], atol=1e-6)
+    decision = choose(box, A, [5.0, -4.0, 0.5], [7.0, 0.9])
+    assert decision.status == FilterStatus.FILTERED
+    np.testing.assert_allclose(decision.input, [5.0, 0.5], atol=1e-9)
+
+
+@pytest.mark.parametrize("far", [1e3, 1e6, 1e9, 1e12])
+def test_the_least_violation_beside_limits_that_matter(far):
+    """Against a linear program in the inputs' own units, where 1e4 is far enough."""
+    rng, empty = np.random.default_rng(int(np.log10(far))), 0
+    box, near = InputSet.box([-far, -1.0], [far, 1.0]), [(-1e4, 1e4), (-1.0, 1.0)]
+    for _ in range(60):
+        n = int(rng.integers(2, 6))
+        A, b = rng.normal(size=(n, 2)), rng.normal(size=n) - 1.0
+        if far == 1e3:
+            near[0] = (-1e3, 1e3)
+        lp = np.column_stack([A, -np.ones(n)])
+        least = linprog([0, 0, 1.0], lp, b, bounds=[*near, (0.0, None)]).fun
+        if least < 1e-3:
+            continue
+        empty += 1
+        decision = choose(box, A, b, rng.normal(size=2))
+        assert decision.status == FilterStatus.INFEASIBLE
+        violation = np.max(A @ decision.input - b)
+        assert violation == pytest.approx(least, rel=1e-6, abs=1e-6)
+    assert empty > 10
+
+
+@pytest.mark.parametrize("small", [1e-6, 1e-12, 1e-15])
+def test_limits_of_next_to_nothing_are_limits(small):
+    """A row with a coefficient of 1 is short beside them, and yet it is a row."""
+    box = InputSet.box([-small, -small], [small, small])
+    decision = choose(box, [[1.0, 0.0]], [0.3 * small], [small, 0.1 * small])
+    assert decision.status == FilterStatus.FILTERED
+    expected = [0.3 * small, 0.1 * small]
+    np.testing.assert_allclose(decision.input, expected, atol=1e-9 * small)
+    decision = choose(box, [[1.0, 0.0]], [-2.0 * small], [small, 0.1 * small])
+    assert decision.status == FilterStatus.INFEASIBLE and decision.conflict == (2, 4)
+    np.testing.assert_allclose(decision.input, [-small, 0.1 * small], rtol=1e-8)
+
+
+@pytest.mark.parametrize("size", [1e100, 1e300])
+def test_rows_whose_squares_overflow_are_violated_least(size):
+    box, A = InputSet.box([-1.0, -1.0], [1.0, 1.0]), [[size, 0.0], [-size, 0.0]]
+    decision = choose(box, A, [0.3 * size, -0.5 * size], [0.7, 0.9])
+    assert decision.status == FilterStatus.INFEASIBLE and decision.conflict == (4, 5)
+    np.testing.assert_allclose(decision.input, [0.4, 0.9], atol=1e-8)
 
 
 @pytest.mark.parametrize("far", [1e9, 1e12, 1e300, np.inf])

@@ -100,6 +100,19 @@ def test_a_threshold_that_the_start_does_not_have_is_said_with_one_to_take(caplo
     assert "take a threshold below 0.4" in line
 
 
+def test_a_volume_that_falls_below_its_threshold_is_said_once(caplog):
+    """At 0.5 m/s the rows ask for -1 <= u_0 <= -0.6 of 1 N: det B = 0.2 - 0.3 < 0."""
+    slow = StateLimit(2, -0.2, 0.2).barriers([1.0], "speed")
+    barrier = VolumeBarrier(threshold=0.3, gain=100.0)
+    loop = car_loop(slow, [0.0] * 4, barrier, method="vcbf-qp")
+    lines, _ = warned(caplog, loop, 0.05)
+    assert lines == []
+    loop.get_mutable_context().SetContinuousState([0.0, 0.0, 0.5, 0.0])
+    lines, _ = warned(caplog, loop, 0.2)
+    (line,) = [each for each in lines if "V_v" in each]
+    assert "V_v is below 0 at 0.06 s" in line and "RELAXED" in line
+
+
 @pytest.mark.parametrize(
     ("speed", "determinant", "threshold"),
     [(0.2, 0.4, 0.02), (0.01, 0.02, 0.002), (1e-4, 2e-4, 2e-5)],

@@ -214,7 +214,7 @@ def test_a_reference_far_outside_is_brought_back_along_a_row():
     np.testing.assert_allclose(decision.input, [1.0, 0.0], atol=1e-6)
 
 
-def failing(*arguments):
+def failing(*arguments, **options):
     raise SolverError("no answer", np.zeros((1, 2)), np.zeros(1))
 
 

@@ -13,8 +13,8 @@ from vcbf_drake.typed import typed
 
 # A point this many input ranges away is as good as one infinitely far.
 _FARTHEST = 1e6
-# A limit this large is as good as infinite: squares of larger ones overflow.
-_AS_GOOD_AS_NONE = 1e100
+# A limit this large is as good as infinite: beside it a unit is next to rounding.
+_AS_GOOD_AS_NONE = 1e15
 # Rows are met to this, in normalised inputs, before a projection returns.
 _TOLERANCE = 1e-10
 
@@ -98,7 +98,7 @@ class InputSet:
         """Returns ``{u : lower <= u <= upper}``.
 
         A limit may be infinite where no volume barrier needs a bounded set, and one
-        beyond 1e100 is taken as that: then center is the input nearest to 0 and scale
+        beyond 1e15 is taken as that: then center is the input nearest to 0 and scale
         is 1, its unit. Equal limits fix an input.
 
         Args:

@@ -51,7 +51,8 @@ class LoopMonitor(LeafSystem):
     each hypothesis about the start that fails, and at the first tick that is INFEASIBLE
     or FAILED one that names the rows that exclude each other; to the logger
     ``vcbf_drake``, unless the setting `warn` is off. With the policy ``stop`` that tick
-    ends the simulation. An observer that refuses most intervals is told once, too.
+    ends the simulation. Two things more are told once: that V_v is below 0, so that the
+    volume row gives way, and that the observer refuses most intervals.
     """
 
     def __init__(
@@ -81,9 +82,9 @@ class LoopMonitor(LeafSystem):
             size = safety_filter.GetInputPort("estimate").size()
             self._ports["estimate"] = self.DeclareVectorInputPort("estimate", size)
         # The first hypothesis that failed at the start; the worst status so far, and
-        # whether most intervals had been refused.
+        # whether it was told that most intervals are refused, and that V_v is below 0.
         self._failed = self.DeclareAbstractState(Value[object](("",)))
-        self.DeclareDiscreteState(2)
+        self.DeclareDiscreteState(3)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._check_start)
         # When the tick is decided: by then the filter knows its threshold.
         self.DeclareInitializationPublishEvent(self._check_enclosure)
@@ -117,6 +118,10 @@ class LoopMonitor(LeafSystem):
         if "backup" in self._ports:
             is_certified = bool(self._read(context, "backup")[1])
             found = (certified_plan(self._filter, is_certified), *found)
+        # A volume that starts below 0 is a hypothesis that fails.
+        state.get_mutable_discrete_state().get_mutable_vector().SetAtIndex(
+            2, float(volume < 0.0)
+        )
         failed = [each for each in found if each.holds is False]
         first = failed[0].verdict if failed else ""
         state.get_mutable_abstract_state(0).set_value((first,))
@@ -135,8 +140,15 @@ class LoopMonitor(LeafSystem):
 
     def _check(self, context: Context) -> EventStatus:
         status = FilterStatus(int(self._read(context, "status")[0]))
-        worst, was_told = context.get_discrete_state_vector().CopyToVector()
-        if not was_told and self._refuses_most(context):
+        worst, refuses, is_small = context.get_discrete_state_vector().CopyToVector()
+        if not is_small and self._is_too_small(context):
+            self._warn(
+                f"V_v is below 0 at {context.get_time():.4g} s: the rows leave less"
+                " room than the threshold, no input makes more in time, and so the"
+                " volume row gives way (RELAXED); lower volume.threshold, widen the"
+                " limits or start further away"
+            )
+        if not refuses and self._refuses_most(context):
             self._warn(
                 f"the observer refuses most intervals by {context.get_time():.4g} s:"
                 " what is measured moves more than bounds, model and noise allow, so"
@@ -152,9 +164,16 @@ class LoopMonitor(LeafSystem):
         return EventStatus.Succeeded()
 
     def _remember(self, context: Context, discrete: DiscreteValues) -> None:
-        worst, was_told = context.get_discrete_state_vector().CopyToVector()
+        worst, refuses, is_small = context.get_discrete_state_vector().CopyToVector()
         worst = max(worst, self._read(context, "status")[0])
-        discrete.set_value([worst, max(was_told, self._refuses_most(context))])
+        refuses = max(refuses, self._refuses_most(context))
+        is_small = max(is_small, self._is_too_small(context))
+        discrete.set_value([worst, refuses, is_small])
+
+    def _is_too_small(self, context: Context) -> bool:
+        """Whether the volume row gives way where V_v is below 0."""
+        is_relaxed = self._read(context, "status")[0] == FilterStatus.RELAXED
+        return bool(is_relaxed and self._read(context, "volume")[0] < 0.0)
 
     def _refuses_most(self, context: Context) -> bool:
         """Whether the observer refused most of the intervals so far (E96)."""

@@ -55,8 +55,8 @@ class UnitRows:
     def __init__(self, A: Array, b: Array) -> None:
         self.given = A, b
         self.length = _lengths(A)
-        # Not so by a quotient, which may overflow.
-        self.is_blank = ~(np.abs(b) < _FARTHEST * self.length)
+        # Not by b / length, which may overflow, nor may the largest length.
+        self.is_blank = ~(np.abs(b) / _FARTHEST < self.length)
         if self.is_blank.any():
             self.length[self.is_blank] = 1.0
             A = np.where(self.is_blank[:, None], 0.0, A)
@@ -107,7 +107,8 @@ class UnitRows:
 
 
 def _lengths(A: Array) -> Array:
-    length: Array = np.sqrt(np.vecdot(A, A))
+    with np.errstate(over="ignore"):
+        length: Array = np.sqrt(np.vecdot(A, A))
     if length.min(initial=1.0) < 1e-150 or length.max(initial=1.0) > 1e150:
         # By the largest entry first: squares of tiny entries would vanish.
         largest = np.abs(A).max(axis=1)

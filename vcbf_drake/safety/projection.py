@@ -48,7 +48,7 @@ _ROUNDING = 1e-15
 _REACHES = (1e-7, 1e-4, math.inf)
 # Of a linear program: its solution leaves no row by more than ...
 _EXACT = 1e-10
-# ... and no point's cost is lower by more than this, relative to where they are.
+# ... and no point's cost is lower by more than this, relative to its terms.
 _LP_GAP = 5e-11
 # How long its proximal steps are; after these rational numbers decide.
 _STEPS = (1e4, 1e8, 1e8)
@@ -115,7 +115,11 @@ def nearest_point(
 
 
 def minimise_linear(
-    cost: Array, A: Array, b: Array, num_firm: int | None = None
+    cost: Array,
+    A: Array,
+    b: Array,
+    num_firm: int | None = None,
+    reach: float = 1.0,
 ) -> Array:
     """Returns a minimiser of cost'v over ``{v : A v <= b}``.
 
@@ -129,6 +133,7 @@ def minimise_linear(
         b: The right-hand sides, shape (n,).
         num_firm: How many rows, the first, are not opened as those of `nearest_point`
             are; by default all.
+        reach: How large entries of a point may be where rows bound them.
 
     Raises:
         EmptySetError: No point satisfies the rows; certified, not guessed.
@@ -145,9 +150,9 @@ def minimise_linear(
         point, multipliers = nearest.point, nearest.multipliers / step
         slack = bounds - rows.A @ point
         # No point's cost is lower by more than weak duality allows (E88).
-        size = 1.0 + float(np.abs(point).max())
-        pull = float(np.abs(cost + multipliers @ rows.A).sum()) * size
-        gap = float(multipliers @ np.abs(slack)) + pull
+        pull = np.abs(cost + multipliers @ rows.A) @ (reach + np.abs(point))
+        gap = float(multipliers @ np.abs(slack) + pull)
+        size = 1.0 + abs(float(cost @ point))
         if gap <= _LP_GAP * size and slack.min() >= -_EXACT:
             return point
     point = _in_rationals(rows, bounds, -_DOWNHILL * cost).point
@@ -163,10 +168,12 @@ def _in_rationals(rows: UnitRows, b: Array, reference: Array) -> ActiveSetSoluti
         EmptySetError: No point satisfies the rows.
     """
     found = nearest_in_rationals(rows.A, b, reference)
-    _raise_if_empty(found, rows, b)
-    if found.conflict is not None:
-        raise _empty(rows, found.conflict)
-    return found
+    if found.conflict is None:
+        return found
+    # Rows that only make up for the rounding of the others are not named.
+    z = found.conflict
+    is_light = (z <= _LIGHTEST * z.max()) & (z * np.abs(b) <= _LIGHTEST * -(z @ b))
+    raise _empty(rows, np.where(is_light, 0.0, z))
 
 
 def opening(rows: UnitRows, num_firm: int) -> Array:
@@ -223,7 +230,8 @@ def _is_optimal(
 def _raise_if_empty(found: ActiveSetSolution, rows: UnitRows, b: Array) -> None:
     """Raises if the conflict that the active set ended in is Farkas' proof in floats.
 
-    That is z of sum 1 with z'A = 0 to rounding, and z'b < 0.
+    That is z of sum 1 with z'A = 0 to rounding, and z'b < 0, for points that are no
+    further away than the rows.
 
     Raises:
         EmptySetError: No point satisfies the rows.
@@ -233,10 +241,11 @@ def _raise_if_empty(found: ActiveSetSolution, rows: UnitRows, b: Array) -> None:
     z = found.conflict
     z = np.where(z > _LIGHTEST * z.max(), z, 0.0)
     z /= z.sum()
+    imbalance, reach = np.abs(z @ rows.A), max(1.0, float(np.abs(rows.b).max()))
     # Relative to what is in a column: a slack's may be small, and the slack large.
-    balance = BALANCE_TOLERANCE * np.abs(rows.A).max(axis=0)
-    is_balanced = bool((np.abs(z @ rows.A) <= balance).all())
-    if is_balanced and float(z @ b) < -10.0 * BALANCE_TOLERANCE:
+    is_balanced = imbalance <= BALANCE_TOLERANCE * np.abs(rows.A).max(axis=0)
+    most = float(z @ b) + reach * float(imbalance.sum())
+    if is_balanced.all() and most < -10.0 * BALANCE_TOLERANCE:
         raise _empty(rows, z)
 
 

@@ -15,6 +15,7 @@ from vcbf_drake.checks import Array, require
 from vcbf_drake.errors import EmptySetError, SolverError
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
+from vcbf_drake.safety.polytope import UnitRows
 from vcbf_drake.safety.projection import (
     NearestPoint,
     minimise_linear,
@@ -110,6 +111,11 @@ class Frame:
         W[input_set.scale == 0.0, input_set.scale == 0.0] = 1.0
         least = float(np.linalg.eigvalsh(W)[0])
         return replace(frame, metric=np.linalg.cholesky(W / least).T, cost_unit=least)
+
+    @property
+    def reach(self) -> float:
+        """How large coordinates are in a bounded input set, with its origin in it."""
+        return 2.0 / self.size
 
     def input(self, z: Array) -> Array:
         """Returns u of z, shape (m,)."""
@@ -301,9 +307,9 @@ def _relaxed(qp: QP) -> QP:
     Raises:
         EmptySetError: No input satisfies the rows before them, certified.
     """
-    bounds, lengths = qp.b.copy(), np.linalg.norm(qp.A, axis=1)
+    bounds, lengths = qp.b.copy(), UnitRows(qp.A, qp.b).length
     for i in range(qp.num_hard - qp.num_volume, qp.num_hard):
-        z = minimise_linear(qp.A[i], qp.A[:i], bounds[:i], qp.num_firm)
+        z = minimise_linear(qp.A[i], qp.A[:i], bounds[:i], qp.num_firm, qp.frame.reach)
         bounds[i] = max(bounds[i], float(qp.A[i] @ z) + _MARGIN * lengths[i])
     return replace(qp, b=bounds)
 
@@ -322,7 +328,7 @@ def finer_frame(
         u: An input near the rows, shape (m,).
         touched: Which of the rows that can matter, but for the limits, shape (n,).
     """
-    first, size = feasible.num_input_rows, 0.0
+    first, size = feasible.num_input_rows, math.inf
     reach, scale = np.abs(u).tolist(), frame.scale.tolist()
     rows = feasible.cutting[len(feasible.input_set.limits) :][touched] - first
     for i in rows.tolist():
@@ -330,7 +336,8 @@ def finer_frame(
         length = math.hypot(*map(mul, entries, scale))
         terms = abs(float(feasible.bound[i]))
         terms += sum(map(mul, entries, reach))
-        size = max(size, terms / length if length > 0.0 else 0.0)
+        if terms > 0.0 and length > 0.0:
+            size = min(size, terms / length)
     if not 0.0 < size < _SMALL * frame.size:
         return None
     return replace(frame, origin=feasible.input_set.project(u), size=size)
@@ -377,7 +384,7 @@ def _least_violation(feasible: FeasibleSet, qp: QP, solver: str) -> Array:
     """Min t subject to weight_i (a_i u - b_i) <= t, t >= 0, and then the nearest z."""
     A, b, k, m = qp.A.copy(), qp.b.copy(), qp.num_firm, len(qp.frame.scale)
     weight = feasible.weights[feasible.cutting[k:] - feasible.num_input_rows]
-    length = np.linalg.norm(A[k:], axis=1)
+    length = UnitRows(A[k:], b[k:]).length
     # t is counted in units of the heaviest row's distance, and from where no input is
     # below it.
     weight /= float(np.max(weight * length, initial=0.0)) or 1.0
@@ -387,6 +394,6 @@ def _least_violation(feasible: FeasibleSet, qp: QP, solver: str) -> Array:
     last = np.append(np.zeros(m), 1.0)
     give = np.concatenate([np.zeros(k), np.ones(len(weight))])
     rows = np.vstack([np.column_stack([A, -give]), -last])
-    z = minimise_linear(last, rows, np.append(b, 0.0))[:-1]
+    z = minimise_linear(last, rows, np.append(b, 0.0), reach=qp.frame.reach)[:-1]
     b[k:] += np.max(A[k:] @ z - b[k:], initial=0.0) + _MARGIN
     return replace(qp, A=A, b=b).solved(solver).point
