@@ -137,8 +137,8 @@ def test_rates_of_means_over_unequal_intervals_jump_no_further(seed: int) -> Non
 def test_the_proven_bound_holds_over_the_worst_of_intervals(seed: int) -> None:
     """The disturbance turns at random between its bounds, and so do the intervals."""
     generator = np.random.default_rng(seed)
-    bounds = DisturbanceBounds(0.6, 0.9, 3.0)
-    observer = RiseObserver(MODEL, PERIOD, bounds, longest_interval=LONGEST)
+    bounds, settings = DisturbanceBounds(0.6, 0.9, 3.0), ObserverSettings(beta=600.0)
+    observer = RiseObserver(MODEL, PERIOD, bounds, settings, longest_interval=LONGEST)
     assert observer.basis == "proven"
     direction = generator.normal(size=2)
     direction /= np.linalg.norm(direction)
@@ -178,10 +178,11 @@ def test_what_the_bound_of_unequal_intervals_rests_on() -> None:
             MODEL, PERIOD, bounds, settings, longest_interval=longest, noise=noise
         ).basis
 
-    assert basis() == basis(1.001 * least) == "proven"
-    assert basis(0.999 * least) == basis(6.0) == "calibrated"
+    assert basis(1.001 * least) == "proven"
+    assert basis(0.999 * least) == basis() == basis(6.0) == "calibrated"
     assert basis(6.0, longest=PERIOD) == basis(6.0, longest=None) == "proven"
-    assert basis(step="saturated") == basis(noise=1e-3) == "calibrated"
+    assert basis(2.0 * least, "saturated") == "calibrated"
+    assert basis(2.0 * least, noise=1e-3) == "calibrated"
     assert basis(step="saturated", longest=None) == "proven"
     linear = LinearDisturbanceObserver(MODEL, PERIOD, bounds, longest_interval=LONGEST)
     assert linear.basis == "proven"

@@ -140,8 +140,7 @@ class RiseObserver(DisturbanceObserver):
                 and that the bound is for [s]. By default every time is bridged, and
                 the bound is for the period. Where it is longer than that, the bound is
                 proven (E150) if beta is large enough for intervals of 0.9 periods to
-                the longest (E151), as a computed one is without noise; else
-                calibrated.
+                the longest (E151), and without noise; else calibrated.
 
         Raises:
             ModelError: Two disturbances act on the state in the same way.
@@ -279,9 +278,7 @@ def _resolved(
     uneven = Intervals(_SHORTEST * period, longest) if longest > period else even
     if noise or settings.step != "implicit":
         uneven = even
-    gains = RiseGains.for_bounds(
-        bounds, uneven.shortest, settings.alpha, settings.gamma, longest
-    )
+    gains = RiseGains.for_bounds(bounds, longest, settings.alpha, settings.gamma)
     gains = replace(gains, beta=settings.beta or gains.beta)
     is_enough = gains.beta > least_beta(gains, bounds, uneven)
     return gains, uneven if is_enough else even

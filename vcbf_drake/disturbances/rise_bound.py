@@ -82,7 +82,6 @@ class RiseGains:
         period: float,
         alpha: float = 5.0,
         gamma: float = 4.0,
-        longest: float | None = None,
     ) -> RiseGains:
         """Returns gains whose beta satisfies (E49), whatever the disturbance's unit.
 
@@ -91,13 +90,12 @@ class RiseGains:
 
         Args:
             bounds: Bounds of the disturbance.
-            period: Time between measurements, the shortest if they differ [s].
+            period: Time between measurements [s].
             alpha: As above; more than 1 [1/s].
             gamma: As above [1/s].
-            longest: The longest time between measurements, if they differ (E151) [s].
         """
         gains = cls(alpha, gamma=gamma)
-        least = least_beta(gains, bounds, Intervals(period, longest or period))
+        least = least_beta(gains, bounds, Intervals(period, period))
         return gains if gains.beta > least else cls(alpha, _GAIN_MARGIN * least, gamma)
 
     @property
