@@ -137,7 +137,8 @@ def test_the_disturbance_enters_through_the_flow():
     np.testing.assert_allclose(disturbance_margin(found, known), worst, atol=1e-12)
 
 
-def test_flow_and_sensitivity_of_the_car_by_another_integrator():
+@pytest.mark.parametrize("speed", [0.7, 0.0, -0.3])
+def test_flow_and_sensitivity_of_the_car_by_another_integrator(speed):
     mass, delta, limit = 2.0, 0.1, 1.0
     car = ControlAffineModel.from_system(Car(CarParameters(mass)))
     bounds = np.array([-limit, -1.0]), np.array([limit, 1.0])
@@ -164,7 +165,7 @@ def test_flow_and_sensitivity_of_the_car_by_another_integrator():
     def heights(x, until):
         return np.linalg.norm(braked(x, until)[:, :2] - center, axis=1) - radius
 
-    x, tau = np.array([0.2, -0.1, 0.7, 0.25]), np.linspace(0.0, 6.0, 61)[1:]
+    x, tau = np.array([0.2, -0.1, speed, 0.25]), np.linspace(0.0, 6.0, 61)[1:]
     found = rows.rows(x, 0.0, barrier_set.rows(x, 0.0), None)
     np.testing.assert_allclose(found.value, heights(x, tau), atol=2e-4)
     step, slopes = 1e-5, []

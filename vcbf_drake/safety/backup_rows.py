@@ -19,8 +19,8 @@ from vcbf_drake.model.graph import gradients
 from vcbf_drake.model.manoeuvre import Manoeuvre
 from vcbf_drake.model.reading import Reader
 
-# At how many instants of the way there is a row; below which rate [units of x / s] the
-# way has ended.
+# At how many instants of the way there is a row; below which rates of the states and of
+# their sensitivities the way has ended.
 _INSTANTS = 60
 _AT_REST = 1e-3
 
@@ -221,7 +221,7 @@ class _Flow:
         now = np.column_stack([x, np.eye(n)])
         for k in range(_INSTANTS):
             k1 = self._moved(now)
-            if np.abs(k1[:, 0]).max() < _AT_REST:
+            if np.abs(k1).max() < _AT_REST:  # Sensitivities, too.
                 states[k:], sensitivities[k:] = now[:, 0], now[:, 1:]
                 break
             k2 = self._moved(now + 0.5 * self._step * k1)
