@@ -14,7 +14,15 @@ import pytest
 import vcbf_drake as v
 from vcbf_drake.barriers import PolygonObstacle, all_of
 from vcbf_drake.plants import MultibodyVehicle
-from vcbf_drake.simulation import StateRange
+from vcbf_drake.plants.robot_controllers import InverseDynamics, JointStiffness, Lqr
+from vcbf_drake.simulation import (
+    BodyPoint,
+    MovingObstacle,
+    PolygonMap,
+    SpheresFile,
+    StateRange,
+    scenario_schema,
+)
 from vcbf_drake.simulation.faults import Faults, StepGust
 from vcbf_drake.simulation.scenario import (
     BarrierGains,
@@ -122,6 +130,20 @@ MADE = [
     (v.InputLimits, {"lower": [-1.0], "upper": [1.0]}),
     (v.Obstacle, {"center": [0.0, 0.0], "radius": 1.0}),
     (StateRange, {"state": "speed", "lower": 0.0}),
+    (
+        MovingObstacle,
+        {
+            "shape": v.BoxObstacle([0.0, 0.0], [1.0, 1.0]),
+            "times": [0.0, 1.0],
+            "waypoints": [[0.0, 0.0], [1.0, 0.0]],
+        },
+    ),
+    (SpheresFile, {"file": "discs.csv"}),
+    (PolygonMap, {"file": "map.geojson"}),
+    (BodyPoint, {}),
+    (InverseDynamics, {}),
+    (JointStiffness, {}),
+    (Lqr, {}),
     (Faults, {}),
     (StepGust, {"amplitude": [0.1], "start": 0.0, "duration": 1.0}),
     (BarrierGains, {}),
@@ -198,3 +220,12 @@ def test_what_does_not_belong_is_refused_in_one_line(
 @pytest.mark.parametrize(("make", "right"), MADE)
 def test_what_belongs_is_taken(make, right):
     make(**right)
+
+
+def test_every_part_of_a_scenario_file_is_in_the_table():
+    """Or is one of these, which take what others in it take."""
+    others = {"Scenario", "BlimpVehicle", "CarVehicle", "TurnLimit"}
+    signals = {"Constant", "Sinusoid", "SmoothStep", "BandLimitedNoise", "Recorded"}
+    parts = set(scenario_schema()["$defs"])
+    made = {make.__name__ for make, _ in MADE if isinstance(make, type)}
+    assert parts - made == others | signals

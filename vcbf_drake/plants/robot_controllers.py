@@ -21,6 +21,7 @@ from vcbf_drake.checks import Array, check_finite, check_parameter, require
 from vcbf_drake.errors import InvalidValueError
 from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.plants.postures import Posture
+from vcbf_drake.typed import check_fields
 
 
 @dataclass
@@ -39,6 +40,7 @@ class InverseDynamics:
     damping: list[float] = field(default_factory=lambda: [6.0])
 
     def __post_init__(self) -> None:
+        check_fields(self)
         check_parameter("stiffness", self.stiffness, size=len(self.stiffness))
         check_parameter("damping", self.damping, size=len(self.damping))
 
@@ -82,6 +84,7 @@ class JointStiffness:
     damping: list[float] = field(default_factory=lambda: [20.0])
 
     def __post_init__(self) -> None:
+        check_fields(self)
         check_parameter("stiffness", self.stiffness, size=len(self.stiffness))
         check_parameter("damping", self.damping, size=len(self.damping))
 
@@ -126,6 +129,7 @@ class Lqr:
     input_weights: list[float] = field(default_factory=list)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         Q, R = self.state_weights, self.input_weights
         check_parameter("state_weights", Q, size=len(Q), zero_allowed=True)
         check_parameter("input_weights", R, size=len(R))
