@@ -6,11 +6,12 @@ python diagrams/make.py [DIRECTORY]
 from pathlib import Path
 import sys
 
+from two_processes import write_hardware_diagram
+
 from vcbf_drake import load_scenario, make_loop
 from vcbf_drake.hil import InProcess
 from vcbf_drake.viz.diagram import write_diagram
 from vcbf_drake.viz.filter_diagram import write_filter_diagram
-from vcbf_drake.viz.hardware_diagram import write_hardware_diagram
 
 
 def make(directory: Path) -> None:

@@ -70,7 +70,7 @@ def monte_carlo(
     from vcbf_drake.files import json_text, whole_directory
     from vcbf_drake.studies import Trial, load_variation, summarise_study
     from vcbf_drake.viz.running_time_figure import write_running_times
-    from vcbf_drake.viz.study_table import print_study
+    from vcbf_drake.viz.terminal import print_study
 
     if scheduler is not None and workers is not None:
         raise typer.BadParameter("--scheduler and --workers exclude each other")

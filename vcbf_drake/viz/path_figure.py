@@ -18,6 +18,7 @@ from vcbf_drake.viz.style import (
     START,
     TARGET,
     Style,
+    legend_above,
     legend_in_a_row,
     new_figure,
 )
@@ -41,7 +42,7 @@ def path_figure(runs: Sequence[Run]) -> Any:
         figure = new_figure(PAGE_WIDTH, scale * y + 0.8)
         axes = figure.subplots()
         draw_plane(axes, runs, (0, 1))
-        _legend_above(axes)
+        legend_above(axes)
     elif x > 1.8 * max(y, z):
         heights = [0.36 * PAGE_WIDTH, scale * y + 0.6, scale * z + 0.6]
         figure = new_figure(PAGE_WIDTH, sum(heights) + 0.4)
@@ -128,8 +129,3 @@ def _draw_solid(axes: Any, solid: Solid, pair: list[int], end: float) -> None:
         axes.fill(*whole.T, fc=OBSTACLE, alpha=0.3, lw=0)
     style: Style = dict(fc=OBSTACLE, alpha=0.75, ec=MUTED, lw=0.6, zorder=2)
     axes.fill(*body.T, **style)
-
-
-def _legend_above(axes: Any) -> None:
-    options = legend_in_a_row(axes.get_legend_handles_labels()[1])
-    axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), borderpad=0.1, **options)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from vcbf_drake.viz.style import (
     MUTED,
     PAGE_WIDTH,
     Style,
-    legend_in_a_row,
+    legend_above,
     new_figure,
 )
 
@@ -25,59 +25,18 @@ MOST_BARRIERS = 12  # More curves than this tell nothing.
 
 
 def barrier_figure(runs: Sequence[Run]) -> Any:
-    """Every barrier of the last run, and the least one of every run.
-
-    Args:
-        runs: The runs, the one to bring out last.
-
-    Returns:
-        The ``matplotlib.figure.Figure``.
-    """
-    figure = new_figure(PAGE_WIDTH, 2.7)
-    axes = figure.subplots()
-    draw_barriers(axes, runs, every=True)
-    _legend_above(axes)
-    return figure
+    """Every barrier of the last run, and the least one of every run."""
+    return _over_time(2.7, lambda axes: draw_barriers(axes, runs, every=True))
 
 
 def volume_figure(runs: Sequence[Run]) -> Any:
-    """The volume barrier of every run.
-
-    Args:
-        runs: The runs.
-
-    Returns:
-        The ``matplotlib.figure.Figure``.
-    """
-    figure = new_figure(PAGE_WIDTH, 2.5)
-    axes = figure.subplots()
-    draw_volume(axes, runs)
-    _legend_above(axes)
-    return figure
+    """The volume barrier of every run."""
+    return _over_time(2.5, lambda axes: draw_volume(axes, runs))
 
 
 def slack_figure(runs: Sequence[Run]) -> Any:
-    """The slack of the volume row of every run.
-
-    Args:
-        runs: The runs.
-
-    Returns:
-        The ``matplotlib.figure.Figure``.
-    """
-    figure = new_figure(PAGE_WIDTH, 2.2)
-    axes = figure.subplots()
-    for run in runs:
-        axes.plot(run.time, run.result.log["slack"], **run.line(label=run.caption))
-    greatest = max(float(np.abs(run.result.log["slack"]).max()) for run in runs)
-    if greatest == 0.0:
-        axes.set_ylim(-0.25, 1.0)
-        axes.annotate("exactly 0", (0.7, 0.28), xycoords="axes fraction", color=MUTED)
-    _mark_failures(axes, runs, [run.result.log["slack"] for run in runs])
-    axes.set(xlabel="time [s]", ylabel=r"slack $\delta$ [-]")
-    _time_axis(axes)
-    _legend_above(axes)
-    return figure
+    """The slack of the volume row of every run."""
+    return _over_time(2.2, lambda axes: _draw_slack(axes, runs))
 
 
 def disturbance_figure(runs: Sequence[Run]) -> Any:
@@ -112,7 +71,7 @@ def disturbance_figure(runs: Sequence[Run]) -> Any:
         # The bound starts at delta1; what there is to see comes later.
         middle = 0.5 * (true.max() + true.min())
         axes.set_ylim(middle - room, middle + room)
-    _legend_above(panels[0])
+    legend_above(panels[0])
     figure.align_ylabels(panels)
     return figure
 
@@ -147,7 +106,7 @@ def input_figure(runs: Sequence[Run]) -> Any:
         _time_axis(axes)
     panels[0].plot([], [], color=ALARM, lw=0.8, ls=(0, (4, 2)), label="limits")
     panels[-1].set_xlabel("time [s]")
-    _legend_above(panels[0])
+    legend_above(panels[0])
     figure.align_ylabels(panels)
     return figure
 
@@ -167,6 +126,27 @@ def draw_barriers(axes: Any, runs: Sequence[Run], every: bool = False) -> None:
     _time_axis(axes)
     unit = barrier_unit(runs[-1].result.scenario)
     axes.set(xlabel="time [s]", ylabel=f"barrier $h$ [{unit}]")
+
+
+def _over_time(height: float, draw: Callable[[Any], None]) -> Any:
+    """A figure of one quantity, its legend above."""
+    figure = new_figure(PAGE_WIDTH, height)
+    axes = figure.subplots()
+    draw(axes)
+    legend_above(axes)
+    return figure
+
+
+def _draw_slack(axes: Any, runs: Sequence[Run]) -> None:
+    series = [run.result.log["slack"] for run in runs]
+    for run, values in zip(runs, series, strict=True):
+        axes.plot(run.time, values, **run.line(label=run.caption))
+    if not any(np.any(values) for values in series):
+        axes.set_ylim(-0.25, 1.0)
+        axes.annotate("exactly 0", (0.7, 0.28), xycoords="axes fraction", color=MUTED)
+    _mark_failures(axes, runs, series)
+    axes.set(xlabel="time [s]", ylabel=r"slack $\delta$ [-]")
+    _time_axis(axes)
 
 
 def _lowest(barriers: Array) -> Array:
@@ -242,8 +222,3 @@ def _time_axis(axes: Any) -> None:
 
     axes.margins(x=0.01)
     axes.xaxis.set_major_locator(MaxNLocator(nbins=10, integer=True))
-
-
-def _legend_above(axes: Any) -> None:
-    options = legend_in_a_row(axes.get_legend_handles_labels()[1])
-    axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), borderpad=0.1, **options)

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from vcbf_drake.checks import Array
-
 Style = dict[str, Any]  # The keyword arguments of something drawn.
 
 DPI = 160
@@ -135,18 +133,10 @@ def legend_in_a_row(labels: Sequence[str]) -> Style:
     return {"ncols": ncols, "fontsize": 7.5, "columnspacing": 1.1, "handlelength": 2.2}
 
 
-def add_circle(axes: Any, center: Array, radius: float, **style: Any) -> None:
-    """Draws a circle.
-
-    Args:
-        axes: Where to draw.
-        center: Its centre, shape (2,).
-        radius: Its radius.
-        **style: Passed to ``matplotlib.patches.Circle``.
-    """
-    from matplotlib.patches import Circle
-
-    axes.add_patch(Circle((float(center[0]), float(center[1])), radius, **style))
+def legend_above(axes: Any) -> None:
+    """Puts a legend above axes that are as wide as the page."""
+    options = legend_in_a_row(axes.get_legend_handles_labels()[1])
+    axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), borderpad=0.1, **options)
 
 
 def save_figure(figure: Any, directory: Path, name: str) -> list[Path]:

@@ -35,6 +35,9 @@ _METHODS_WIDTH, _MOST_METHODS = 66, 6
 _GUARANTEED = {True: "yes", False: "no", None: "-"}
 _MOST_CHANGES = 12
 
+# More commands than these are for the file.
+_MOST_COMMANDS = 5
+
 # Label, key and unit of what is a number.
 _REPORTED_NUMBERS = (
     ("reached", "reached_at", "s"),
@@ -72,38 +75,30 @@ def print_summaries(
         summaries: The summaries.
         barrier_unit: The unit of the scenario's barriers.
     """
-    console = Console(highlight=False, markup=False)
-    console.print(summaries[0]["scenario"])
+    console = _console(summaries[0]["scenario"])
     count = math.ceil(len(summaries) / math.ceil(len(summaries) / _MOST_METHODS))
+    width = _METHODS_WIDTH // count - 1
     for first in range(0, len(summaries), count):
-        console.print(_table(summaries[first : first + count], barrier_unit))
+        shown = summaries[first : first + count]
+        heads = ("\n".join(textwrap.wrap(each["method"], width)) for each in shown)
+        columns = [_cells(summary, barrier_unit) for summary in shown]
+        rows = [[label, *(c[label] for c in columns)] for label in columns[0]]
+        console.print(_table(["", *heads], rows))
     for summary in summaries:
         for remark in _remarks(summary):
             console.print(f"{summary['method']}: {remark}")
 
 
-def _table(summaries: Sequence[Mapping[str, Any]], barrier_unit: str) -> Table:
-    width = _METHODS_WIDTH // len(summaries) - 1
-    table = Table(box=box.SIMPLE_HEAD, padding=0, show_edge=False)
-    table.add_column()
-    for summary in summaries:
-        header = "\n".join(textwrap.wrap(summary["method"], width))
-        table.add_column(header, justify="right", no_wrap=True)
-    columns = [_cells(summary, barrier_unit) for summary in summaries]
-    for label in columns[0]:
-        table.add_row(label, *(cells[label] for cells in columns))
-    return table
-
-
 def print_assumptions(scenario: Scenario, assumptions: Sequence[Assumption]) -> None:
     """Prints the hypotheses with their numbers, and what those that fail cost."""
-    console = Console(highlight=False, markup=False)
-    console.print(f"{scenario.name}, {scenario.method}")
+    console = _console(f"{scenario.name}, {scenario.method}")
     table = Table.grid(padding=(0, 2))
     for assumption in assumptions:
         table.add_row(_VERDICTS[assumption.holds], Text(assumption.name, "bold"))
         table.add_row("", Text(assumption.statement))
-        table.add_row("", Text(_numbers(assumption.numbers)))
+        numbers = assumption.numbers.items()
+        text = ", ".join(f"{name} = {number_text(value)}" for name, value in numbers)
+        table.add_row("", Text(text))
         if assumption.holds is False:
             table.add_row("", Text(f"cost: {assumption.consequence}", "red"))
     console.print(table)
@@ -117,8 +112,7 @@ def print_hardware_report(side: str, report: Mapping[str, Any]) -> None:
         report: What `PlantProcess.report` or `ControllerProcess.report` returned, or
             that of a `LogReplay`.
     """
-    console = Console(highlight=False, markup=False)
-    console.print(f"\n{side} of {report['scenario']}")
+    console = _console(f"\n{side} of {report['scenario']}")
     table = Table.grid(padding=(0, 2))
     if "ending" in report:
         peer = "controller" if side == "vehicle" else "vehicle"
@@ -132,16 +126,13 @@ def print_hardware_report(side: str, report: Mapping[str, Any]) -> None:
             table.add_row(label, f"{number_text(report[key])} {unit}".strip())
     for label, key in (("tick", "tick_ms"), ("round trip", "round_trip_ms")):
         if key in report:
-            table.add_row(label, _percentiles(report[key]))
+            median, p99 = (number_text(report[key][k]) for k in ("median", "p99"))
+            table.add_row(label, f"{median} ms median, {p99} ms p99")
     arrived = report["arrived"]
-    table.add_row(
-        "messages",
-        ", ".join(f"{arrived[key]} {key}" for key in ("accepted", "lost", "late")),
-    )
-    rejected = arrived["rejected"].items()
-    table.add_row(
-        "rejected", ", ".join(f"{n} {reason}" for reason, n in rejected) or "none"
-    )
+    came = (f"{arrived[key]} {key}" for key in ("accepted", "lost", "late"))
+    table.add_row("messages", ", ".join(came))
+    rejected = (f"{count} {why}" for why, count in arrived["rejected"].items())
+    table.add_row("rejected", ", ".join(rejected) or "none")
     for finding, count in report.get("findings", {}).items():
         table.add_row("refuted", f"{finding} ({count} ticks)")
     if "commands" in report:
@@ -149,6 +140,61 @@ def print_hardware_report(side: str, report: Mapping[str, Any]) -> None:
     for index, line in enumerate(_changes(report["changes"])):
         table.add_row("" if index else "mode", line)
     console.print(table)
+
+
+def print_study(summary: Mapping[str, Any]) -> None:
+    """Prints the methods of a study, the comparisons, and commands to run again."""
+    methods, comparisons = summary["methods"], summary["comparisons"]
+    seen = {outcome for each in methods.values() for outcome in each["outcomes"]}
+    outcomes = [each for each in (*OUTCOME_STYLES, "error") if each in seen]
+    console = Console(highlight=False, markup=False)
+    rows = [
+        [method, each["trials"], each["mean_running_time"], each["interval"]]
+        + [each["outcomes"].get(outcome, 0) for outcome in outcomes]
+        for method, each in methods.items()
+    ]
+    console.print(_table(["", "trials", "mean running s", "95 %", *outcomes], rows))
+    if comparisons:
+        heads = [f"against {comparisons[0]['baseline']}", "pairs", "longer by s"]
+        heads += ["95 %", "better", "same", "worse"]
+        keys = ("method", "pairs", "mean_difference", "interval", *heads[4:])
+        rows = [[each[key] for key in keys] for each in comparisons]
+        console.print("", _table(heads, rows), sep="\n")
+    again = [(f"worse with {e['method']}", e["worse_trials"]) for e in comparisons]
+    for title, trials in (*again, ("crashed", summary["errors"])):
+        if trials:
+            console.print(f"\n{title}:")
+        for trial in trials[:_MOST_COMMANDS]:
+            console.print(trial["replay"], soft_wrap=True)
+        if len(trials) > _MOST_COMMANDS:
+            console.print(f"and {len(trials) - _MOST_COMMANDS} more, in summary.json")
+
+
+def _console(heading: str) -> Console:
+    console = Console(highlight=False, markup=False)
+    console.print(heading)
+    return console
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
+    """A table whose first column names the rows; numbers stand to the right."""
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
+    for column, head in enumerate(heads):
+        table.add_column(head, justify="right" if column else "left", no_wrap=True)
+    for row in rows:
+        table.add_row(*map(_cell, row))
+    return table
+
+
+def _cell(value: Any) -> str | Text:
+    """A number, or an interval of two, in two decimals; a dash for none."""
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return f"{value:.2f}"
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return "{:.2f} .. {:.2f}".format(*value)
+    return value if isinstance(value, str | Text) else str(value)
 
 
 def _cells(summary: Mapping[str, Any], barrier_unit: str) -> dict[str, str | Text]:
@@ -200,12 +246,6 @@ def _remarks(summary: Mapping[str, Any]) -> Iterator[str]:
         yield f"certified at every instant, between ticks too: h >= {least}"
 
 
-def _numbers(numbers: Mapping[str, float]) -> str:
-    return ", ".join(
-        f"{name} = {number_text(value)}" for name, value in numbers.items()
-    )
-
-
 def number_text(value: float | None) -> str:
     """Returns a number in three digits; a dash for none."""
     return "-" if value is None or math.isnan(value) else f"{value:.3g}"
@@ -215,11 +255,6 @@ def rounded_down(value: float) -> str:
     """Returns a bound from below in three digits that is still one."""
     three_digits = Context(prec=3, rounding=ROUND_FLOOR)
     return f"{float(three_digits.create_decimal_from_float(value)):.3g}"
-
-
-def _percentiles(times: Mapping[str, float | None]) -> str:
-    median, p99 = (number_text(times[key]) for key in ("median", "p99"))
-    return f"{median} ms median, {p99} ms p99"
 
 
 def _sameness(commands: Mapping[str, Any]) -> str:
