@@ -22,6 +22,7 @@ from vcbf_drake.simulation import check_assumptions, dump_scenario
 from vcbf_drake.simulation.loading import parse_scenario
 from vcbf_drake.simulation.obstacles import StateRange
 from vcbf_drake.viz import write_figures, write_replay
+from vcbf_drake.viz.runs import barrier_unit
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 OWN = EXAMPLES / "own_robot.py"
@@ -48,7 +49,7 @@ class Pendulum(Vehicle):
         return StateFeedback(lambda x: self.gain * (target - x[:1]) - x[1:], 2, 1)
 
 
-def test_a_stock_plant_keeps_its_range() -> None:
+def test_a_stock_plant_keeps_its_range(tmp_path: Path) -> None:
     scenario = Scenario(
         vehicle=Pendulum(),
         input_set=InputLimits([-8.0], [8.0]),
@@ -61,6 +62,12 @@ def test_a_stock_plant_keeps_its_range() -> None:
     assert result.summary["guaranteed"]
     # It settles a little below the range's end; gravity takes it where it may go.
     assert 0.1 < result.log["state"][-1, 0] < 0.2
+    # A single input has a feasible set in the plane too, and h no unit that is known.
+    names = [path.name for path in write_figures([result], tmp_path)]
+    assert "feasible_sets.png" in names
+    assert barrier_unit(scenario) == ""
+    assert barrier_unit(load_scenario("car-avoidance")) == "m²"
+    assert barrier_unit(load_scenario(EXAMPLES / "arm.yaml")) == ""
 
 
 def test_example_has_at_most_60_lines() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -108,6 +108,24 @@ def feasible_set_of_tick(
         corners=polytope_vertices(A[finite], b[finite], low, high),
         volume=float(log["volume"][tick]),
         decay=float(log["decay"][tick]) if "decay" in log else 1.0,
+    )
+
+
+def in_plane(one: FeasibleSet) -> FeasibleSet:
+    """A set of a single input as a band in the plane, for the eye; others as it is."""
+    if one.A.shape[1] != 1:
+        return one
+    band = [[u, v] for (u,) in one.corners.tolist() for v in (-0.5, 0.5)]
+    return replace(
+        one,
+        A=np.pad(one.A, ((0, 0), (0, 1))),
+        low=np.append(one.low, -1.0),
+        high=np.append(one.high, 1.0),
+        shape=np.diag([one.shape[0, 0], 0.5]),
+        center=np.append(one.center, 0.0),
+        reference=np.append(one.reference, 0.0),
+        input=np.append(one.input, 0.0),
+        corners=np.array(band).reshape(-1, 2),
     )
 
 

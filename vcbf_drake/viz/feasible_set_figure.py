@@ -11,6 +11,7 @@ from vcbf_drake.checks import Array
 from vcbf_drake.viz.feasible_set import (
     FeasibleSet,
     feasible_set_at,
+    in_plane,
     moment,
     polytope_vertices,
 )
@@ -24,8 +25,6 @@ MARGIN = 0.35  # Room around the limits [share of their width].
 def feasible_set_figure(runs: Sequence[Run], times: Sequence[float]) -> Any:
     """The feasible sets in the plane of the first two inputs: a row a method.
 
-    The blimp's third input, the yaw torque, is in no barrier row; nothing is lost.
-
     Args:
         runs: The runs, the one to bring out last.
         times: The times, one a column [s].
@@ -38,7 +37,7 @@ def feasible_set_figure(runs: Sequence[Run], times: Sequence[float]) -> Any:
     panels = figure.subplots(
         len(runs), len(times), sharex=True, sharey=True, squeeze=False
     )
-    names = runs[-1].channels.input_labels
+    names = [*runs[-1].channels.input_labels, ""]
     for row, run in enumerate(reversed(runs)):
         for axes, time in zip(panels[row], times, strict=True):
             _draw_or_tell(axes, run, time)
@@ -97,7 +96,7 @@ def draw_feasible_set(axes: Any, chosen: FeasibleSet, color: str) -> None:
 
 def _draw_or_tell(axes: Any, run: Run, time: float) -> None:
     """The set at a time with its volume, or that the run was over by then."""
-    chosen = feasible_set_at(run, time)
+    chosen = in_plane(feasible_set_at(run, time))
     draw_feasible_set(axes, chosen, run.color)
     if time > run.time[-1] + 1e-9:
         words = f"run over since {run.time[-1]:.2f} s"

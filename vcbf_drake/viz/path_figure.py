@@ -27,7 +27,7 @@ NAMES = ("x [m]", "y [m]", "z [m]")
 
 
 def path_figure(runs: Sequence[Run]) -> Any:
-    """The paths in space, from above and from the side; a car's from above only.
+    """The paths in space, from above and from the side; in the plane from above.
 
     Args:
         runs: The runs, the one to bring out last.

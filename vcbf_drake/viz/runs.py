@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vcbf_drake.barriers import Barrier
 from vcbf_drake.checks import Array
 from vcbf_drake.plants.channels import Channels, channels_of
+from vcbf_drake.simulation.obstacle_kinds import StateRange
 from vcbf_drake.viz.solids import in_space
 from vcbf_drake.viz.style import METHOD_STYLES
 
@@ -134,8 +136,16 @@ def least_barrier(log: Mapping[str, Array]) -> Array:
 
 
 def barrier_unit(scenario: Scenario) -> str:
-    """The unit of a scenario's barriers: metres, or squares of them."""
-    return "m²" if scenario.barrier.form == "squared" else "m"
+    """The unit of a scenario's barriers: metres, say; empty where they have several."""
+    length = "m²" if scenario.barrier.form == "squared" else "m"
+    states = channels_of(scenario.vehicle.make_plant()).states
+    units = {
+        states[each.state] if isinstance(each, StateRange) else length
+        for each in scenario.obstacles
+    }
+    if any(isinstance(each, Barrier) for each in scenario.vehicle.barriers()):
+        units.add("")  # Of the robot's own: joints, speeds.
+    return units.pop() if len(units) == 1 else ""
 
 
 def label_runs(results: Sequence[Result]) -> list[Run]:

@@ -125,7 +125,7 @@ def draw_barriers(axes: Any, runs: Sequence[Run], every: bool = False) -> None:
     _shade_below_zero(axes, "unsafe")
     _time_axis(axes)
     unit = barrier_unit(runs[-1].result.scenario)
-    axes.set(xlabel="time [s]", ylabel=f"barrier $h$ [{unit}]")
+    axes.set(xlabel="time [s]", ylabel="barrier $h$" + f" [{unit}]" * bool(unit))
 
 
 def _over_time(height: float, draw: Callable[[Any], None]) -> Any:

@@ -29,7 +29,7 @@ LINES = 20  # Drawn after the balls, which hide lines by where they are.
 
 
 def draw_space(axes: Any, runs: Sequence[Run]) -> None:
-    """Draws the paths of blimps in space, the obstacles and their shadows.
+    """Draws paths in space, the obstacles and their shadows.
 
     Args:
         axes: Flat axes; they are framed to the picture and lose their lines.
