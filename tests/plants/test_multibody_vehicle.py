@@ -189,6 +189,11 @@ def refusal(override: str) -> str:
         ),
         ("{vehicle: {actuators: [elbow]}}", "actuators: 'elbow'; it must be one of"),
         ("{vehicle: {fixed: [elbow]}}", "fixed: 'elbow'; it must be one of joint_1"),
+        ("{target: [1, 2]}", "target: [1.0, 2.0]; it must be 3 numbers, one each of x"),
+        (
+            "{initial_state: [3, 0, 0, -1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]}",
+            "it must be inside the robot's limit joint_1 (high); its h is -0.1",
+        ),
         ("{vehicle: {posture: [1]}}", "posture: [1.0]; it must be 7 numbers, one"),
     ],
 )

@@ -249,6 +249,31 @@ def check_place(
     require(height > 0.0, at, [*position], rule)
 
 
+def check_limits(scenario: Scenario) -> None:
+    """Checks that the start is inside the ranges of states and the robot's own limits.
+
+    Raises:
+        InvalidValueError: It is not.
+    """
+    state = np.array(scenario.initial_state, dtype=float)
+    for obstacle in scenario.obstacles:
+        if isinstance(obstacle, StateRange):
+            value = state[scenario.state_names.index(obstacle.state)]
+            rule = f"from {obstacle.lower:g} to {obstacle.upper:g} in {obstacle.state}"
+            is_inside = obstacle.lower <= value <= obstacle.upper
+            require(is_inside, "initial_state", float(value), rule)
+    for barrier in scenario.vehicle.barriers():
+        if isinstance(barrier, Barrier) and barrier.of_position is None:
+            try:
+                function: Any = barrier.function
+                found = function(state, Expression(0.0), barrier.parameters)
+                h = float(getattr(found, "Evaluate", lambda found=found: found)())
+            except Exception:  # A user's function may be for symbols alone.
+                continue
+            rule = f"inside the robot's limit {barrier.name}; its h is {h:.3g}"
+            require(h >= 0.0, "initial_state", state.tolist(), rule)
+
+
 def moves(obstacle: AnyObstacle) -> bool:
     """Returns whether an obstacle moves at all."""
     if isinstance(obstacle, MovingObstacle):

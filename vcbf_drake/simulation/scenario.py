@@ -39,6 +39,7 @@ from vcbf_drake.simulation.obstacles import (
     AnyObstacle,
     body,
     check_fits,
+    check_limits,
     check_place,
     with_files_read,
 )
@@ -331,8 +332,8 @@ class Scenario(FilterSettings):
         )
         size = len(self.start)
         at = self.vehicle.position
-        axes = range(size) if callable(at) else [[*states][i] for i in at]
-        check_finite("target", self.target, names=[*map(str, axes)])
+        axes = [*"xyz"][:size] if callable(at) else [[*states][i] for i in at]
+        check_finite("target", self.target, names=axes)
         for i, obstacle in numbered:
             check_fits(obstacle, ("obstacles", i), [*states], size)
         for path, numbers in (
@@ -390,6 +391,7 @@ class Scenario(FilterSettings):
             for radius, place in places:
                 check_place(obstacle, "initial_state", place, what, False, radius)
             check_place(obstacle, "target", self.target, what, target=True)
+        check_limits(self)
 
     @property
     def spheres(self) -> list[Obstacle]:
