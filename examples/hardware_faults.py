@@ -126,7 +126,7 @@ def show(side: str, found: dict) -> None:
     print(
         f"  {side}: round trip {trip['median']:.1f} ms, p99 {trip['p99']:.1f} ms;"
         f" {link['accepted']} accepted, {link['lost']} lost, {link['late']} late;"
-        f" real-time rate {found['real_time_rate']:.3f}"
+        f" {found['deadlines_missed']} periods missed"
     )
     for change in found["changes"][:8]:
         reason = f" ({change['reason']})" if change["reason"] else ""
