@@ -18,7 +18,9 @@ from vcbf_drake.safety.tick_qp import Frame, VolumeRow
 BOX = InputSet.box([-1.0, -4.0, -2.0], [3.0, 4.0, 2.0])
 
 
-def choose(A, b, reference, weights=None, penalties=None, volume_rows=(), box=BOX):
+def choose(
+    A, b, reference, weights=None, penalties=None, volume_rows=(), box=BOX, linear=None
+):
     A, b = np.atleast_2d(np.array(A, dtype=float)), np.array(b, dtype=float)
     n, m = A.shape
     rows = BarrierRows(
@@ -32,7 +34,8 @@ def choose(A, b, reference, weights=None, penalties=None, volume_rows=(), box=BO
     )
     known = DisturbanceKnowledge.constant(1, 0.0)
     penalties = None if penalties is None else np.array(penalties)
-    feasible = feasible_set(box, rows, known, None, penalties)
+    linear = None if linear is None else np.array(linear)
+    feasible = feasible_set(box, rows, known, None, penalties, linear)
     return choose_input(
         feasible,
         volume_rows,
@@ -45,8 +48,8 @@ def choose(A, b, reference, weights=None, penalties=None, volume_rows=(), box=BO
     )
 
 
-def by_quadprog(W, A, b, reference, penalties):
-    """The same QP with a slack for every row, in physical inputs."""
+def by_quadprog(W, A, b, reference, penalties, linear=None):
+    """The same QP with a slack for every row, not negative, in physical inputs."""
     m, soft = len(reference), np.flatnonzero(np.isfinite(penalties))
     W = np.diag(W) if np.ndim(W) == 1 else np.asarray(W)
     H = np.zeros((m + len(soft), m + len(soft)))
@@ -55,8 +58,13 @@ def by_quadprog(W, A, b, reference, penalties):
     rows = np.hstack([A, np.zeros((len(b), len(soft)))])
     rows[soft, m + np.arange(len(soft))] = -1.0
     limits = np.hstack([BOX.A, np.zeros((len(BOX.b), len(soft)))])
-    A, b = np.vstack([limits, rows]), np.concatenate([BOX.b, b])
-    g = np.append(W @ reference, np.zeros(len(soft)))
+    signs = np.hstack([np.zeros((len(soft), m)), -np.eye(len(soft))])
+    A = np.vstack([limits, rows, signs])
+    b = np.concatenate([BOX.b, b, np.zeros(len(soft))])
+    g = np.zeros(m + len(soft))
+    g[:m] = W @ reference
+    if linear is not None:
+        g[m:] = -0.5 * np.asarray(linear)[soft]
     return quadprog.solve_qp(H, g, -A.T, -b)[0][:m]
 
 
@@ -88,6 +96,62 @@ def test_weights_and_penalties_agree_with_quadprog():
         filtered += decision.status == FilterStatus.FILTERED
         gave_way += bool((slacks < -1e-3).any())
     assert filtered > 150 and gave_way > 40
+
+
+def test_linear_penalties_agree_with_quadprog():
+    rng = np.random.default_rng(3)
+    held = gave_way = passed = 0
+    for _ in range(200):
+        n = int(rng.integers(1, 5))
+        A = rng.normal(size=(n, 3))
+        b = A @ rng.uniform(-0.5, 0.5, 3) + rng.uniform(-0.5, 0.5, n)
+        reference = rng.uniform(-4.0, 4.0, 3)
+        soft = rng.random(n) < 0.7
+        penalties = np.where(soft, 10.0 ** rng.uniform(-1.0, 2.0, n), np.inf)
+        linear = np.where(soft, rng.choice([0.0, 0.3, 3.0, 100.0], n), 0.0)
+        W = random_weights(rng)
+        try:
+            expected = by_quadprog(W, A, b, reference, penalties, linear)
+        except ValueError:
+            continue
+        decision = choose(A, b, reference, W, penalties, linear=linear)
+        np.testing.assert_allclose(decision.input, expected, atol=1e-6)
+        if decision.status == FilterStatus.REFERENCE:
+            passed += 1
+            continue
+        slacks = np.minimum(b - A @ expected, 0.0)[soft]
+        np.testing.assert_allclose(decision.soft_slacks, slacks, atol=1e-6)
+        gave_way += bool((slacks < -1e-3).any())
+        held += bool((linear[soft] > 0.0).any() and (slacks > -1e-9).all())
+    assert held > 30 and gave_way > 30 and passed > 5
+
+
+@pytest.mark.parametrize("quadratic", [1e-3, 1.0, 1e3])
+def test_a_linear_penalty_is_exact(quadratic):
+    """u_1 >= 2 is soft. Its multiplier at |u|^2 is 4: at more it holds, at less not."""
+    A, b, ones = [[-1.0, 0.0, 0.0]], [-2.0], [1.0] * 3
+    for linear, expected in ((4.1, 2.0), (1e4, 2.0), (1.0, None), (0.0, None)):
+        decision = choose(A, b, [0.0] * 3, ones, [quadratic], linear=[linear])
+        # Else u^2 + M (2 - u)^2 + N (2 - u) is least.
+        least = (2.0 * quadratic + 0.5 * linear) / (1.0 + quadratic)
+        expected = expected or least
+        np.testing.assert_allclose(decision.input, [expected, 0.0, 0.0], atol=1e-9)
+        np.testing.assert_allclose(decision.soft_slacks, [expected - 2.0], atol=1e-9)
+    # What it cannot have, it does not ask for: u_1 <= 1 is not soft.
+    A, b = [*A, [1.0, 0.0, 0.0]], [*b, 1.0]
+    decision = choose(A, b, [0.0] * 3, ones, [quadratic, np.inf], linear=[1e4, 0.0])
+    np.testing.assert_allclose(decision.input, [1.0, 0.0, 0.0], atol=1e-9)
+    # And a reference that meets it passes.
+    decision = choose(A[:1], b[:1], [2.5, 0.0, 0.0], ones, [quadratic], linear=[1e4])
+    assert decision.status == FilterStatus.REFERENCE
+
+
+def test_a_linear_penalty_beside_limits_as_good_as_none():
+    """In coordinates finer than the limits' the penalty is of the same slack."""
+    box, A, b = InputSet.box([-1e9], [1e9]), [[-1.0]], [-2.0]
+    for linear, expected in ((4.1, 2.0), (2.0, 1.5)):
+        decision = choose(A, b, [0.0], [1.0], [1.0], box=box, linear=[linear])
+        np.testing.assert_allclose(decision.input, [expected], atol=1e-6)
 
 
 def test_the_published_metric_is_one_of_the_weights():
@@ -141,3 +205,7 @@ def test_settings_check_the_penalties():
     assert FilterSettings(soft_penalties=[1.0, np.inf]).soft_penalties[1] == np.inf
     with pytest.raises(ValueError, match="soft_penalties"):
         FilterSettings(soft_penalties=[0.0])
+    FilterSettings(soft_penalties=[1.0, np.inf], soft_linear_penalties=[2.0, 0.0])
+    for wrong in ([2.0], [2.0, 1.0], [-1.0, 0.0], [np.nan, 0.0]):
+        with pytest.raises(ValueError, match="soft_linear_penalties"):
+            FilterSettings(soft_penalties=[1.0, np.inf], soft_linear_penalties=wrong)

@@ -91,10 +91,12 @@ OneOfEverything:
   violation_weights: [1.0, 2.0]
   input_weights: [2.0, 1.0]
   soft_penalties: [.inf, 100.0]
+  soft_linear_penalties: [0.0, 10.0]
   solver: Clp
   warn: true
   body: [{radius: 0.05}]
   decay_penalty: 50.0
+  backup_margin: 0.1
   ends_at_target: true
   initial_state: [0.0, 0.0, 0.1, 0.2]
   target: [5.0, 0.0]

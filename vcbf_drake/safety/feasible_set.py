@@ -78,6 +78,7 @@ class FeasibleSet:
         penalties: For soft barrier rows the penalty of their squared slack, else
             infinity, shape (N,). The set takes no notice of soft rows: on their right
             there is infinity.
+        linear_penalties: For soft rows the penalty of the slack itself, shape (N,).
         cutting: Indices of the rows that can matter: the input set's limits, and the
             barrier rows that cut its bounding box. The others hold for every input.
     """
@@ -90,6 +91,7 @@ class FeasibleSet:
     weights: Array
     input_set: InputSet
     penalties: Array
+    linear_penalties: Array
     cutting: NDArray[np.intp]
 
     @property
@@ -152,6 +154,7 @@ def feasible_set(
     known: DisturbanceKnowledge,
     weights: Array | None = None,
     penalties: Array | None = None,
+    linear_penalties: Array | None = None,
 ) -> FeasibleSet:
     """Returns the feasible set of (E18): A u <= b + Delta b.
 
@@ -163,11 +166,14 @@ def feasible_set(
             default.
         penalties: Of soft rows, and infinity for the others, shape (N,); by default no
             row is soft.
+        linear_penalties: Of soft rows, beside them, shape (N,); zeros by default.
     """
     bound = rows.b + disturbance_margin(rows, known)
     distance = bound - rows.A @ input_set.center
     if penalties is None:
         penalties = np.full(len(bound), np.inf)
+    if linear_penalties is None:
+        linear_penalties = np.zeros(len(bound))
     distance[np.isfinite(penalties)] = np.inf
     A_v = np.concatenate([input_set.A_normalised, rows.A * input_set.scale])
     b_v = np.concatenate([input_set.b_normalised, distance])
@@ -180,6 +186,7 @@ def feasible_set(
         weights=np.ones(len(rows.b)) if weights is None else weights,
         input_set=input_set,
         penalties=penalties,
+        linear_penalties=linear_penalties,
         cutting=cutting_rows(input_set, A_v, b_v),
     )
 

@@ -134,7 +134,9 @@ def choose_input(
         return qp if growing is None else growing.grown(qp, feasible)
 
     qp = stated(frame)
-    if (qp.A @ qp.reference <= qp.b).all() and not _moves_a_fixed(reference, input_set):
+    m = input_set.num_inputs
+    holds = bool((qp.A[:, :m] @ qp.reference[:m] <= qp.b).all())
+    if holds and not _moves_a_fixed(reference, input_set):
         return FilterDecision(reference, FilterStatus.REFERENCE, qp=qp)
     try:
         found, solved = solve_qp(qp, solver)

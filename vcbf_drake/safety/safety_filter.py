@@ -200,6 +200,7 @@ class SafetyFilter(CachedSystem):
         settings, count = self.settings, len(self.row_names) - len(input_set.b)
         self._weights = settings.one_a_barrier("violation_weights", count, 1.0)
         self._penalties = settings.one_a_barrier("soft_penalties", count, np.inf)
+        self._linear = settings.one_a_barrier("soft_linear_penalties", count, 0.0)
         self._frame = Frame.of(input_set, settings.input_weights)
         self._volume_rows = VolumeRows(model, input_set, self.settings)
         self._declare_inputs()
@@ -400,6 +401,7 @@ class SafetyFilter(CachedSystem):
             self.knowledge(context),
             self._weights,
             self._penalties,
+            self._linear,
         )
 
     def thresholds(self, context: Context) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+import math
 from typing import Literal, get_args
 
 import numpy as np
@@ -67,6 +68,9 @@ class FilterSettings:
         soft_penalties: Penalty of the squared slack of each barrier row that may give
             way, (N,): infinity for the others; empty for none. A control Lyapunov
             function V beside barriers is the barrier h = -V with a penalty.
+        soft_linear_penalties: Penalty of the slack itself of each soft row, beside that
+            of its square, (N,); 0 for none. An exact penalty: a row that costs more
+            than what its multiplier is holds wherever the others let it.
         observer: The disturbance observer.
         solver: Drake's solver that proposes solutions of the QP and, where it takes
             cone programs, the largest ellipsoid: one of `SOLVERS`.
@@ -88,6 +92,7 @@ class FilterSettings:
     violation_weights: list[float] = field(default_factory=list)
     input_weights: list[float] | list[list[float]] = field(default_factory=list)
     soft_penalties: list[float] = field(default_factory=list)
+    soft_linear_penalties: list[float] = field(default_factory=list)
     observer: ObserverSettings = field(default_factory=ObserverSettings)
     solver: str = DEFAULT_SOLVER
     warn: bool = True
@@ -107,6 +112,20 @@ class FilterSettings:
         penalties = self.soft_penalties
         check_parameter(
             "soft_penalties", penalties, size=len(penalties), infinity_allowed=True
+        )
+        linear = self.soft_linear_penalties
+        check_parameter(
+            "soft_linear_penalties", linear, size=len(linear), zero_allowed=True
+        )
+        is_soft = len(linear) in (0, len(penalties)) and all(
+            math.isfinite(square) or not each
+            for each, square in zip(linear, penalties, strict=False)
+        )
+        require(
+            is_soft,
+            "soft_linear_penalties",
+            linear,
+            "one a barrier, 0 where soft_penalties has infinity",
         )
         require(
             self.observer.period <= self.period,

@@ -42,6 +42,8 @@ class VolumeRow:
         a: Shape (m,).
         c: The right-hand side.
         slack_penalty: M of (E24), for the inexact slack.
+        linear_penalty: N of (E85): what the slack itself costs, beside M times its
+            square.
         name: For whoever reads the program.
         unit: What the row was divided by; its slack is multiplied by it.
     """
@@ -51,6 +53,7 @@ class VolumeRow:
     slack_penalty: float
     name: str = "volume"
     unit: float = 1.0
+    linear_penalty: float = 0.0
 
     @property
     def is_finite(self) -> bool:
@@ -214,7 +217,12 @@ def state_qp(
     if frame.size != 1.0:
         z = z / frame.size
     soft = [
-        VolumeRow(feasible.rows.A[i], float(feasible.bound[i]), feasible.penalties[i])
+        VolumeRow(
+            feasible.rows.A[i],
+            float(feasible.bound[i]),
+            feasible.penalties[i],
+            linear_penalty=feasible.linear_penalties[i],
+        )
         for i in feasible.soft.tolist()
     ]
     further = [*volume_rows, *soft]
@@ -237,20 +245,32 @@ def state_qp(
         rows=tuple(kept.tolist()),
         further_rows=tuple(names),
     )
-    return _with_slacks(qp, [row.slack_penalty for row in yielding])
+    return _with_slacks(qp, yielding)
 
 
-def _with_slacks(qp: QP, penalties: Sequence[float]) -> QP:
-    """Gives each of the last rows a slack delta at the cost M delta^2 (E24), (E85).
+def _with_slacks(qp: QP, yielding: Sequence[VolumeRow]) -> QP:
+    """Gives the last rows slacks delta <= 0 at M delta^2 - N delta (E24), (E85).
 
-    In the variables (z, sqrt(M) delta) the cost is a distance again.
+    In the variables (z, w = sqrt(M) delta) the cost is a distance again, from
+    w = N / (2 sqrt(M)); where that is not 0, a row more keeps w from being positive.
     """
-    if not penalties:
+    if not yielding:
         return qp
-    root, count = np.sqrt(np.divide(penalties, qp.frame.cost_unit)), len(penalties)
+    frame, m, count = qp.frame, len(qp.reference), len(yielding)
+    root = np.sqrt([row.slack_penalty / frame.cost_unit for row in yielding])
+    linear = np.array([row.linear_penalty for row in yielding])
+    away = linear / (2.0 * frame.cost_unit * frame.size * root)
     slopes = np.concatenate([np.zeros((qp.num_hard, count)), np.diag(1.0 / root)])
-    reference = np.append(qp.reference, np.zeros(count))
-    return replace(qp, A=np.hstack([qp.A, slopes]), reference=reference)
+    is_kept = linear > 0.0
+    signs = np.hstack([np.zeros((count, m)), np.eye(count)])[is_kept]
+    names = np.array(qp.further_rows, dtype=object)[-count:][is_kept]
+    return replace(
+        qp,
+        A=np.vstack([np.hstack([qp.A, slopes]), signs]),
+        b=np.append(qp.b, np.zeros(len(signs))),
+        reference=np.append(qp.reference, away),
+        further_rows=(*qp.further_rows, *names),
+    )
 
 
 def _distances(feasible: FeasibleSet, frame: Frame) -> Array:
