@@ -10,7 +10,7 @@ import pytest
 
 from vcbf_drake import Blimp, Car, ControlAffineModel, load_scenario
 from vcbf_drake.hil import InProcess, LinkFaults
-from vcbf_drake.hil.prediction import StatePredictor
+from vcbf_drake.hil.state_receiver import StatePredictor
 
 CAR = ControlAffineModel.from_system(Car())
 BLIMP = ControlAffineModel.from_system(Blimp())

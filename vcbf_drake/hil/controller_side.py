@@ -17,8 +17,7 @@ from vcbf_drake.errors import ModelError
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.command_sender import CommandSender
 from vcbf_drake.hil.live_audit import LiveAudit
-from vcbf_drake.hil.prediction import StatePredictor
-from vcbf_drake.hil.state_receiver import StateReceiver
+from vcbf_drake.hil.state_receiver import StatePredictor, StateReceiver
 from vcbf_drake.hil.timing import check_timing
 from vcbf_drake.hil.watchdogs import ObstacleReceiver, ObstacleWatch, Watchdog
 from vcbf_drake.model import ControlAffineModel

@@ -17,8 +17,7 @@ from pydrake.systems.framework import (
 
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
-from vcbf_drake.hil.prediction import runge_kutta_step
-from vcbf_drake.hil.state_receiver import StateStamp
+from vcbf_drake.hil.state_receiver import StateStamp, runge_kutta_step
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import InputSet
 from vcbf_drake.simulation.scenario import Hardware

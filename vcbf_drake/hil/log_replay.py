@@ -102,7 +102,7 @@ class LoggedController:
                 self.controllers[-1].step()
 
     def differences(self) -> list[float]:
-        """Returns how far commands made are from those logged; infinite for a mode."""
+        """Returns how far off the commands made are; infinite where modes differ."""
         return [
             _difference(command, self.sent[state])
             for state, command in self.logged.items()
@@ -111,12 +111,11 @@ class LoggedController:
 
     def period(self) -> float | None:
         """Returns the median time between the commands, by the vehicle's time [s]."""
-        answered = set(self.logged)
         times = []
         for event in self._events:
             if event.channel == self._states:
                 state = _decoded(vcbf_state, event)
-                if state and (not answered or _key(state) in answered):
+                if state and (not self.logged or _key(state) in self.logged):
                     times.append(state.time)
         gaps = np.diff(times)
         gaps = gaps[gaps > 0.0]
