@@ -8,7 +8,7 @@ STAMP := .venv/.installed
 MODULE ?= vcbf_drake/safety/volume.py
 TESTS ?= tests/safety
 
-.PHONY: demo reproduce test coverage properties mutation results bench audit lint format clean help
+.PHONY: demo reproduce test coverage properties mutation results images bench audit lint format clean help
 
 help:
 	@echo "make demo        the paper's Test 2 with and without the volume barrier, in out/"
@@ -18,6 +18,7 @@ help:
 	@echo "make properties  the filter's promises on a million hostile ticks (an hour)"
 	@echo "make mutation    MODULE=FILE TESTS=DIR: small faults that no test notices (hours)"
 	@echo "make results     the pages of docs/results made anew (hours)"
+	@echo "make images      the pictures of docs/images made anew (some minutes, chromium)"
 	@echo "make bench       CPU times, beside the peers that are installed"
 	@echo "make audit       known vulnerabilities of what is installed, from PyPI's advisories"
 	@echo "make lint        format, lint and type checks"
@@ -77,6 +78,9 @@ results: $(STAMP)
 	$(BIN)/python -m examples.paper.rates > out/between_ticks.md
 	cp out/between_ticks.md docs/results/
 	$(BIN)/python -m examples.paper && cp out/reproduction/reproduction.md docs/results/
+
+images: $(STAMP)
+	$(BIN)/python -m docs.make_images
 
 bench: $(STAMP)
 	$(BIN)/python -m tests.benchmarks

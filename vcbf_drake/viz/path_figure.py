@@ -119,12 +119,14 @@ def _draw_solid(axes: Any, solid: Solid, pair: list[int], end: float) -> None:
     """An obstacle with its margin, and where it is in the end if it moves."""
     body, whole = (outline(p.surface, pair) for p in (solid.body, solid.whole))
     if solid.moves:
-        travel = solid.offset_at(end)[pair]
-        dashed: Style = dict(fill=False, ec=MUTED, lw=0.6, ls=(0, (3, 2)))
-        axes.fill(*(whole + travel).T, **dashed)
         middle = 0.5 * (body.min(axis=0) + body.max(axis=0))
+        times = solid.key_times(end)
+        way = np.array([middle + solid.offset_at(time)[pair] for time in times])
+        dashed: Style = dict(fill=False, ec=MUTED, lw=0.6, ls=(0, (3, 2)))
+        axes.fill(*(whole + way[-1] - middle).T, **dashed)
+        axes.plot(*way.T, color=MUTED, lw=0.8, zorder=2.5)
         arrow = dict(arrowstyle="-|>", color=MUTED, lw=0.8)
-        axes.annotate("", middle + travel, middle, arrowprops=arrow, zorder=2.5)
+        axes.annotate("", way[-1], way[-2], arrowprops=arrow, zorder=2.5)
     if solid.keep_out is not None:
         axes.fill(*whole.T, fc=OBSTACLE, alpha=0.3, lw=0)
     style: Style = dict(fc=OBSTACLE, alpha=0.75, ec=MUTED, lw=0.6, zorder=2)
