@@ -18,6 +18,9 @@ from vcbf_drake.model.compiled import CompiledFunction, compile_nodes
 from vcbf_drake.model.graph import gradients
 from vcbf_drake.model.manoeuvre import Manoeuvre
 from vcbf_drake.model.reading import Reader
+from vcbf_drake.safety.backup import manoeuvres_of
+from vcbf_drake.safety.input_set import InputSet
+from vcbf_drake.safety.settings import FilterSettings
 
 # At how many instants of the way there is a row; below which rates of the states and of
 # their sensitivities the way has ended.
@@ -42,7 +45,6 @@ class BackupRows:
 
     Attributes:
         names: Of the rows.
-        owners: Which barrier each row is of, shape (rows,).
     """
 
     def __init__(
@@ -81,12 +83,46 @@ class BackupRows:
         ]
         counts = [1 if each is None else _INSTANTS for each in self._heights]
         self._counts = counts
-        self.owners = np.repeat(np.arange(len(counts)), counts)
         self.names = tuple(
             name if count == 1 else f"{name}, {j} of {count} on the way"
             for name, count in zip(barrier_set.names, counts, strict=True)
             for j in range(1, count + 1)
         )
+
+    @staticmethod
+    def of(
+        model: ControlAffineModel,
+        barriers: Sequence[Any],
+        barrier_set: BarrierSet,
+        input_set: InputSet,
+        settings: FilterSettings,
+        disturbance_bound: float,
+    ) -> BackupRows:
+        """Returns the rows of the plant's own manoeuvres.
+
+        Args:
+            model: The plant.
+            barriers: What must stay true.
+            barrier_set: The same.
+            input_set: What the actuators can do.
+            settings: Period and margin.
+            disturbance_bound: delta1 [m/s^2].
+
+        Raises:
+            ModelError: See the constructor and `manoeuvres_of`.
+        """
+        found = manoeuvres_of(model, input_set, settings.period, disturbance_bound)
+        margin = settings.backup_margin
+        return BackupRows(model, barriers, barrier_set, found, margin)
+
+    def most_of_each(self, of_rows: Array) -> Array:
+        """Returns the most of every barrier's rows, shape (..., N).
+
+        Args:
+            of_rows: A number of every row, shape (..., rows).
+        """
+        first = np.cumsum([0, *self._counts[:-1]])
+        return np.maximum.reduceat(of_rows, first, axis=-1)
 
     # A flow that overflows gives rows that are not finite, and a status that says so.
     @np.errstate(over="ignore", invalid="ignore")

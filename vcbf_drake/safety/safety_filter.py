@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from pydrake.systems.framework import (
@@ -20,7 +20,7 @@ from vcbf_drake.barriers import Barrier, BarrierRows, BarrierSet, StateInputLimi
 from vcbf_drake.checks import Array, check_parameter
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety.backup import Gate, MakeGate, manoeuvres_of
+from vcbf_drake.safety.backup import Gate, MakeGate
 from vcbf_drake.safety.backup_rows import BackupRows
 from vcbf_drake.safety.cached_system import CachedSystem, held_by
 from vcbf_drake.safety.decay import DecayRates
@@ -49,6 +49,7 @@ from vcbf_drake.typed import typed
 
 # V_v of the volume row, and of its guard.
 _Volumes: TypeAlias = tuple[Volume | None, Volume | None]
+_Made = TypeVar("_Made")
 
 
 class SafetyFilter(CachedSystem):
@@ -105,8 +106,7 @@ class SafetyFilter(CachedSystem):
     | ``authority`` | N | how far the inputs move each row; 0 when not at all (R33) |
     | ``row_margin`` | 1 | the rows' least until the next tick (E77); nan unless asked |
     | ``decay`` | 1 | the largest factor on a decay rate (E99); 1 where none grew |
-    | ``backup`` | 2 | how far the input gave way to a backup manoeuvre's, 0 to 1;
-      1 with a certified way to safety after it, else 0 |
+    | ``backup`` | 2 | the share of a backup manoeuvre; 1 if its plan is certified |
     | ``status`` | 1 | a `FilterStatus` |
     | ``feasible_set`` | | A, b, ellipsoid: see `unpack_feasible_set` |
 
@@ -168,8 +168,17 @@ class SafetyFilter(CachedSystem):
         self.barriers = tuple(barriers)
         self.barrier_set = BarrierSet(model, barriers)
         self.input_set = input_set
-        self.backup_rows = self._make_backup_rows(input_set)
-        names = self.backup_rows.names if self.backup_rows else self.barrier_set.names
+        self.backup_rows: BackupRows | None = None
+        if self.method.feasibility == "backup":
+            self.backup_rows = BackupRows.of(
+                model,
+                self.barriers,
+                self.barrier_set,
+                input_set,
+                self.settings,
+                self.bounds.delta1,
+            )
+        names = (self.backup_rows or self.barrier_set).names
         self.row_names = RowNames.of(input_set, names)
         self._estimate_gain = estimate_gain
         hold = max(self.settings.period, longest_hold)
@@ -180,22 +189,14 @@ class SafetyFilter(CachedSystem):
         )
         self.row_holder: RowHolder | None = None
         if self.certified_hold:
-            if make_row_holder is None:
-                raise ValueError(
-                    "between_ticks: certified; it needs make_row_holder=HeldRows, of"
-                    " vcbf_drake.between_ticks (AddSafetyFilter gives it)"
-                )
+            make_row_holder = _given("between_ticks: certified", make_row_holder)
             self.row_holder = make_row_holder(
                 model, self.barrier_set, self.certified_hold, self.bounds.delta1
             )
         self.gate: Gate | None = None
         if self.settings.infeasible == "backup":
-            if make_gate is None:
-                raise ValueError(
-                    "infeasible: backup; it needs make_gate=BackupGate, of"
-                    " vcbf_drake.between_ticks (AddSafetyFilter gives it)"
-                )
             known = self.settings.period, self.bounds.delta1
+            make_gate = _given("infeasible: backup", make_gate)
             self.gate = make_gate(model, self.barrier_set, input_set, *known)
         settings, count = self.settings, len(self.row_names) - len(input_set.b)
         self._weights = settings.one_a_barrier("violation_weights", count, 1.0)
@@ -206,19 +207,6 @@ class SafetyFilter(CachedSystem):
         self._declare_inputs()
         self._declare_cache_entries()
         self._declare_outputs()
-
-    def _make_backup_rows(self, input_set: InputSet) -> BackupRows | None:
-        if self.method.feasibility != "backup":
-            return None
-        return BackupRows(
-            self.model,
-            self.barriers,
-            self.barrier_set,
-            manoeuvres_of(
-                self.model, input_set, self.settings.period, self.bounds.delta1
-            ),
-            self.settings.backup_margin,
-        )
 
     def _declare_inputs(self) -> None:
         m, q = self.model.num_inputs, self.model.num_disturbances
@@ -336,8 +324,7 @@ class SafetyFilter(CachedSystem):
         """
         if self.backup_rows is None:
             return of_rows
-        first = np.flatnonzero(np.diff(self.backup_rows.owners, prepend=-1))
-        return np.maximum.reduceat(of_rows, first, axis=-1)
+        return self.backup_rows.most_of_each(of_rows)
 
     def knowledge(self, context: Context) -> DisturbanceKnowledge:
         """Returns what this method takes as known of the disturbance."""
@@ -515,3 +502,13 @@ class SafetyFilter(CachedSystem):
         feasible, volumes = self.feasible_set(context), self._volumes(context)
         frame, center = self._volume_rows.ellipsoid(feasible, volumes)
         output.SetFromVector(pack_feasible_set(feasible.A, feasible.b, frame, center))
+
+
+def _given(setting: str, make: Callable[..., _Made] | None) -> Callable[..., _Made]:
+    """What `AddSafetyFilter` gives, of a room that the filter does not know."""
+    if make is None:
+        raise ValueError(
+            f"{setting}; it needs what vcbf_drake.between_ticks makes for it"
+            " (AddSafetyFilter gives it)"
+        )
+    return make
