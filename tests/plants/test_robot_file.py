@@ -117,6 +117,17 @@ def test_packages_around_the_file_are_known(tmp_path: Path) -> None:
     assert RobotFile(str(tmp_path / "two.sdf")).plant().num_positions() == 2
 
 
+def test_joints_that_mimic_others_have_to_be_fixed(tmp_path: Path) -> None:
+    text = Path(PLANAR).read_text().replace('<robot name="planar_arm">', "<robot>")
+    mark = '<joint name="elbow" type="revolute">'
+    file = tmp_path / "mimic.urdf"
+    file.write_text(text.replace(mark, f"{mark}<mimic joint='shoulder'/>"))
+    with pytest.raises(InvalidValueError, match=r"^fixed: joints that mimic .* elbow$"):
+        RobotFile(str(file)).plant()
+    plant = RobotFile(str(file), fixed=["elbow"]).plant()
+    assert plant.GetStateNames() == ["mimic_shoulder_q", "mimic_shoulder_w"]
+
+
 @pytest.mark.parametrize(
     ("robot", "message"),
     [

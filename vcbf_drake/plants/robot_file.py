@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.resources import files
 import logging
@@ -64,7 +64,13 @@ class RobotFile:
         path = self._path(parser.package_map())
         try:
             with _warned_once(self.file):
-                self._read(parser, path, scene_graph is not None)
+                if path.suffix in _CHANGEABLE:
+                    parser.AddModelsFromString(self._changed(path), path.suffix[1:])
+                else:
+                    self._require_unchanged()
+                    parser.AddModels(str(path))
+        except InvalidValueError:
+            raise
         except (RuntimeError, ValueError, ElementTree.ParseError) as error:
             problem = f"{self.file!r}; Drake does not read it: {error}"
             raise InvalidValueError("file", " ".join(problem.split())) from None
@@ -81,13 +87,6 @@ class RobotFile:
             reason = " ".join(str(error).split())
             raise InvalidValueError((), f"it does not move: {reason}") from None
         return plant
-
-    def _read(self, parser: Parser, path: Path, is_drawn: bool) -> None:
-        is_changed = self.fixed or self.mass != 1.0 or self.drag != 1.0
-        if is_changed or (is_drawn and path.suffix in _CHANGEABLE):
-            parser.AddModelsFromString(self._changed(path), path.suffix[1:])
-        else:
-            parser.AddModels(str(path))
 
     def _path(self, packages: PackageMap) -> Path:
         """Where the file is, after the packages around it have been found."""
@@ -108,11 +107,17 @@ class RobotFile:
         require(path.is_file() and path.suffix in _KINDS, "file", self.file, rule)
         for above in path.parents[:-1]:
             if (above / "package.xml").is_file():
-                packages.AddPackageXml(str(above / "package.xml"))
+                with suppress(RuntimeError):  # Another package has its name.
+                    packages.AddPackageXml(str(above / "package.xml"))
         for above in path.parents[:-1]:  # Installed, a package often is its folder.
             if not packages.Contains(above.name):
                 packages.Add(above.name, str(above))
         return path
+
+    def _require_unchanged(self) -> None:
+        is_changed = self.fixed or self.mass != 1.0 or self.drag != 1.0
+        rule = "URDF or SDFormat, where mass, drag or fixed change something"
+        require(not is_changed, "file", self.file, rule)
 
     def _changed(self, path: Path) -> str:
         """The file's text with joints fixed, other masses and other dampings.
@@ -120,21 +125,10 @@ class RobotFile:
         Of its geometry what Drake can draw is left: collisions and other meshes are not
         even read, since Drake refuses a file for some of them.
         """
-        require(
-            path.suffix in _CHANGEABLE,
-            "file",
-            self.file,
-            "URDF or SDFormat, where mass, drag or fixed change something",
-        )
         robot = ElementTree.parse(path).getroot()
-        joints = {
-            each.attrib["name"]: each
-            for each in robot.iter("joint")
-            if "type" in each.attrib  # A transmission names its joint in one, too.
-        }
-        for name in self.fixed:
-            _require_one("fixed", name, [*joints])
-            joints[name].set("type", "fixed")
+        if robot.tag == "robot" and not robot.get("name"):
+            robot.set("name", path.stem)
+        self._fix_joints(robot)
         for link in robot.iter("link"):
             for each in link.findall("collision"):
                 link.remove(each)
@@ -149,6 +143,28 @@ class RobotFile:
             if each.tag == "uri" and "://" not in (each.text or "://"):
                 each.text = str((path.parent / str(each.text).strip()).resolve())
         return ElementTree.tostring(robot, "unicode")
+
+    def _fix_joints(self, robot: ElementTree.Element) -> None:
+        """Fixes joints; those that mimic others Drake has in discrete time alone."""
+        joints = {
+            each.attrib["name"]: each
+            for each in robot.iter("joint")
+            if "type" in each.attrib  # A transmission names its joint in one, too.
+        }
+        for name in self.fixed:
+            _require_one("fixed", name, [*joints])
+            joints[name].set("type", "fixed")
+        mimics = []
+        for name, joint in joints.items():
+            for parent in (joint, *joint.findall("axis")):
+                for each in parent.findall("mimic"):
+                    if joint.get("type") == "fixed":
+                        parent.remove(each)
+                    else:
+                        mimics.append(name)
+        if mimics:
+            problem = "joints that mimic others move in discrete time alone; add"
+            raise InvalidValueError("fixed", f"{problem} {', '.join(mimics)}")
 
     def _choose_actuators(self, plant: MultibodyPlant, path: Path) -> None:
         """Gives the wanted joints, and them alone, a motor."""
