@@ -228,8 +228,11 @@ def test_a_plant_without_a_disturbance_needs_no_bounds():
     assert 0.9 < simulator.get_context().get_continuous_state_vector()[0] <= 1.0
     builder = DiagramBuilder()
     car = builder.AddSystem(Car())
-    for wrong in (None, [0.1, 0.1, 0.1]):
-        with pytest.raises(InvalidValueError, match="for the plant has a dist"):
+    for wrong, words in (
+        (None, "for the plant has a disturbance"),
+        ([0.1, 0.1, 0.1], "a DisturbanceBounds"),
+    ):
+        with pytest.raises(InvalidValueError, match=words):
             add(builder, car, bounds=wrong)
 
 
