@@ -147,6 +147,7 @@ def test_summary_has_the_public_keys(demo):
         "max_abs_slack", "slack_active_fraction", "failed_ticks", "final_distance",
         "rows_without_authority", "audit", "guaranteed", "certified_min_barrier",
         "ticks", "final_status", "relaxed_ticks", "infeasible_ticks", "decayed_ticks",
+        "backup_ticks",
         "reasons_against",
         "assumptions", "step_cpu_ms", "real_time_factor",
     }  # fmt: skip
