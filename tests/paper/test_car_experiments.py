@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from examples.paper.car_courses import APPROACH_GAINS
+from vcbf_drake.plants.shapes import bounding_box
 from vcbf_drake.simulation import load_scenario, simulate
 
 AVOIDANCE, SENSITIVITY = "car-avoidance", "car-sensitivity"
@@ -25,9 +26,10 @@ def moved_start(index: int) -> list[float]:
 
 
 def clearance(summary: dict[str, Any]) -> float:
-    """The distance to the disc's edge [m], from h = rho^2 - R^2 (E35)."""
+    """The distance to the disc's edge [m], from h = rho^2 - (R + margin)^2 (E35)."""
     (disc,) = load_scenario(AVOIDANCE).obstacles
-    return math.sqrt(summary["min_barrier"] + disc.radius**2) - disc.radius
+    reach = disc.radius + disc.margin
+    return math.sqrt(summary["min_barrier"] + reach**2) - disc.radius
 
 
 @pytest.mark.parametrize(
@@ -52,8 +54,26 @@ def test_nominal_collides_robust_goes_wide_and_the_proposed_passes_close(
     assert nominal["final_distance"] > 5.0 - disc.center[0]
     assert robust["outcome"] == proposed["outcome"] == "reached"
     assert proposed["max_abs_slack"] == 0.0
-    assert 0.0 < clearance(proposed) < 0.06
-    assert clearance(robust) > 0.15
+    assert disc.margin < clearance(proposed) < disc.margin + 0.03
+    assert clearance(robust) > disc.margin + 0.1
+
+
+@pytest.mark.parametrize("method", ["dob-vcbf-qp", "robust-cbf-qp"])
+def test_the_body_that_is_drawn_keeps_off_the_disc(method: str) -> None:
+    """The rectangle around the picture, turned and placed by hand at every tick."""
+    scenario = load_scenario(AVOIDANCE, {"method": method})
+    (disc,) = scenario.obstacles
+    low, high = bounding_box(scenario.vehicle.geometry("#000000"))
+    x, y, _, heading = simulate(scenario, step_time=False).log["state"].T
+    away = np.array([disc.center[0] - x, disc.center[1] - y])
+    c, s = np.cos(heading), np.sin(heading)
+    ahead, left = c * away[0] + s * away[1], c * away[1] - s * away[0]
+    beyond = [
+        np.maximum(np.maximum(low[i] - at, at - high[i]), 0.0)
+        for i, at in enumerate((ahead, left))
+    ]
+    clear = np.hypot(*beyond) - disc.radius
+    assert clear.min() > 0.04
 
 
 def test_a_slow_car_needs_the_volume_barrier() -> None:
