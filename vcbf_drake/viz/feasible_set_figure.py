@@ -110,12 +110,15 @@ def _draw_or_tell(axes: Any, run: Run, time: float) -> None:
 def _draw_forbidden(
     axes: Any, chosen: FeasibleSet, row: int, view: Array, conflicting: bool
 ) -> None:
-    """What one barrier forbids: hatched, in red when it is part of a conflict."""
+    """What one barrier forbids, whatever the other inputs are: hatched.
+
+    In red when it is part of a conflict.
+    """
     from matplotlib.patches import Polygon
 
-    middle = 0.5 * (chosen.low + chosen.high)
-    normal = chosen.A[row, :2]
-    bound = chosen.b[row] - chosen.A[row, 2:] @ middle[2:]
+    normal, others = chosen.A[row, :2], chosen.A[row, 2:]
+    least = np.minimum(others * chosen.low[2:], others * chosen.high[2:]).sum()
+    bound = chosen.b[row] - least
     if np.where(normal > 0.0, view[1], view[0]) @ normal <= bound:
         return  # Nothing of what is shown.
     corners = polytope_vertices(-normal[None], np.array([-bound]), *view)

@@ -83,9 +83,10 @@ class LiveView:
         if now >= self._next_point:
             self._next_point = now + _PLOTTED
             self._stream.send(self._point(self._stage, x, safety_filter, context))
-        waited = self._stream.wait_while_paused()
-        self._lead += waited
-        time.sleep(max(0.0, self._lead + now - time.monotonic()))
+        self._stream.wait_while_paused()
+        early = self._lead + now - time.monotonic()
+        time.sleep(max(early, 0.0))
+        self._lead -= min(early, 0.0)  # What was lost is not made up for.
 
     def close(self) -> None:
         """Ends the page's server; what the browsers show stays as it is."""
@@ -269,12 +270,10 @@ class _Stream:
         with self._changed:
             self._changed.wait_for(lambda: self._browsers > 0)
 
-    def wait_while_paused(self) -> float:
-        """Returns when the run may go on, and how long that took [s]."""
-        started = time.monotonic()
+    def wait_while_paused(self) -> None:
+        """Returns when the run may go on."""
         with self._changed:
             self._changed.wait_for(lambda: not self._paused)
-        return time.monotonic() - started
 
     def close(self) -> None:
         """Tells the browsers that the run is over, and closes."""
