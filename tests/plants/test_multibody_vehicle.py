@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from vcbf_drake import InputLimits, Scenario, ScenarioError, load_scenario, simulate
+from vcbf_drake.barriers import HalfSpace
 from vcbf_drake.plants import MultibodyVehicle
 from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.plants.robot_controllers import Lqr
 from vcbf_drake.simulation.obstacles import StateRange
+from vcbf_drake.simulation.scenario import BarrierGains
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 ARM = EXAMPLES / "arm.yaml"
@@ -129,6 +131,23 @@ def test_the_regulator_holds_a_robot_with_fewer_motors_than_joints() -> None:
         scenario.vehicle.make_controller([1.0, 0.25, 0.0])  # Outstretched sideways.
 
 
+def test_a_small_arm_is_certified_between_the_ticks() -> None:
+    robot = EXAMPLES / "models" / "planar_arm.urdf"
+    scenario = Scenario(
+        vehicle=MultibodyVehicle(str(robot), "forearm", [0.5, 0.0, 0.0]),
+        initial_state=[0.5, 0.8, 0.0, 0.0],
+        target=[0.9, 0.0, 1.5],
+        obstacles=[HalfSpace([-1.0, 0.0, 0.0], -0.95)],
+        barrier=BarrierGains(gains=[12.0, 35.0]),
+        duration=1.0,
+        method="cbf-qp",
+        between_ticks="certified",
+    )
+    summary = simulate(scenario, step_time=False).summary
+    assert summary["guaranteed"]
+    assert 0.0 < summary["certified_min_barrier"] <= summary["min_barrier"] < 0.1
+
+
 def test_links_whose_meshes_drake_does_not_draw_are_rods(tmp_path: Path) -> None:
     robot = tmp_path / "my_robot"
     (robot / "urdf").mkdir(parents=True)
@@ -192,6 +211,10 @@ def refusal(override: str) -> str:
         ),
         ("{vehicle: {actuators: [elbow]}}", "actuators: 'elbow'; it must be one of"),
         ("{vehicle: {fixed: [elbow]}}", "fixed: 'elbow'; it must be one of joint_1"),
+        (
+            "{between_ticks: certified}",
+            "between_ticks: 'certified, 7 velocities'; it must be none for over 3",
+        ),
         ("{target: [1, 2]}", "target: [1.0, 2.0]; it must be 3 numbers, one each of x"),
         (
             "{initial_state: [3, 0, 0, -1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]}",

@@ -157,7 +157,7 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
     bus = bus or Bus()
     check_timing(scenario)
     builder = DiagramBuilder()
-    model = ControlAffineModel.from_system(scenario.vehicle.make_plant())
+    model = scenario.make_model()
     bounds, settings = scenario.make_source().bounds, scenario.hardware
     link = VehicleLink(builder, bus, model, scenario.period, settings)
     predictor = None

@@ -338,7 +338,7 @@ def make_vehicle(scenario: Scenario, bus: Bus, timeline: Timeline) -> Diagram:
     builder = DiagramBuilder()
     simulated = add_simulated_plant(builder, scenario)
     plant, measured = simulated.plant, simulated.state
-    model = ControlAffineModel.from_system(scenario.vehicle.make_plant())
+    model = scenario.make_model()
     receiver = builder.AddNamedSystem(
         "command_receiver",
         CommandReceiver(

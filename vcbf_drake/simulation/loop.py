@@ -73,7 +73,7 @@ def make_loop(scenario: Scenario, controller: System | None = None) -> Diagram:
     simulated = add_simulated_plant(builder, scenario)
     plant, source = simulated.plant, simulated.source
     # The filter knows the scenario's plant, whatever is wrong with the true one.
-    model = ControlAffineModel.from_system(scenario.vehicle.make_plant())
+    model = scenario.make_model()
     added, loop = add_controller_and_filter(
         builder,
         scenario,

@@ -13,6 +13,7 @@ import re
 from typing import Any, ClassVar, Literal
 
 import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import GetIntegrationSchemes
 
 from vcbf_drake.barriers.barrier import decay_rates
@@ -28,6 +29,7 @@ from vcbf_drake.disturbances.source import (
 )
 from vcbf_drake.errors import InvalidValueError, Path, below
 from vcbf_drake.files import IS_FILE
+from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.plants import Vehicle
 from vcbf_drake.plants.channels import Channels, channels_of
 from vcbf_drake.safety.input_set import InputSet
@@ -220,6 +222,8 @@ class Hardware:
 _NAME = re.compile(r"\w[\w .+-]{0,99}")
 # Control periods in a run; its log must fit into a computer.
 _MOST_TICKS = 1e7
+# Velocities of a MultibodyPlant whose barriers are derived in symbols within seconds.
+_MOST_SYMBOLIC = 3
 # A run that is longer than this is blamed for its ticks; of a shorter one, the period.
 _LONG = 3600.0
 
@@ -323,6 +327,10 @@ class Scenario(FilterSettings):
         plant = self.vehicle.make_plant()
         channels = channels_of(plant)
         states, inputs = channels.states, channels.inputs
+        if isinstance(plant, MultibodyPlant) and self.between_ticks == "certified":
+            joints, rule = plant.num_velocities(), f"none for over {_MOST_SYMBOLIC}"
+            is_small = joints <= _MOST_SYMBOLIC
+            require(is_small, "between_ticks", f"certified, {joints} velocities", rule)
         check_finite("initial_state", self.initial_state, names=[*states])
         require(
             len(self.input_set.lower) == len(inputs),
@@ -367,6 +375,12 @@ class Scenario(FilterSettings):
             is_turn = abs(np.linalg.norm(four) - 1.0) < 1e-3
             rule = f"{', '.join(names[i : i + 4])} of length 1, 1, 0, 0, 0 for no turn"
             require(bool(is_turn), ("initial_state", i), four, rule)
+
+    def make_model(self) -> ControlAffineModel:
+        """Returns the vehicle's model: what holds between ticks needs it in symbols."""
+        symbolic = self.between_ticks == "certified"
+        plant = self.vehicle.make_plant()
+        return ControlAffineModel.from_system(plant, symbolic=symbolic)
 
     def make_source(self) -> DisturbanceSource:
         """Returns the disturbance."""
