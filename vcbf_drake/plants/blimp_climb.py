@@ -95,8 +95,9 @@ class BlimpClimb(Manoeuvre):
         surge, heave, moment = u.tolist()
         T, thrust = self._period, surge / self._mass
         middle = yaw + 0.5 * yaw_rate * T
-        # By how much the thrust turns while it is held.
-        yawing = (abs(moment) + self._yaw_drag * abs(yaw_rate)) / self._inertia
+        # By how much the thrust turns while it is held: the drag of no yaw rate is
+        # larger than the moment's, or that of the first one.
+        yawing = (2.0 * abs(moment) + self._yaw_drag * abs(yaw_rate)) / self._inertia
         turned = abs(thrust) * (0.5 * abs(yaw_rate) * T + 0.5 * yawing * T * T)
         c, s = thrust * math.cos(middle), thrust * math.sin(middle)
         held, led = heave / self._heave_mass, self._heave / self._heave_mass
@@ -108,7 +109,7 @@ class BlimpClimb(Manoeuvre):
         ]
         most = (self._surge_most, self._surge_most, self._heave_most)
         bends = [
-            a + max(axis.drag * abs(axis.speed), a)
+            a + max(axis.drag * abs(axis.speed), a) + turned
             for axis, a in zip(axes, most, strict=True)
         ]
         anywhere = (-ANYWHERE, ANYWHERE)
