@@ -267,6 +267,15 @@ def test_short_rows_have_a_direction_too():
     np.testing.assert_allclose(point, [0.3, 1.0], atol=1e-15)
 
 
+@pytest.mark.parametrize("short", [1e-13, 1e-160, 2e-311, 5e-324])
+def test_rows_of_any_length_are_rows(short):
+    """v_1 + v_2 <= -1, as short as floats can be; nothing overflows on the way."""
+    A = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0], [short, short]])
+    b = np.array([1.0, 1.0, 1.0, 1.0, -short])
+    point = nearest_point(A, b, np.array([0.7, 0.9])).point
+    np.testing.assert_allclose(point, [-0.6, -0.4], atol=1e-12)
+
+
 @pytest.mark.parametrize("tilt", [1e-6, 1e-9, 1e-12])
 def test_the_least_on_a_wedge_is_its_tip(tilt):
     """Rows opposite but for an angle: its multipliers are as large as 1 / tilt."""

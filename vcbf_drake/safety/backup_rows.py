@@ -144,7 +144,12 @@ class BackupRows:
         way = max(
             ways, key=lambda each: min((h.value.min() for h in each if h), default=0.0)
         )
-        f, g = self._model.drift_and_input_matrix(x)
+        f, g = (
+            np.full(len(x), np.nan),
+            np.full((len(x), self._model.num_inputs), np.nan),
+        )
+        if np.isfinite(x).all():
+            f, g = self._model.drift_and_input_matrix(x)
         E = self._model.disturbance_matrix
         numbers = []
         for i, (alpha, h) in enumerate(zip(self._alphas, way, strict=True)):

@@ -95,6 +95,16 @@ class UnitRows:
         """Returns the rows that have a direction, and their right-hand sides."""
         return self.A[~self.is_blank], self.b[~self.is_blank]
 
+    def as_given(self, multipliers: Array) -> Array:
+        """Returns multipliers of the rows as given, infinite of subnormal ones.
+
+        Args:
+            multipliers: Of the unit rows, blanks too, shape (n,).
+        """
+        with np.errstate(over="ignore"):
+            given: Array = multipliers / self.length
+        return given
+
     def in_units_given(self, multipliers: Array) -> Array:
         """Returns multipliers of the rows as given, shape (n,).
 
@@ -103,7 +113,7 @@ class UnitRows:
         """
         restored = np.zeros(len(self.b))
         restored[~self.is_blank] = multipliers
-        return restored / self.length
+        return self.as_given(restored)
 
 
 def _lengths(A: Array) -> Array:

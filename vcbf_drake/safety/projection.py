@@ -41,6 +41,8 @@ _EXCESS = 0.1 * FEASIBILITY_TOLERANCE
 _GAP = 1e-9
 # Rows of a conflict that are lighter have no part in it.
 _LIGHTEST = 1e-10
+# The same, where there is no rounding but that of the rows.
+_NOISE = 1e-14
 # How well A v is known, relative to its terms.
 _ROUNDING = 1e-15
 # Rows this close to a solver's answer may be active. A wider reach forgives a solver's
@@ -108,10 +110,10 @@ def nearest_point(
         for near in _touched(rows.A, right, proposal):
             found = _made_exact(rows.A, right, reference, near)
             if _is_optimal(found, rows.A, rows.b, right, reference):
-                return NearestPoint(found.point, found.multipliers / rows.length)
+                return NearestPoint(found.point, rows.as_given(found.multipliers))
         _raise_if_empty(found, rows, bounds)
     found = _in_rationals(rows, bounds, reference)
-    return NearestPoint(found.point, found.multipliers / rows.length)
+    return NearestPoint(found.point, rows.as_given(found.multipliers))
 
 
 def minimise_linear(
@@ -172,7 +174,7 @@ def _in_rationals(rows: UnitRows, b: Array, reference: Array) -> ActiveSetSoluti
         return found
     # Rows that only make up for the rounding of the others are not named.
     z = found.conflict
-    is_light = (z <= _LIGHTEST * z.max()) & (z * np.abs(b) <= _LIGHTEST * -(z @ b))
+    is_light = (z <= _NOISE * z.max()) & (z * np.abs(b) <= _LIGHTEST * -(z @ b))
     raise _empty(rows, np.where(is_light, 0.0, z))
 
 

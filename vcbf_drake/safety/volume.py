@@ -181,7 +181,7 @@ class Volume:
         estimate: dV_v/d(estimate), shape (q,).
         bound: dV_v/d(error bound), at most zero.
         unit: det B, as whose share the row is stated: among strong actuators it may be
-            1e-15, and its row would count as none.
+            1e-15, and so small what its row is made of.
     """
 
     value: float
