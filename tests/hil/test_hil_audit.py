@@ -87,6 +87,15 @@ def test_a_mistake_is_found_soon_and_leads_to_the_fallback(mistake) -> None:
     assert run.controller.mode is CommandMode.FALLBACK
 
 
+def test_an_interval_of_one_period_is_judged_whatever_the_longest_is() -> None:
+    """At a rate so low that `longest_interval` is below the period."""
+    slow = scenario(hardware={"longest_interval": 0.005})
+    run = RelayedLoop(slow, state_changed(in_body_axes))
+    run.advance_to(1.0)
+    assert run.controller.report()["findings"].keys() <= {MOTION, ESTIMATE}
+    assert run.controller.mode is CommandMode.FALLBACK
+
+
 def test_a_frozen_state_is_called_one_and_forgiven_once_it_moves() -> None:
     run = RelayedLoop(scenario(), state_changed(Frozen((2.0, 2.5))))
     run.advance_to(2.1)

@@ -549,6 +549,9 @@ def test_a_key_is_a_file_of_at_least_sixteen_bytes(tmp_path) -> None:
         read_key(path)
     path.write_bytes(b"0123456789abcdef")
     assert read_key(path) == b"0123456789abcdef"
+    # No end of it ever comes.
+    with pytest.raises(BusError, match="has too many bytes; a key has at least 16 and"):
+        read_key("/dev/zero")
 
 
 # Faults ----------------------------------------------------------------------------

@@ -306,6 +306,26 @@ def test_a_unicast_address_is_named() -> None:
         check_bus("udpm://127.0.0.1:7667?ttl=0", patience=0.1)
 
 
+@pytest.mark.parametrize(
+    ("url", "words"),
+    [
+        ("udpm://239.255.76.67", r"needs a port, 1 to 65535, as in udpm:"),
+        ("udpm://239.255.76.67:0", r"needs a port, 1 to 65535"),
+        ("udpm://239.255.76.67:99999?ttl=0", r"Port out of range 0-65535"),
+        ("udpm://239.255.76.67:abc", r"Port could not be cast to integer value"),
+        ("tcpq://localhost:abc", r"Port could not be cast to integer value"),
+        ("tcpq://[::1", r"Invalid IPv6 URL"),
+        ("udpm://239.255.76.67:7667?ttl=far", r"ttl must be 0 to 255"),
+        ("udpm://239.255.76.67:7667?ttl=256", r"ttl must be 0 to 255"),
+        ("udpm://239.255.76.67:7667?tll=1", r"no option tll; there are ttl and"),
+    ],
+)
+def test_a_url_that_lcm_would_take_for_another_is_refused(url, words) -> None:
+    with pytest.raises(BusError, match=words) as caught:
+        check_bus(url)
+    assert str(caught.value).startswith(f"{url}: ")
+
+
 # The bus itself --------------------------------------------------------------------
 
 

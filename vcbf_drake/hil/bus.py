@@ -15,7 +15,7 @@ import re
 import socket
 import time
 from typing import Protocol
-from urllib.parse import SplitResult, urlsplit
+from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 import numpy as np
 from pydrake.lcm import DrakeLcm
@@ -141,9 +141,11 @@ Tap = Callable[[int, str, bytes], None]
 
 _BETWEEN_PROCESSES = ("udpm://", "tcpq://")
 SIGNATURE_BYTES = 32  # HMAC-SHA256's, after the message.
-_LEAST_KEY = 16  # Bytes.
+_LEAST_KEY, _MOST_KEY = 16, 65_536  # Bytes.
 _LONGEST_NAME = 48  # LCM's channels have at most 63 characters.
 _MOST_DRAINED = 100
+# The greatest value of each.
+_UDPM_OPTIONS = {"ttl": 255, "recv_buf_size": 2**31 - 1}
 _CHECK_CHANNEL = "VCBF_BUS_CHECK"
 _CHECK_PATIENCE = 1.0  # [s]
 
@@ -308,16 +310,18 @@ def read_key(path: str | Path) -> bytes:
     """Returns the key in a file, which is all of its bytes.
 
     Raises:
-        BusError: The file cannot be read, or is too short to be a key.
+        BusError: The file cannot be read, or is too short or too long to be a key.
     """
     try:
-        key = Path(path).read_bytes()
+        with open(path, "rb") as file:
+            key = file.read(_MOST_KEY + 1)  # Some files never end.
     except OSError as error:
         raise BusError(f"key_file {path}: {error.strerror}") from None
-    if len(key) < _LEAST_KEY:
+    if not _LEAST_KEY <= len(key) <= _MOST_KEY:
+        has = f"{len(key)} bytes" if len(key) <= _MOST_KEY else "too many bytes"
         raise BusError(
-            f"key_file {path}: has {len(key)} bytes; a key has at least {_LEAST_KEY}:"
-            f" head -c 32 /dev/urandom > {path}"
+            f"key_file {path}: has {has}; a key has at least {_LEAST_KEY} and at most"
+            f" {_MOST_KEY}: head -c 32 /dev/urandom > A_NEW_FILE"
         )
     return key
 
@@ -332,14 +336,15 @@ def check_bus(url: str, patience: float = _CHECK_PATIENCE) -> None:
         patience: How long to try [s].
 
     Raises:
-        BusError: Nothing arrived, or the URL is not one of a bus between processes.
+        BusError: Nothing arrived, or the URL is not one of a bus between processes, or
+            not one at all.
     """
     if not url.startswith(_BETWEEN_PROCESSES):
         allowed = " and ".join(_BETWEEN_PROCESSES)
         raise BusError(f"{url} is no bus between processes; {allowed} are")
-    address = urlsplit(url)
+    address, port = _parsed(url)
     if address.scheme == "tcpq":
-        _check_server(url, address.hostname or "localhost", address.port or 7700)
+        _check_server(url, address.hostname or "localhost", port or 7700)
     sender, receiver = DrakeLcm(url), DrakeLcm(url)
     token = f"{os.getpid()} {time.monotonic_ns()}".encode()
     arrived: list[bytes] = []
@@ -350,6 +355,34 @@ def check_bus(url: str, patience: float = _CHECK_PATIENCE) -> None:
             raise BusError(f"{url} carries no messages: {_probable_cause(address)}")
         sender.Publish(_CHECK_CHANNEL, token)
         receiver.HandleSubscriptions(20)
+
+
+def _parsed(url: str) -> tuple[SplitResult, int | None]:
+    """Returns the parts of a bus's URL, and its port, where it has one.
+
+    LCM takes what it does not understand for 0, or for what it likes.
+
+    Raises:
+        BusError: It is no URL, or a port or an option makes no sense.
+    """
+    try:
+        address = urlsplit(url)
+        port = address.port
+    except ValueError as error:
+        raise BusError(f"{url}: {error}") from None
+    example = f"as in {DEFAULT_URL}"
+    is_multicast = address.scheme == "udpm"
+    if port == 0 or (is_multicast and address.hostname and port is None):
+        raise BusError(f"{url}: needs a port, 1 to 65535, {example}")
+    options = parse_qsl(address.query, keep_blank_values=True) if is_multicast else ()
+    for option, value in options:
+        most = _UDPM_OPTIONS.get(option)
+        if most is None:
+            known = " and ".join(_UDPM_OPTIONS)
+            raise BusError(f"{url}: no option {option}; there are {known}, {example}")
+        if not (value.isascii() and value.isdigit() and int(value) <= most):
+            raise BusError(f"{url}: {option} must be 0 to {most}, {example}")
+    return address, port
 
 
 def _check_server(url: str, host: str, port: int) -> None:

@@ -114,7 +114,8 @@ class LiveAudit(LeafSystem):
     ) -> None:
         super().__init__()
         self._model, self._delta1 = model, bounds.delta1
-        self._longest = settings.longest_interval + 1e-6 * period
+        # As the observer does: an interval of one period is always bridged.
+        self._longest = max(period, settings.longest_interval) + 1e-6 * period
         self._longest_stand = settings.max_state_age
         self._range = np.asarray(input_set.scale, dtype=float)
         n, m, q = model.num_states, model.num_inputs, model.num_disturbances
