@@ -215,7 +215,7 @@ def test_a_record_is_plain_and_strict_json() -> None:
 
 @pytest.mark.usefixtures("simulated")
 def test_a_crash_is_recorded_and_the_study_goes_on(tmp_path: Path) -> None:
-    trials = plan(3, variation=Saboteur("sabotage", wrong=1))
+    trials = plan(3, variation=Saboteur(label="sabotage", wrong=1))
     records = run_study(trials, tmp_path / "trials.jsonl")
     assert [record["outcome"] == "error" for record in records] == [
         trial.index == 1 for trial in trials
@@ -239,7 +239,7 @@ def test_one_and_two_workers_write_the_same_file(tmp_path: Path) -> None:
     trials += plan(2, overrides=SHORT, variation=RANDOM_GAINS)
     one, two = tmp_path / "one.jsonl", tmp_path / "two.jsonl"
     run_study(trials, one)
-    killer = Trial(BLIMP, "cbf-qp", 0, variation=Saboteur("sabotage", deadly=0))
+    killer = Trial(BLIMP, "cbf-qp", 0, variation=Saboteur(label="sabotage", deadly=0))
     with_killer = [*trials[:3], killer, *trials[3:]]
     done: list[float] = []
     records = run_study(with_killer, two, workers=2, progress=done.append)
