@@ -1,4 +1,4 @@
-"""Which feasibility measure, how wide, which gain: settings on the same courses.
+"""How wide, and which gain: settings of the volume barrier on the same courses.
 
 Flies courses on which the filter without a volume barrier runs out of inputs, once for
 each setting of the barrier, and counts: feasible to the end, arrived, when, how close.
@@ -28,9 +28,9 @@ from vcbf_drake.studies import Trial, run_study
 
 SETTINGS = {
     "the paper's form": VolumeBarrier(),
-    "8 x as wide, same gain": VolumeBarrier(widening=8.0, guard="volume"),
-    "4 x as wide, gain 0.2": VolumeBarrier(gain=0.2, widening=4.0, guard="volume"),
-    "8 x as wide, gain 0.1": VolumeBarrier(gain=0.1, widening=8.0, guard="volume"),
+    "8 x as wide, same gain": VolumeBarrier(widening=8.0),
+    "4 x as wide, gain 0.2": VolumeBarrier(gain=0.2, widening=4.0),
+    "8 x as wide, gain 0.1": VolumeBarrier(gain=0.1, widening=8.0),
 }
 COURSES = [84, 9, 197]
 

@@ -109,7 +109,7 @@ def perceiving(model, **options):
 @pytest.mark.parametrize("widening", [1.0, 2.0])
 def test_empty_slots_drop_out_exactly(model, widening):
     """Bit for bit the filter that was built with these obstacles and no slots."""
-    barrier = VolumeBarrier(widening=widening, guard="volume")
+    barrier = VolumeBarrier(widening=widening)
     spheres, safety_filter = perceiving(model, volume=barrier)
     standing = [
         SphereObstacle(c, r, v).barrier(GAINS, [0, 1])

@@ -34,7 +34,7 @@ _OVERRIDES = (
     "{input_set: {lower: [-1, -1], upper: [1, 1], A: [[1, 1]], b: [0.5]}}",
     "{faults: {gusts: [{amplitude: [1.0], start: 2.0}], sight: 1.0}}",
     "{obstacles: &o [{center: [1, 2], radius: 3}], target: [1e-3, -.inf]}",
-    "{volume: {guard: width, widening: 8}}",
+    "{volume: {gain: slow, widening: 8}}",
     "{a: &a [*a], <<: {b: 1}, ? [c] : d}",
 )
 

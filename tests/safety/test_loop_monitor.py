@@ -127,13 +127,13 @@ def test_a_threshold_left_out_is_a_tenth_of_the_start(
     assert lines == []
     safety_filter = loop.get_system().GetSubsystemByName("filter")
     context = safety_filter.GetMyContextFromRoot(loop.get_context())
-    assert safety_filter.thresholds(context)[0] == pytest.approx(threshold)
+    assert safety_filter.threshold(context) == pytest.approx(threshold)
     volume = safety_filter.GetOutputPort("volume").Eval(context)[0]
     assert volume == pytest.approx(determinant - threshold)
     root = loop.get_mutable_context()
     root.SetContinuousState([0.0, 0.0, 0.9 * speed, 0.0])
-    found = safety_filter.thresholds(safety_filter.GetMyContextFromRoot(root))
-    assert found[0] == pytest.approx(threshold)
+    found = safety_filter.threshold(safety_filter.GetMyContextFromRoot(root))
+    assert found == pytest.approx(threshold)
 
 
 @pytest.mark.parametrize("policy", ["stop", "least_violation"])

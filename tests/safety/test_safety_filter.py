@@ -27,7 +27,7 @@ from vcbf_drake.safety import (
     safety_filter as safety_filter_module,
     unpack_feasible_set,
 )
-from vcbf_drake.safety.volume import VolumeBarrier, VolumeMeasure, volume_row
+from vcbf_drake.safety.volume import VolumeBarrier, VolumeMeasure
 
 LIMITS = InputSet.box([-0.05, -0.2, -0.02], [0.25, 0.2, 0.02])
 CLOSE = np.array([0.0, 0.0, 0.0, 0.1, 0.25, 0.0, 0.1, 0.0])
@@ -203,52 +203,6 @@ def test_a_volume_that_cannot_be_verified_is_said_and_its_row_left_out(
     assert np.isnan(evaluate(safety_filter, context, "volume")[0])
     assert evaluate(safety_filter, context, "status")[0] == FilterStatus.FAILED
     np.testing.assert_array_equal(evaluate(safety_filter, context, "command"), expected)
-
-
-def test_the_guards_row_is_kept_beside_the_volume_row(model):
-    """The guard is the determinant, its row as a filter with that measure has it."""
-    settings = {"widening": 4.0, "gain": 50.0}
-    alone = make_filter(model, volume=VolumeBarrier(**settings))
-    guarded = make_filter(
-        model, volume=VolumeBarrier(**settings, guard="volume", guard_gain=0.05)
-    )
-    paper = make_filter(model, volume=VolumeBarrier(gain=0.05))
-    context = fixed(paper, CLOSE)
-    a, c = volume_row(
-        paper.volume(context),
-        *model.drift_and_input_matrix(CLOSE),
-        model.disturbance_matrix,
-        paper.knowledge(context),
-        0.05,
-        total_derivative=True,
-    )
-    u_alone, u_guarded = (
-        evaluate(f, fixed(f, CLOSE), "command") for f in (alone, guarded)
-    )
-    assert a @ u_alone > c + 1.0
-    assert a @ u_guarded <= c + 1e-9
-
-
-def test_without_a_guard_its_gain_does_not_matter(model):
-    def chosen(guard_gain, **options):
-        barrier = VolumeBarrier(gain=50.0, guard_gain=guard_gain, **options)
-        f = make_filter(model, volume=barrier)
-        return evaluate(f, fixed(f, CLOSE), "command")
-
-    np.testing.assert_array_equal(chosen(0.05), chosen(50.0))
-    assert np.abs(chosen(0.05, guard="volume") - chosen(50.0)).max() > 1e-3
-
-
-def test_a_method_without_a_volume_row_has_no_guard_either(model):
-    barrier = VolumeBarrier(guard="volume", guard_gain=0.05)
-    guarded, plain = (
-        make_filter(model, method="dob-cbf-qp", volume=v)
-        for v in (barrier, VolumeBarrier())
-    )
-    np.testing.assert_array_equal(
-        evaluate(guarded, fixed(guarded, CLOSE), "command"),
-        evaluate(plain, fixed(plain, CLOSE), "command"),
-    )
 
 
 def test_far_from_everything_the_volume_is_on_its_plateau(model):

@@ -135,7 +135,7 @@ def test_another_solver_of_the_ellipsoid_has_the_filters_volume(solver, widening
     compared = 0
     for safety_filter, context in random_ticks(20, volume=barrier):
         volume = (
-            safety_filter.volume(context).value + safety_filter.thresholds(context)[0]
+            safety_filter.volume(context).value + safety_filter.threshold(context)
         )
         programs = safety_filter.programs(context)
         if programs is None or volume < 0.05:

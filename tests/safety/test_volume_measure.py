@@ -240,7 +240,6 @@ def run(volume):
     [
         {},
         {"widening": 4.0, "gain": 0.2},
-        {"widening": 4.0, "gain": 0.2, "guard": "volume"},
     ],
 )
 def test_logged_ellipsoid_is_that_of_the_set_itself(volume):
@@ -278,10 +277,6 @@ def test_widening_wakes_the_row_earlier():
 
 
 def test_volume_barrier_says_what_is_allowed():
-    with pytest.raises(
-        ValueError, match=r"guard: 'area'; it must be one of none, volume"
-    ):
-        VolumeBarrier(guard="area")
     with pytest.raises(
         ValueError, match=r"widening: 0\.5; it must be finite and at least 1"
     ):

@@ -75,7 +75,7 @@ def assumptions(
             levels,
             authority,
             float(volume[0]),
-            safety_filter.thresholds(filter_context)[0],
+            safety_filter.threshold(filter_context),
         ),
     ]
     if safety_filter.gate is not None:

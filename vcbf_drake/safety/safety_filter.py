@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from typing import TypeAlias, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from pydrake.systems.framework import (
@@ -47,8 +47,6 @@ from vcbf_drake.safety.volume import Volume, threshold_of
 from vcbf_drake.safety.volume_rows import VolumeRows, above
 from vcbf_drake.typed import typed
 
-# V_v of the volume row, and of its guard.
-_Volumes: TypeAlias = tuple[Volume | None, Volume | None]
 _Made = TypeVar("_Made")
 
 
@@ -237,24 +235,24 @@ class SafetyFilter(CachedSystem):
         self._feasible_entry = self._entry(
             "feasible set", self._calc_feasible_set, needs
         )
-        self._determinants_entry = self._entry(
-            "determinants", self._calc_determinants, {self._feasible_entry.ticket()}
+        self._determinant_entry = self._entry(
+            "determinants", self._calc_determinant, {self._feasible_entry.ticket()}
         )
-        needs = {self._determinants_entry.ticket()}
+        needs = {self._determinant_entry.ticket()}
         if self.settings.volume.threshold is None:
-            # xi of volume and guard, from the first tick on: known before anything
-            # else happens there, so that the tick is decided once.
-            self.DeclareDiscreteState([np.nan, np.nan])
-            self.DeclareInitializationUnrestrictedUpdateEvent(self._take_thresholds)
+            # xi, from the first tick on: known before anything else happens there, so
+            # that the tick is decided once.
+            self.DeclareDiscreteState([np.nan])
+            self.DeclareInitializationUnrestrictedUpdateEvent(self._take_threshold)
             self.DeclarePeriodicDiscreteUpdateEvent(
-                self.settings.period, 0.0, self._keep_thresholds
+                self.settings.period, 0.0, self._keep_threshold
             )
             needs.add(self.xd_ticket())
-        self._volumes_entry = self._entry("volumes", self._calc_volumes, needs)
+        self._volume_entry = self._entry("volumes", self._calc_volume, needs)
         self._asked = {self._reference.ticket(), self._held_input.ticket()}
         needs = {self._feasible_entry.ticket(), *self._asked}
         if self.method.has_volume_row:
-            needs.add(self._volumes_entry.ticket())
+            needs.add(self._volume_entry.ticket())
         self._decision_entry = self._entry("decision", self._calc_decision, needs)
 
     def _declare_outputs(self) -> None:
@@ -289,7 +287,7 @@ class SafetyFilter(CachedSystem):
             )
         self._output("row_margin", 1, decision, lambda decided: [decided.row_margin])
         self._output(
-            "volume", 1, self._volumes_entry, lambda v: [v[0].value if v[0] else np.nan]
+            "volume", 1, self._volume_entry, lambda v: [v.value if v else np.nan]
         )
         self._output("barriers", N, rows, lambda found: found.value)
         self._output(
@@ -308,7 +306,7 @@ class SafetyFilter(CachedSystem):
             "feasible_set",
             n_rows * (m + 1) + m * (m + 1),
             self._calc_packed_feasible_set,
-            {self._volumes_entry.ticket()},
+            {self._volume_entry.ticket()},
         )
 
     @property
@@ -342,8 +340,8 @@ class SafetyFilter(CachedSystem):
 
     def volume(self, context: Context) -> Volume | None:
         """Returns V_v with its derivatives; None when it could not be computed."""
-        volume, _ = self._volumes(context)
-        return volume
+        value: Volume | None = held_by(self._volume_entry, context)
+        return value
 
     def decision(self, context: Context) -> FilterDecision:
         """Returns the chosen input and how it was found."""
@@ -391,43 +389,33 @@ class SafetyFilter(CachedSystem):
             self._linear,
         )
 
-    def thresholds(self, context: Context) -> tuple[float, float]:
-        """Returns xi of the volume row and of its guard.
+    def threshold(self, context: Context) -> float:
+        """Returns xi of the volume barrier.
 
         Where the settings have none, a share of what the set had at the first tick
         that had one; before it, of what it has.
         """
-        given = self.settings.volume.threshold
-        if given is not None:
-            return given, given
-        kept = context.get_discrete_state_vector().CopyToVector()
-        if np.isnan(kept[0]):
-            found = held_by(self._determinants_entry, context)
-            m = self.input_set.num_inputs
-            kept = [threshold_of(v.value if v else np.nan, m) for v in found]
-        return float(kept[0]), float(kept[1])
+        if self.settings.volume.threshold is not None:
+            return self.settings.volume.threshold
+        kept = float(context.get_discrete_state_vector()[0])
+        if not np.isnan(kept):
+            return kept
+        found: Volume | None = held_by(self._determinant_entry, context)
+        return threshold_of(found.value if found else np.nan, self.input_set.num_inputs)
 
-    def _take_thresholds(self, context: Context, state: State) -> EventStatus:
-        state.get_mutable_discrete_state().set_value(self.thresholds(context))
+    def _take_threshold(self, context: Context, state: State) -> EventStatus:
+        state.get_mutable_discrete_state().set_value([self.threshold(context)])
         return EventStatus.Succeeded()
 
-    def _keep_thresholds(self, context: Context, discrete: DiscreteValues) -> None:
-        discrete.set_value(self.thresholds(context))
+    def _keep_threshold(self, context: Context, discrete: DiscreteValues) -> None:
+        discrete.set_value([self.threshold(context)])
 
-    def _calc_determinants(self, context: Context) -> _Volumes:
-        feasible, rows = self.feasible_set(context), self._volume_rows
-        guard = rows.determinant(feasible, guard=True) if rows.has_guard else None
-        return rows.determinant(feasible), guard
+    def _calc_determinant(self, context: Context) -> Volume | None:
+        return self._volume_rows.determinant(self.feasible_set(context))
 
-    def _calc_volumes(self, context: Context) -> _Volumes:
-        volume, guard = held_by(self._determinants_entry, context)
-        thresholds = self.thresholds(context)
-        return above(thresholds[0], volume), above(thresholds[1], guard)
-
-    def _volumes(self, context: Context) -> _Volumes:
-        """V_v, and the guard's where there is one."""
-        found: _Volumes = held_by(self._volumes_entry, context)
-        return found
+    def _calc_volume(self, context: Context) -> Volume | None:
+        determinant: Volume | None = held_by(self._determinant_entry, context)
+        return above(self.threshold(context), determinant)
 
     def _calc_decision(self, context: Context) -> FilterDecision:
         decision = self._method_decision(context)
@@ -450,8 +438,8 @@ class SafetyFilter(CachedSystem):
         rows: list[VolumeRow] = []
         failed = False
         if self.method.has_volume_row:
-            volumes = self._volumes(context)
-            rows, failed = self._volume_rows.rows(state, feasible, *volumes)
+            v = self.volume(context)
+            rows, failed = self._volume_rows.rows(state, feasible, v)
 
         always = self.method.feasibility == "decay"
         decay_rates = None
@@ -499,8 +487,8 @@ class SafetyFilter(CachedSystem):
         return failed_decision(feasible, reference, held, inputs).input
 
     def _calc_packed_feasible_set(self, context: Context, output: BasicVector) -> None:
-        feasible, volumes = self.feasible_set(context), self._volumes(context)
-        frame, center = self._volume_rows.ellipsoid(feasible, volumes)
+        feasible, known = self.feasible_set(context), self.volume(context)
+        frame, center = self._volume_rows.ellipsoid(feasible, known)
         output.SetFromVector(pack_feasible_set(feasible.A, feasible.b, frame, center))
 
 

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from vcbf_drake.checks import Array, check_parameter, require, require_choice
+from vcbf_drake.checks import Array, check_parameter, require
 from vcbf_drake.errors import EmptySetError
 from vcbf_drake.safety.ellipsoid import (
     THINNEST,
@@ -20,7 +20,6 @@ from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.programs import DEFAULT_SOLVER
 from vcbf_drake.typed import check_fields
 
-GUARDS = ("none", "volume")
 # The thresholds that a start can lead to: the least is a ball of this radius.
 _LEAST_RADIUS, _MOST_THRESHOLD = 1e-4, 0.02
 
@@ -39,21 +38,16 @@ class VolumeBarrier:
         slack_penalty: M, the weight of the squared slack; unused with the exact slack.
         widening: kappa >= 1: the input set is taken this many times as wide, so that
             rows are felt before they cut it (E58).
-        guard: ``volume`` for a second row, of the set as it is, that gives way last;
-            or ``none``.
-        guard_gain: How fast the guard may decrease towards zero [1/s].
     """
 
     threshold: float | None = None
     gain: float = 3.0
     slack_penalty: float = 1000.0
     widening: float = 1.0
-    guard: str = "none"
-    guard_gain: float = 3.0
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for name in ("gain", "slack_penalty", "guard_gain"):
+        for name in ("gain", "slack_penalty"):
             check_parameter(name, getattr(self, name))
         if self.threshold is not None:
             check_parameter("threshold", self.threshold)
@@ -61,7 +55,6 @@ class VolumeBarrier:
             require(self.threshold < 1.0, "threshold", self.threshold, rule)
         is_wide = math.isfinite(self.widening) and self.widening >= 1.0
         require(is_wide, "widening", self.widening, "finite and at least 1")
-        require_choice("guard", self.guard, GUARDS)
 
     @property
     def label(self) -> str:

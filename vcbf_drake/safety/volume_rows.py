@@ -1,8 +1,7 @@
-"""VolumeRows: V_v of a filter's feasible sets, and its rows in the QP."""
+"""VolumeRows: V_v of a filter's feasible sets, and its row in the QP."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 from functools import cached_property
 
@@ -21,7 +20,7 @@ from vcbf_drake.safety.volume import Volume, VolumeMeasure, volume, volume_row
 
 
 class VolumeRows:
-    """The volume barrier of one filter, and its guard where there is one.
+    """The volume barrier of one filter.
 
     Args:
         model: The plant's f, g, E.
@@ -30,16 +29,12 @@ class VolumeRows:
 
     Raises:
         ValueError: The method has a volume barrier, and the input set no bounds.
-
-    Attributes:
-        has_guard: Whether a second row, of the set as it is, gives way last.
     """
 
     def __init__(
         self, model: ControlAffineModel, input_set: InputSet, settings: FilterSettings
     ) -> None:
         self._model, self._input_set, self._settings = model, input_set, settings
-        self.has_guard = settings.volume.guard != "none"
         solver = settings.solver
         self._is_bounded = input_set.is_bounded
         if not self._is_bounded:
@@ -51,26 +46,17 @@ class VolumeRows:
                 " take a method without volume barrier, as dob-cbf-qp"
             )
         self._measure = VolumeMeasure(input_set, 0.0, settings.volume.widening, solver)
-        self._guard_measure = VolumeMeasure(input_set, 0.0, 1.0, solver)
         self._ellipsoids = InscribedEllipsoidSolver(input_set, solver)
 
-    def determinant(
-        self, feasible: FeasibleSet, *, guard: bool = False
-    ) -> Volume | None:
-        """Returns V_v + xi with its derivatives; None where it cannot be verified.
-
-        Args:
-            feasible: The feasible set.
-            guard: Of the set as it is, whatever the widening.
-        """
+    def determinant(self, feasible: FeasibleSet) -> Volume | None:
+        """Returns V_v + xi with its derivatives; None where it cannot be verified."""
         if not (feasible.is_finite and self._is_bounded):
             return None
-        measure = self._guard_measure if guard else self._measure
-        if feasible.is_uncut and measure.widening == 1.0:
+        if feasible.is_uncut and self._measure.widening == 1.0:
             return self._unmoved
         k = feasible.num_input_rows
         try:
-            measured = measure(feasible.A_v[k:], feasible.b_v[k:])
+            measured = self._measure(feasible.A_v[k:], feasible.b_v[k:])
         except (SolverError, np.linalg.LinAlgError):
             return None
         return volume(measured, feasible, self._input_set)
@@ -78,14 +64,12 @@ class VolumeRows:
     @cached_property
     def _unmoved(self) -> Volume:
         """V_v + xi of the input set as it is."""
-        measured = self._guard_measure(
-            np.zeros((0, self._model.num_inputs)), np.zeros(0)
-        )
+        measured = self._measure(np.zeros((0, self._model.num_inputs)), np.zeros(0))
         n, q = self._model.num_states, self._model.num_disturbances
         return Volume.unmoved(measured, n, q)
 
     def ellipsoid(
-        self, feasible: FeasibleSet, known: Iterable[Volume | None]
+        self, feasible: FeasibleSet, known: Volume | None
     ) -> tuple[Array, Array]:
         """Returns frame (m, m) and center (m,) of the largest ellipsoid of inputs.
 
@@ -93,14 +77,14 @@ class VolumeRows:
 
         Args:
             feasible: The feasible set.
-            known: Volumes that may have found it already.
+            known: V_v, which may have found it already.
         """
         inputs, k = self._input_set, feasible.num_input_rows
         m = inputs.num_inputs
         nothing = np.full((m, m), np.nan), np.full(m, np.nan)
         if not self._is_bounded:
             return nothing
-        found = next((v.ellipsoid for v in known if v and v.ellipsoid), None)
+        found = known.ellipsoid if known else None
         try:
             found = found or self._ellipsoids.solve(feasible.A_v[k:], feasible.b_v[k:])
         except (VcbfError, ValueError, np.linalg.LinAlgError):
@@ -109,36 +93,23 @@ class VolumeRows:
         return frame, inputs.center + inputs.scale * found.center
 
     def rows(
-        self,
-        state: Array,
-        feasible: FeasibleSet,
-        v: Volume | None,
-        guard: Volume | None,
+        self, state: Array, feasible: FeasibleSet, v: Volume | None
     ) -> tuple[list[VolumeRow], bool]:
-        """Returns the rows that act, the guard's first, and whether one is missing.
+        """Returns the row, where it acts, and whether it is missing.
 
         Args:
             state: Shape (n,).
             feasible: The feasible set.
             v: V_v of it.
-            guard: The guard's, where there is one.
         """
-        barrier = self._settings.volume
-        measured = [("volume", v, barrier.gain)]
-        if self.has_guard:
-            measured.insert(0, ("guard", guard, barrier.guard_gain))
-        rows = [
-            self._row(state, feasible, name, each, gain)
-            for name, each, gain in measured
-            if each is not None and not each.is_on_plateau  # Else 0 <= lambda_Vv V_v.
-        ]
-        finite = [row for row in rows if row.is_finite]
-        is_whole = len(finite) == len(rows) and all(each for _, each, _ in measured)
-        return finite, not is_whole
+        if v is None:
+            return [], True
+        if v.is_on_plateau:  # 0 <= lambda_Vv V_v.
+            return [], False
+        row = self._row(state, feasible, v)
+        return ([row], False) if row.is_finite else ([], True)
 
-    def _row(
-        self, state: Array, feasible: FeasibleSet, name: str, v: Volume, gain: float
-    ) -> VolumeRow:
+    def _row(self, state: Array, feasible: FeasibleSet, v: Volume) -> VolumeRow:
         drift, input_matrix = self._model.drift_and_input_matrix(state)
         a, c = volume_row(
             v,
@@ -146,11 +117,11 @@ class VolumeRows:
             input_matrix,
             self._model.disturbance_matrix,
             feasible.known,
-            gain,
+            self._settings.volume.gain,
             self._settings.corrections.total_derivative,
         )
         penalty = self._settings.volume.slack_penalty * v.unit**2
-        return VolumeRow(a / v.unit, c / v.unit, penalty, name, v.unit)
+        return VolumeRow(a / v.unit, c / v.unit, penalty, unit=v.unit)
 
 
 def above(threshold: float, determinant: Volume | None) -> Volume | None:
