@@ -134,9 +134,7 @@ def test_another_solver_of_the_ellipsoid_has_the_filters_volume(solver, widening
     barrier = VolumeBarrier(widening=widening)
     compared = 0
     for safety_filter, context in random_ticks(20, volume=barrier):
-        volume = (
-            safety_filter.volume(context).value + safety_filter.threshold(context)
-        )
+        volume = safety_filter.volume(context).value + safety_filter.threshold(context)
         programs = safety_filter.programs(context)
         if programs is None or volume < 0.05:
             continue
