@@ -1,4 +1,4 @@
-"""A bus in memory without DrakeLcm's file descriptors: properties make thousands."""
+"""Buses in memory that stand in for DrakeLcm."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 
 class MemoryLcm:
-    """Stands in for a DrakeLcm; keeps every message until it is handled."""
+    """Without file descriptors, as properties make thousands; keeps every message."""
 
     def __init__(self) -> None:
         self._handlers: defaultdict[str, list[Callable[[bytes], None]]]
@@ -26,3 +26,33 @@ class MemoryLcm:
             for handler in self._handlers[channel]:
                 handler(data)
         return len(sent)
+
+
+class OneSlotLcm:
+    """One process's end of a bus: as DrakeLcm's, it keeps the first of a burst.
+
+    Args:
+        ends: All ends of the bus; this one joins them.
+    """
+
+    def __init__(self, ends: list[OneSlotLcm]) -> None:
+        self._ends = ends
+        ends.append(self)
+        self._handlers: defaultdict[str, list[Callable[[bytes], None]]]
+        self._handlers = defaultdict(list)
+        self._slots: dict[str, bytes] = {}
+
+    def Publish(self, channel: str, data: bytes) -> None:
+        for end in self._ends:
+            if channel in end._handlers:
+                end._slots.setdefault(channel, data)
+
+    def Subscribe(self, channel: str, handler: Callable[[bytes], None]) -> None:
+        self._handlers[channel].append(handler)
+
+    def HandleSubscriptions(self, milliseconds: int) -> int:
+        kept, self._slots = self._slots, {}
+        for channel, data in kept.items():
+            for handler in self._handlers[channel]:
+                handler(data)
+        return len(kept)

@@ -25,6 +25,7 @@ from vcbf_drake.hil import (
     LinkFaults,
     LoggedController,
     SimulatedClock,
+    controller_of,
     read_event_log,
     replay_log,
     start_log,
@@ -123,6 +124,27 @@ def test_silence_and_a_controller_that_starts_again_come_out_again() -> None:
     assert len({command.session for command in commands}) == 2
     again = driven(loaded, events)
     assert of(again, "VCBF_COMMAND") == of(events, "VCBF_COMMAND")
+
+
+def test_a_controller_that_was_not_followed_comes_out_again() -> None:
+    """Of most of its ticks there is a status alone, until it is followed."""
+    loaded = scenario("car-avoidance")
+    run = InProcess(loaded)
+    run.advance_to(0.5)
+    run.clock.now += 1
+    events: list[Event] = []
+    bus = Bus(run.lcm, run.clock)
+    bus.taps.append(lambda *event: events.append(Event(*event)))
+    second = controller_of(loaded, bus)
+    for tick in range(26, 180):
+        if tick == 120:
+            run.kill_controller()
+        run.advance_to(0.02 * tick)
+        second.step()
+        run.plant.bus.poll()
+    commands = of(events, "VCBF_COMMAND")
+    assert 50 < len(commands) < 80
+    assert of(driven(loaded, events), "VCBF_COMMAND") == commands
 
 
 def test_a_log_without_commands_has_every_state_acted_on() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from pydrake.lcm import DrakeLcm
 import pytest
 
+from tests.helpers.memory_bus import OneSlotLcm
 from tests.helpers.relayed_loop import RelayedLoop
 from vcbf_drake import load_scenario, simulate
 from vcbf_drake.hil import (
@@ -122,7 +123,8 @@ def test_a_second_controller_is_not_followed_and_both_say_so() -> None:
         second.step()
         run.plant.bus.poll()
     assert run.plant.mode is VehicleMode.FOLLOWING
-    assert run.plant.report()["arrived"]["rejected"] == {Reason.SESSION.value: 34}
+    # Once a second it shows itself, so that the vehicle can say so, too.
+    assert run.plant.report()["arrived"]["rejected"] == {Reason.SESSION.value: 1}
     mine = [s for s in statuses if s.session == run.controller.bus.session]
     others = [s for s in statuses if s.session == second.bus.session]
     assert all(s.followed and not s.reason for s in mine)
@@ -142,6 +144,52 @@ def test_a_second_controller_is_not_followed_and_both_say_so() -> None:
     run.advance_to(2.0)
     assert statuses[-1].followed
     assert statuses[-1].session == first.bus.session
+
+
+def test_a_second_controller_does_not_talk_the_first_one_down() -> None:
+    """Both answer a state at once, the second always first, into one slot."""
+    clock, ends = SimulatedClock(), []
+    loaded = load_scenario(CAR)
+    first, vehicle = (
+        make(loaded, Bus(OneSlotLcm(ends), clock))
+        for make in (controller_of, PlantProcess)
+    )
+    statuses: list[vcbf_status] = []
+    ear = OneSlotLcm(ends)
+    ear.Subscribe("VCBF_STATUS", lambda data: statuses.append(vcbf_status.decode(data)))
+    vehicle.diagram.ForcedPublish(vehicle.context)
+    controllers, epoch = [first], clock.now
+    for tick in range(150):
+        clock.now = epoch + round(2e4 * tick)
+        vehicle.advance_to(0.02 * tick)
+        if tick == 10:
+            controllers.insert(0, controller_of(loaded, Bus(OneSlotLcm(ends), clock)))
+        for controller in controllers:
+            controller.step()
+        ear.HandleSubscriptions(0)
+        vehicle.bus.poll()
+    report = vehicle.report()
+    assert [change["mode"] for change in report["changes"]] == ["waiting", "following"]
+    assert report["arrived"]["rejected"] == {Reason.SESSION.value: 3}
+    assert report["arrived"]["lost"] <= 3
+    assert first.diagram.GetSubsystemByName("state_receiver").is_followed
+
+
+def test_a_standby_is_followed_from_the_first_one_s_farewell_on() -> None:
+    run = InProcess(load_scenario(CAR))
+    run.advance_to(0.5)
+    run.clock.now += 1
+    second = controller_of(load_scenario(CAR), Bus(run.lcm, run.clock))
+    for tick in range(26, 50):
+        # Its last words are said again and again.
+        leaves = tick > 45
+        run.controller.diagram.GetSubsystemByName("command_sender").ending = leaves
+        run.advance_to(0.02 * tick)
+        second.step()
+        run.plant.bus.poll()
+    modes = [change["mode"] for change in run.plant.report()["changes"]]
+    assert modes == ["waiting", "following", "fallback", "following"]
+    assert second.diagram.GetSubsystemByName("state_receiver").is_followed
 
 
 def test_a_controller_that_takes_over_openly_is_followed_at_once() -> None:

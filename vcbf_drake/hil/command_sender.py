@@ -37,6 +37,10 @@ from vcbf_drake.safety import (
 )
 from vcbf_drake.simulation.scenario import Hardware
 
+# The share of its timeout for which a vehicle may hear nothing from the controller that
+# it follows, before another one speaks up; and how often that one shows itself [us].
+_SHARE, _BETWEEN_SIGNS = 0.5, 1_000_000
+
 
 class CommandSender(LeafSystem):
     """Publishes what the vehicle is to apply, and beside it what the filter did.
@@ -58,7 +62,9 @@ class CommandSender(LeafSystem):
 
     `input` is the held input; everything else is sampled at the ticks. It sends
     periodically and at forced events: a status from the start on, commands from the
-    first tick on. Watchdogs say whether the input may be applied. An infeasible tick
+    first tick on. While the vehicle follows another controller one command a second is
+    sent, no more: those of both would displace each other where the vehicle looks.
+    Watchdogs say whether the input may be applied. An infeasible tick
     whose policy is ``stop`` asks for the vehicle's fallback, too, and so does, with the
     setting `Hardware.audit` ``fallback``, what the measurements refute.
 
@@ -97,6 +103,7 @@ class CommandSender(LeafSystem):
         self.deadlines_missed = 0
         self._bus, self._filter, self._receiver = bus, safety_filter, receiver
         self._delta1, self._settings = delta1, settings
+        self._showed_itself_at = -math.inf
         self._watchdogs = tuple(watchdogs)
         self._method = next(
             name for name, each in METHODS.items() if each is safety_filter.method
@@ -186,7 +193,7 @@ class CommandSender(LeafSystem):
         stamp = StateStamp(*sample["stamp"].tolist())
         verdict, u = self.verdict(context), self._input.Eval(context)
         is_ticking = not math.isnan(stamp.sequence)
-        if is_ticking:
+        if is_ticking and self._speaks(stamp):
             command = command_message(u, verdict.mode, stamp)
             command.state_age = self._held_for(stamp)
             command.takes_over = self.takes_over
@@ -200,6 +207,17 @@ class CommandSender(LeafSystem):
         status.num_findings = len(status.findings)
         self._statuses.send(status)
         self.last_status = status
+
+    def _speaks(self, stamp: StateStamp) -> bool:
+        """Whether a command is sent; told by what the states say alone."""
+        lately = _SHARE * self._settings.command_timeout
+        if self.takes_over or not self._receiver.follows_another(lately):
+            self._showed_itself_at = -math.inf
+        elif stamp.utime - self._showed_itself_at < _BETWEEN_SIGNS:
+            return False
+        else:
+            self._showed_itself_at = stamp.utime
+        return True
 
     def _held_for(self, stamp: StateStamp) -> int:
         """How long ago the state that is answered came [us]."""

@@ -50,8 +50,9 @@ _OBSTACLES, _STATUSES = "VCBF_OBSTACLES", "VCBF_STATUS"
 class LoggedController:
     """Feeds what a vehicle said, as logged, to a controller, over ``memq://``.
 
-    The clock is the log's. The controller acts on the states that the log has commands
-    for, when those were sent, and on every state if the log has no commands at all. A
+    The clock is the log's. The controller acts on the states that the log has a command
+    for, or a status alone, when those were sent, and on every state if the log has
+    neither. A
     controller that started again in the log starts again here. So the log of a
     controller makes the same commands again, bit for bit; the log of a vehicle does so
     as far as all messages arrived.
@@ -85,10 +86,12 @@ class LoggedController:
             state = command.state_session, command.state_sequence
             if self.logged.setdefault(state, command) is not command:
                 self._repeated[_key(command)] = command
+        # Of a controller that the vehicle did not follow there are statuses alone.
+        self._answers: dict[_Key, Any] = {**self._acted_on(), **self.logged}
 
     def run(self) -> None:
         """Drives the controller through the whole log."""
-        first = min((c.session for c in self.logged.values()), default=None)
+        first = min((each.session for each in self._answers.values()), default=None)
         self._start(self._events[0].utime if first is None else first)
         for event in self._events:
             if first is not None and event.utime < first:
@@ -128,6 +131,20 @@ class LoggedController:
                 if not isinstance(message, Rejection):
                     yield message
 
+    def _acted_on(self) -> dict[_Key, vcbf_status]:
+        """The first status of each state that was acted on."""
+        found: dict[_Key, vcbf_status] = {}
+        sessions: dict[int, int] = {}
+        for event in self._events:
+            if event.channel == self._states and (state := _decoded(vcbf_state, event)):
+                sessions[state.sequence] = state.session
+            elif event.channel == _STATUSES:
+                status = _decoded(vcbf_status, event)
+                if status is not None and status.state_sequence in sessions:
+                    session = sessions[status.state_sequence]
+                    found.setdefault((session, status.state_sequence), status)
+        return found
+
     def _start(self, session: int) -> None:
         self._clock = SimulatedClock(session)
         self._bus = Bus(DrakeLcm("memq://"), self._clock)
@@ -145,13 +162,13 @@ class LoggedController:
         if newest is before:
             return
         self.on_state(newest)
-        answer = self.logged.get(_key(newest))
+        answer = self._answers.get(_key(newest))
         if answer is not None and answer.session > self._bus.session:
             self._start(answer.session)
             self._hear(event)
         if answer is not None:
             self._clock.now = answer.utime
-        if answer is not None or not self.logged:
+        if answer is not None or not self._answers:
             self.controllers[-1].step()
 
     def _hear(self, event: Event) -> None:

@@ -159,6 +159,14 @@ class StateReceiver(LeafSystem):
         newest = self.inbox.newest
         return newest is not None and newest.command_session == self._bus.session
 
+    def follows_another(self, within: float) -> bool:
+        """Returns whether it applies another's command, which came so lately [s]."""
+        newest = self.inbox.newest
+        if newest is None or self.is_followed or newest.command_session <= 0:
+            return False
+        applies = newest.mode == VehicleMode.FOLLOWING
+        return applies and bool(newest.command_age < 1e6 * within)
+
     def notice(self) -> str:
         """Returns who else speaks under this name; empty if nobody does."""
         newest, now = self.inbox.newest, self._bus.clock.utime()
