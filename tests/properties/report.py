@@ -30,8 +30,8 @@ Random ticks of the filter: rows in general position, through one point, given t
 opposite, nearly parallel, with zeros for coefficients; sets that are empty, nearly so,
 as small as 1e-9 or as far as 1e8; boxes and polytopes of 1 to 4 inputs, 0 to 8 rows, in
 units from 1e-8 to 1e8; references up to 1e12 input ranges away; nan and infinities
-anywhere; every policy, both slacks, up to two volume rows; and the filters of a blimp
-and a car at random states, under every method.
+anywhere; every policy that asks for nothing but the rows, both slacks, up to two
+volume rows; and the filters of a blimp and a car at random states, under every method.
 
 Every answer is checked by arithmetic that shares no code with the filter and asks no
 solver: a point proves that there is one, multipliers prove that none is better or that
