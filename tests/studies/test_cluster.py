@@ -100,7 +100,7 @@ def test_a_killed_worker_costs_its_trials_time_and_nothing_else(
 def test_a_trial_that_kills_its_workers_is_recorded_and_no_other(
     address: str, in_one_process: bytes, tmp_path: Path
 ) -> None:
-    deadly = Trial(BLIMP, "cbf-qp", 0, variation=Deadly("deadly"))
+    deadly = Trial(BLIMP, "cbf-qp", 0, variation=Deadly(label="deadly"))
     path = tmp_path / "trials.jsonl"
     with dask_executor(address) as executor:
         records = run_study([*TRIALS[:3], deadly, *TRIALS[3:]], path, executor)
