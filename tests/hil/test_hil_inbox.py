@@ -245,8 +245,14 @@ class Pair:
         self._command: tuple[int, int] | None = None
         self.late: list[tuple[int, vcbf_state]] = []
 
-    def tick(self, there: int = 2 * MS, back: int = 2 * MS) -> None:
-        """The vehicle speaks; we answer; it has heard us, or 10 ms have passed."""
+    def tick(self, there: int = 2 * MS, back: int = 2 * MS, more: int = 0) -> None:
+        """The vehicle speaks; we answer; it has heard us, or 10 ms have passed.
+
+        Args:
+            there: How long its message takes [us].
+            back: How long ours takes [us].
+            more: How much too long it says that it has had ours [us].
+        """
         message = state(self.clock, self._sequence)
         message.session = self._session
         message.utime = message.utime_measured = self.clock.now + self.offset
@@ -254,7 +260,7 @@ class Pair:
         if self._command is not None:
             sent, came = self._command
             message.command_session, message.command_utime = 1, sent
-            message.command_age = message.utime - came
+            message.command_age = message.utime - came + more
         self._sequence += 1
         start = self.clock.now
         self.clock.now = start + there
@@ -326,6 +332,18 @@ def test_a_step_of_the_vehicle_s_clock_is_survived_and_reported(step: int) -> No
     assert clock.last_step == pytest.approx(step, abs=5 * MS)
     assert len(pair.accepted) >= 95
     assert pair.accepted[-1] == pair.clock.now - 8 * MS
+
+
+@pytest.mark.parametrize("more", [SECOND, 10**17, -(10**17)])
+def test_an_age_that_no_command_can_have_costs_no_state(more: int) -> None:
+    """As of a vehicle that fills in nanoseconds, or what happens to be there."""
+    pair = Pair(3 * SECOND)
+    for _ in range(50):
+        pair.tick(more=more)
+    clock = pair.inbox.peer_clock
+    assert not pair.inbox.rejections
+    assert clock.steps == 0
+    assert abs(clock.offset - 3 * SECOND) <= 3 * MS
 
 
 def test_without_a_round_trip_a_clock_set_back_is_believed_after_half_a_second() -> (

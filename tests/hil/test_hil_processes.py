@@ -142,6 +142,26 @@ def test_who_meets_nobody_says_so_and_ends_with_status_5(side, start) -> None:
 
 @needs_bus
 @pytest.mark.slow
+@pytest.mark.parametrize("side", ["plant", "controller"])
+def test_who_waits_under_another_name_is_told_of_those_who_are_there(
+    side, start
+) -> None:
+    alone = start(side, "--wait", "2", "--name", "mine")
+    base = "VCBF_STATE" if side == "controller" else "VCBF_STATUS"
+    others = [Bus(DrakeLcm(URL), name=name) for name in ("", "theirs", "mine")]
+    while alone.poll() is None:
+        # In turns: who looks now and then hears one of several that speak at once.
+        speaker = others[int(5 * time.monotonic()) % 3]
+        speaker.publish(base, b"whatever it says")
+        time.sleep(0.01)
+    _, err = alone.communicate(timeout=60.0)
+    assert alone.returncode == 5
+    names = "one without a name, theirs"
+    assert f"on this bus under other names: {names} (--name chooses)\n" in err
+
+
+@needs_bus
+@pytest.mark.slow
 def test_a_collision_ends_with_status_3_and_every_change_is_told(start) -> None:
     """Nobody commands any more, and the fallback is zero: the car hits the disc."""
     override = ("--override", "{hardware: {fallback: zero}}")

@@ -288,6 +288,32 @@ class Bus:
             tap(now, channel, data)
 
 
+class Neighbours:
+    """Listens for the other vehicles' names on a bus while nobody speaks under ours.
+
+    Args:
+        bus: The bus; it hears nothing of a ``memq://`` in one process.
+        base: A channel without a name: what whoever is waited for would send on.
+
+    Attributes:
+        names: What was heard.
+    """
+
+    def __init__(self, bus: Bus, base: str) -> None:
+        self.names: set[str] = set()
+        self._ours, self._lcm = bus.channel(base), DrakeLcm(bus.lcm.get_lcm_url())
+        self._lcm.SubscribeMultichannel(f"{base}(/.*)?", self._hear)
+
+    def listen(self) -> str:
+        """Returns what was heard so far, in words; empty for nobody."""
+        self._lcm.HandleSubscriptions(0)
+        return ", ".join(name or "one without a name" for name in sorted(self.names))
+
+    def _hear(self, channel: str, data: bytes) -> None:
+        if channel != self._ours:
+            self.names.add(channel.partition("/")[2])
+
+
 def check_name(name: str) -> None:
     """Checks that a vehicle's name may end a channel's.
 

@@ -12,7 +12,7 @@ from pydrake.lcm import DrakeLcm
 from pydrake.systems.framework import Context, Diagram
 
 from vcbf_drake.errors import ModelError
-from vcbf_drake.hil.bus import Bus, LinkFaults, SimulatedClock, Tap
+from vcbf_drake.hil.bus import Bus, LinkFaults, Neighbours, SimulatedClock, Tap
 from vcbf_drake.hil.command_sender import CommandSender, ControllerRecord
 from vcbf_drake.hil.controller_side import make_hardware_loop
 from vcbf_drake.hil.decoding import CommandMode, VehicleMode
@@ -129,22 +129,35 @@ class ControllerProcess(HardwareProcess):
             self._forget_the_start(self._receiver.inbox)
             self.bus.begin_session()  # Later than that of whom it takes over from.
         self._sender.takes_over = self.takes_over
-        began = self.bus.clock.utime()
+        if not self._wait_for_state(patience):
+            return
         while not (self._stopping or self._is_over()):
-            self.bus.wait(self.bus.clock.utime() + self._period)
-            self.step()
-            self._say()
-            waited = self.bus.clock.utime() - began
-            if self._session == 0 and waited > 1e6 * patience:
-                self.ending = "no peer"
-                self.tell(f"no vehicle was heard for {patience:g} s")
-                return
+            self._go_on()
         if self._stopping:
             self.ending = "stopped"
         elif self._is_infeasible():
             self.ending = "infeasible"
         self._sender.ending = True
         say_farewell(self._send)
+
+    def _wait_for_state(self, patience: float) -> bool:
+        """Sends a status until a state comes; returns whether not in vain."""
+        began = self.bus.clock.utime()
+        neighbours = Neighbours(self.bus, "VCBF_STATE")
+        while self._session == 0 and not self._stopping:
+            self._go_on()
+            self._tell_neighbours(neighbours, began)
+            waited = self.bus.clock.utime() - began
+            if self._session == 0 and waited > 1e6 * patience:
+                self.ending = "no peer"
+                self.tell(f"no vehicle was heard for {patience:g} s")
+                return False
+        return True
+
+    def _go_on(self) -> None:
+        self.bus.wait(self.bus.clock.utime() + self._period)
+        self.step()
+        self._say()
 
     def step(self) -> None:
         """Acts on the newest state; in a long silence, sends what the watchdog says."""

@@ -12,7 +12,7 @@ from pydrake.systems.analysis import SimulatorStatus
 from pydrake.systems.framework import Context
 
 from vcbf_drake.checks import Array
-from vcbf_drake.hil.bus import Bus
+from vcbf_drake.hil.bus import Bus, Neighbours
 from vcbf_drake.hil.decoding import ModeChange, VehicleMode
 from vcbf_drake.hil.mailbox import Inbox
 from vcbf_drake.hil.timing import Timeline, median_and_p99
@@ -23,6 +23,8 @@ from vcbf_drake.simulation.run import make_simulator
 from vcbf_drake.simulation.scenario import Scenario
 
 _TIMES, _PAUSE = 10, 0.05  # [s]
+# How long nobody is heard before others are told of [us].
+_LONELY = 1_000_000
 # The share of control periods, of a second's, that may be missed without a word.
 _MOST_MISSED = 0.1
 
@@ -84,6 +86,13 @@ class HardwareProcess:
         if self._told.get(subject, "") != text:
             self._told[subject] = text
             self.tell(line)
+
+    def _tell_neighbours(self, neighbours: Neighbours, began: int) -> None:
+        """Tells who else is on the bus, after waiting a while since `began` [us]."""
+        names = neighbours.listen()
+        if names and self.bus.clock.utime() - began > _LONELY:
+            line = f"on this bus under other names: {names} (--name chooses)"
+            self._tell_change("neighbours", names, line)
 
     def _tell_progress(
         self, line: Callable[[], str], missed: int, period: float
@@ -245,6 +254,7 @@ class PlantProcess(HardwareProcess):
     def _wait_for_command(self, patience: float) -> bool:
         """Stands until a command comes; returns whether one came."""
         began = self.bus.clock.utime()
+        neighbours = Neighbours(self.bus, "VCBF_STATUS")
         while self._receiver.inbox.newest is None:
             self._timeline.restart()
             if self._stopping:
@@ -257,6 +267,7 @@ class PlantProcess(HardwareProcess):
             self.diagram.ForcedPublish(self.context)
             self.bus.wait(self._timeline.utime(self.scenario.period))
             self._say()
+            self._tell_neighbours(neighbours, began)
         self._timeline.restart()
         return True
 

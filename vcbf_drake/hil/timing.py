@@ -146,8 +146,9 @@ def _bounds(exchange: Exchange) -> tuple[float, float]:
     if exchange.ours_sent is None or exchange.ours_age is None:
         return low, math.inf
     high = exchange.sent - exchange.ours_age - exchange.ours_sent
-    # No round trip is as long: whoever says so has not filled in those times.
-    return low, high if high - low < _LONGEST else math.inf
+    # No round trip is as long, and none takes less than no time: whoever says so has
+    # not filled in those times, or has set its clock since ours came.
+    return low, high if -_TOLERANCE <= high - low < _LONGEST else math.inf
 
 
 class RoundTrip:
