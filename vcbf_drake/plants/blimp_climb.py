@@ -125,10 +125,11 @@ class BlimpClimb(Manoeuvre):
             return [*ends, *5 * [anywhere], (time + i * T, time + k * T)]
 
         def beyond(i: int) -> Box | None:
-            low, high = axes[2].place(i)
             slowest, fastest = axes[2].velocity(i)
             if not (slowest > 0.0 if self._is_up else fastest < 0.0):
                 return None  # It does not go the right way yet.
+            # From the end of its cell, chord's slack and all, as later cells have one.
+            low, high = box(i, i + 1)[2]
             height = (low, ANYWHERE) if self._is_up else (-ANYWHERE, high)
             around = [anywhere, anywhere, height, *5 * [anywhere]]
             return [*around, (time + i * T, FOREVER)]
