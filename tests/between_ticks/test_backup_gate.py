@@ -7,10 +7,10 @@ are written out: nothing is shared with the tubes that are tested.
 import numpy as np
 import pytest
 
-from vcbf_drake.barriers import BarrierSet, SphereObstacle
+from vcbf_drake.barriers import BarrierSet, SphereObstacle, StateInputLimit
 from vcbf_drake.between_ticks import BackupGate
 from vcbf_drake.errors import ModelError
-from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.model import ControlAffineModel, Plan
 from vcbf_drake.plants import Blimp, BlimpParameters, Car, CarParameters
 from vcbf_drake.plants.car_stop import CarStop
 from vcbf_drake.safety import (
@@ -271,6 +271,91 @@ def test_a_manoeuvre_that_is_not_safe_is_told_before_it_collides():
             break
     assert least < 0.0
     assert told is not None and told[0] < k and told[1] > 0.1
+
+
+@pytest.mark.parametrize("wrong", [np.nan, -50.0])
+@pytest.mark.parametrize("distance", [0.2, 5.0])
+def test_a_manoeuvre_s_input_outside_the_set_never_leaves_nor_certifies(
+    wrong, distance
+):
+    class Wrong(CarStop):
+        def input(self, state):
+            return np.array([wrong, 0.0])
+
+    world, x = car_before_a_disc(distance, 0.8)
+    bounds = np.array([-1.0, -1.0]), np.array([1.0, 1.0])
+    world.gate.manoeuvres = (Wrong(2.0, *bounds, 0.1, 0.02),)
+    tick = Tick(
+        world.barriers.rows(x, 0.0), x, 0.0, DisturbanceKnowledge.constant(1, 0.0)
+    )
+    for status in (FilterStatus.FILTERED, FilterStatus.INFEASIBLE):
+        decision = world.gate.decide(tick, FilterDecision(np.zeros(2), status))
+        assert decision.is_certified is False
+        assert np.all(np.abs(decision.input) <= world.limits)
+
+
+def test_a_manoeuvre_whose_law_breaks_a_limit_of_the_input_certifies_nothing():
+    """The rows that limit the input ask for a force of 0.5 N at least: no brakes."""
+    world, x = car_before_a_disc(5.0, 0.1)
+    disc = SphereObstacle((5.5, 0.0), 0.5).barrier([4.0, 3.0])
+    push = StateInputLimit(lambda x, t, p: ([-1.0, 0.0], -0.5))
+    barriers = BarrierSet(world.model, [disc, push])
+    gate = BackupGate(world.model, barriers, world.inputs, 0.02, 0.1)
+    tick = Tick(barriers.rows(x, 0.0), x, 0.0, DisturbanceKnowledge.constant(1, 0.0))
+    pushed = FilterDecision(np.array([0.6, 0.0]), FilterStatus.FILTERED)
+    assert gate.decide(tick, pushed).is_certified is False
+
+
+@pytest.mark.parametrize("side", [(np.nan, np.nan), (1.0, -1.0)])
+def test_a_box_that_is_none_certifies_nothing(side):
+    class Boxes(CarStop):
+        def plan(self, state, time, u):
+            return Plan(1, lambda first, last: [*4 * [side], (time, 1e9)])
+
+    world, x = car_before_a_disc(5.0, 0.5)
+    bounds = np.array([-1.0, -1.0]), np.array([1.0, 1.0])
+    world.gate.manoeuvres = (Boxes(2.0, *bounds, 0.1, 0.02),)
+    assert world.decide(x, 0.0, np.zeros(2)).is_certified is False
+
+
+def test_a_box_or_an_input_of_another_size_is_told_so():
+    class Short(CarStop):
+        def plan(self, state, time, u):
+            return Plan(1, lambda first, last: [(0.0, 1.0)])
+
+    class Two(CarStop):
+        def input(self, state):
+            return np.zeros(3)
+
+    world, x = car_before_a_disc(5.0, 0.5)
+    bounds = np.array([-1.0, -1.0]), np.array([1.0, 1.0])
+    world.gate.manoeuvres = (Short(2.0, *bounds, 0.1, 0.02),)
+    with pytest.raises(ModelError, match="of each state and, last, of the time"):
+        world.decide(x, 0.0, np.zeros(2))
+    world.gate.manoeuvres = (Two(2.0, *bounds, 0.1, 0.02),)
+    with pytest.raises(ModelError, match=r"Two.input: expected shape \(2,\), got"):
+        world.decide(x, 0.0, np.zeros(2))
+
+
+def test_a_blimp_that_skims_a_ball_keeps_its_plan():
+    # In the worst wind it gets above all that is there by less than a chord's slack, by
+    # which the next tick's cells reach lower than it does.
+    p = BlimpParameters()
+    thrust = p.effective_masses[0]
+    blimp = World(
+        Blimp(p),
+        lambda x, u, d: blimp_rate(x, u, d, p),
+        [((0.0, 0.0, 0.0), 1.0)],
+        [thrust, thrust, 0.0146],
+        0.15,
+        0.1,
+    )
+    x = np.array([0.12656, 0.10139, 1.0047, -2.92109, -0.60237, -0.48356, -0.0499, 0.0])
+    decision = blimp.decide(x, 0.0, np.array([-0.0028, 0.12431, 0.0]))
+    assert decision.is_certified
+    x, least = blimp.advanced(x, decision.input, lambda x: np.array([0, 0, -0.15]))
+    assert least >= 0.0
+    assert blimp.decide(x, 0.1, np.zeros(3)).is_certified
 
 
 def test_brakes_weaker_than_the_disturbance_make_no_gate():

@@ -306,3 +306,22 @@ def test_the_first_tick_is_decided_once(monkeypatch):
     loop = car_loop([AHEAD], [0.0, 0.0, 0.5, 0.0], between_ticks="certified")
     loop.AdvanceTo(0.05)
     assert decided == pytest.approx([0.0, 0.02, 0.04])
+
+
+def test_a_plan_that_is_lost_is_told_once(caplog):
+    """A wind of 0.2 m/s^2, where none was declared, pushes a car at a wall."""
+    # The brakes give 0.5 m/s^2: 1 m to rest from 1 m/s in a calm.
+    wall = SphereObstacle((1.6, 0.0), 0.5).barrier([400.0, 40.0])
+    loop = car_loop([wall], [0.0, 0.0, 1.0, 0.0], wind=0.2, infeasible="backup")
+    lines, _ = warned(caplog, loop, 1.5)
+    about = [line for line in lines if "no certified plan at" in line]
+    assert len(about) == 1
+    assert not [line for line in lines if "certified plan does not hold" in line]
+
+
+def test_a_plan_that_is_missing_from_the_start_is_told_there_alone(caplog):
+    wall = SphereObstacle((1.0, 0.0), 0.5).barrier([4.0, 3.0])
+    loop = car_loop([wall], [0.0, 0.0, 1.5, 0.0], infeasible="backup")
+    lines, _ = warned(caplog, loop, 0.1)
+    assert [line for line in lines if "certified plan does not hold" in line]
+    assert not [line for line in lines if "no certified plan at" in line]

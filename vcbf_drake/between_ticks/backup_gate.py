@@ -11,6 +11,7 @@ from vcbf_drake.barriers.rows import RowFunctions
 from vcbf_drake.between_ticks.enclosures import RowEnclosures
 from vcbf_drake.between_ticks.interval import Interval, as_interval, interval_function
 from vcbf_drake.checks import Array
+from vcbf_drake.errors import ModelError
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.model.manoeuvre import Box, Manoeuvre, Plan
 from vcbf_drake.safety.backup import manoeuvres_of
@@ -82,11 +83,16 @@ class BackupGate:
     def _found(self, tick: Tick, decision: FilterDecision) -> FilterDecision:
         check = _Check(tick, self._barriers, self._input_set)
         u = decision.input
-        if any(check.passes(each, u) for each in self.manoeuvres):
+        ways = [
+            (each, backup)
+            for each in self.manoeuvres
+            if (backup := _input_of(each, tick.state, self._input_set)) is not None
+        ]
+        laws = [(each, backup) for each, backup in ways if check.allows(backup)]
+        if any(check.passes(each, u) for each, _ in laws):
             return replace(decision, is_certified=True)
-        for each in self.manoeuvres:
-            backup = _input_of(each, tick.state)
-            if backup is None or not check.passes(each, backup):
+        for each, backup in laws:
+            if not check.passes(each, backup):
                 continue
             partly = u.copy()
             partly[list(each.first)] = backup[list(each.first)]
@@ -99,18 +105,25 @@ class BackupGate:
                 is_certified=True,
                 qp=None,
             )
-        backup = _input_of(self.manoeuvres[0], tick.state)
-        if decision.status < FilterStatus.INFEASIBLE or backup is None:
+        if decision.status < FilterStatus.INFEASIBLE or not ways:
             return replace(decision, is_certified=False)
-        return replace(decision, input=backup, backup=1.0, is_certified=False)
+        return replace(decision, input=ways[0][1], backup=1.0, is_certified=False)
 
 
-def _input_of(manoeuvre: Manoeuvre, state: Array) -> Array | None:
-    """A manoeuvre's input; None beyond what floats hold."""
+def _input_of(manoeuvre: Manoeuvre, state: Array, input_set: InputSet) -> Array | None:
+    """A manoeuvre's input; None beyond what floats hold, or outside the input set."""
     try:
-        return np.asarray(manoeuvre.input(state), dtype=float)
+        u = np.asarray(manoeuvre.input(state), dtype=float)
     except (ArithmeticError, ValueError):
         return None
+    if u.shape != (input_set.num_inputs,):
+        raise ModelError(
+            f"{type(manoeuvre).__name__}.input: expected shape"
+            f" ({input_set.num_inputs},), got {u.shape}"
+        )
+    inside = input_set.project(u)
+    is_inside = np.allclose(u, inside, rtol=_TOLERANCE, atol=_TOLERANCE)
+    return inside if is_inside else None
 
 
 class _Check:
@@ -126,13 +139,18 @@ class _Check:
         ]
         self._tick, self._input_set = tick, input_set
 
+    def allows(self, u: Array) -> bool:
+        """Returns whether an input satisfies all that limits inputs; nan does not."""
+        rows, limits, box = self._tick.rows, self._limits, self._input_set
+        return bool(
+            np.all(box.A @ u <= box.b + _TOLERANCE)
+            and np.all(rows.A[limits] @ u <= rows.b[limits] + _TOLERANCE)
+        )
+
     def passes(self, manoeuvre: Manoeuvre, u: Array) -> bool:
         """Returns whether an input's plan is certified (E121)."""
-        rows, tick = self._tick.rows, self._tick
-        if (self._input_set.A @ u > self._input_set.b + _TOLERANCE).any():
-            return False
-        limits = self._limits
-        if (rows.A[limits] @ u > rows.b[limits] + _TOLERANCE).any():
+        tick = self._tick
+        if not self.allows(u):
             return False
         try:
             plan = manoeuvre.plan(tick.state, tick.time, u)
@@ -193,10 +211,18 @@ _UNKNOWN = Interval(-1e300, 1e300)
 
 
 def _value(function: RowFunctions, box: Box) -> Interval:
-    """Encloses a barrier over a box; anything where it is singular."""
+    """Encloses a barrier over a box; anything where it is singular, or the box none."""
+    value = interval_function(function.value)
     try:
+        if not all(low <= high for low, high in box):
+            return _UNKNOWN
         arguments = [Interval(*each) for each in box]
-        (h,) = interval_function(function.value)(*arguments, *function.parameters)
+        (h,) = value(*arguments, *function.parameters)
     except (ArithmeticError, ValueError):
         return _UNKNOWN
+    except TypeError:
+        raise ModelError(
+            f"box of a plan: expected (least, greatest) of each state and, last, of the"
+            f" time, got {box}"
+        ) from None
     return as_interval(h)

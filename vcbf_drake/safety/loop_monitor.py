@@ -51,8 +51,9 @@ class LoopMonitor(LeafSystem):
     each hypothesis about the start that fails, and at the first tick that is INFEASIBLE
     or FAILED one that names the rows that exclude each other; to the logger
     ``vcbf_drake``, unless the setting `warn` is off. With the policy ``stop`` that tick
-    ends the simulation. Two things more are told once: that V_v is below 0, so that the
-    volume row gives way, and that the observer refuses most intervals.
+    ends the simulation. Three things more are told once: that V_v is below 0, so that
+    the volume row gives way, that the observer refuses most intervals, and, with the
+    policy ``backup``, that no plan is certified any more.
     """
 
     def __init__(
@@ -82,9 +83,10 @@ class LoopMonitor(LeafSystem):
             size = safety_filter.GetInputPort("estimate").size()
             self._ports["estimate"] = self.DeclareVectorInputPort("estimate", size)
         # The first hypothesis that failed at the start; the worst status so far, and
-        # whether it was told that most intervals are refused, and that V_v is below 0.
+        # whether it was told that most intervals are refused, that V_v is below 0, and
+        # that there is no certified plan.
         self._failed = self.DeclareAbstractState(Value[object](("",)))
-        self.DeclareDiscreteState(3)
+        self.DeclareDiscreteState(4)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._check_start)
         # When the tick is decided: by then the filter knows its threshold.
         self.DeclareInitializationPublishEvent(self._check_enclosure)
@@ -118,10 +120,10 @@ class LoopMonitor(LeafSystem):
         if "backup" in self._ports:
             is_certified = bool(self._read(context, "backup")[1])
             found = (certified_plan(self._filter, is_certified), *found)
-        # A volume that starts below 0 is a hypothesis that fails.
-        state.get_mutable_discrete_state().get_mutable_vector().SetAtIndex(
-            2, float(volume < 0.0)
-        )
+        # A volume that starts below 0 is a hypothesis that fails; so is no plan.
+        told = state.get_mutable_discrete_state().get_mutable_vector()
+        told.SetAtIndex(2, float(volume < 0.0))
+        told.SetAtIndex(3, float(self._has_no_plan(context)))
         failed = [each for each in found if each.holds is False]
         first = failed[0].verdict if failed else ""
         state.get_mutable_abstract_state(0).set_value((first,))
@@ -140,7 +142,14 @@ class LoopMonitor(LeafSystem):
 
     def _check(self, context: Context) -> EventStatus:
         status = FilterStatus(int(self._read(context, "status")[0]))
-        worst, refuses, is_small = context.get_discrete_state_vector().CopyToVector()
+        told = context.get_discrete_state_vector().CopyToVector()
+        worst, refuses, is_small, is_lost = told
+        if not is_lost and self._has_no_plan(context):
+            self._warn(
+                f"no certified plan at {context.get_time():.4g} s: from here on the"
+                " filter may run out of inputs; the plant, its limits, the measured"
+                " state, |d|, an obstacle or the manoeuvre is not as declared"
+            )
         if not is_small and self._is_too_small(context):
             self._warn(
                 f"V_v is below 0 at {context.get_time():.4g} s: the rows leave less"
@@ -164,11 +173,17 @@ class LoopMonitor(LeafSystem):
         return EventStatus.Succeeded()
 
     def _remember(self, context: Context, discrete: DiscreteValues) -> None:
-        worst, refuses, is_small = context.get_discrete_state_vector().CopyToVector()
+        told = context.get_discrete_state_vector().CopyToVector()
+        worst, refuses, is_small, is_lost = told
         worst = max(worst, self._read(context, "status")[0])
         refuses = max(refuses, self._refuses_most(context))
         is_small = max(is_small, self._is_too_small(context))
-        discrete.set_value([worst, refuses, is_small])
+        is_lost = max(is_lost, self._has_no_plan(context))
+        discrete.set_value([worst, refuses, is_small, is_lost])
+
+    def _has_no_plan(self, context: Context) -> bool:
+        """Whether the policy is ``backup`` and no way to safety is certified."""
+        return "backup" in self._ports and not self._read(context, "backup")[1]
 
     def _is_too_small(self, context: Context) -> bool:
         """Whether the volume row gives way where V_v is below 0."""
