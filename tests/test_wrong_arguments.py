@@ -217,6 +217,11 @@ def test_what_does_not_belong_is_refused_in_one_line(
         assert kind in belongs or (kind == "nested" and name in MATRICES)
 
 
+def test_an_argument_that_does_not_exist_is_said_of_whom():
+    with pytest.raises(TypeError, match=r"^AddSafetyFilter\(\) got an .*'period'"):
+        add_filter(period=0.01)
+
+
 @pytest.mark.parametrize(("make", "right"), MADE)
 def test_what_belongs_is_taken(make, right):
     make(**right)

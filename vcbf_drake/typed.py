@@ -54,7 +54,11 @@ def typed(function: Callable[_P, _R]) -> Callable[_P, _R]:
     def checked(*args: _P.args, **kwargs: _P.kwargs) -> _R:
         if not hints:
             hints.update(get_type_hints(function))
-        for name, value in signature.bind(*args, **kwargs).arguments.items():
+        try:
+            arguments = signature.bind(*args, **kwargs).arguments
+        except TypeError as error:
+            raise TypeError(f"{function.__name__}() {error}") from None
+        for name, value in arguments.items():
             if name in hints:
                 check_type(name, value, hints[name])
         return function(*args, **kwargs)

@@ -119,6 +119,19 @@ def test_a_barrier_whose_values_are_hardly_anywhere_is_said_not_to_be_compared(m
         BarrierSet(model, [barrier])
 
 
+def test_a_barrier_that_is_another_at_each_call_is_refused(model):
+    """A draw of [0, 1) is hidden in the rounding that draws of another one show."""
+    random, calls = np.random.default_rng(0), []
+
+    def counted(x, t, p):
+        calls.append(x)
+        return x[0] + len(calls)
+
+    for function in (lambda x, t, p: x[0] + random.random(), counted):
+        with pytest.raises(ModelError, match=r"'post': .* must depend on its arg"):
+            BarrierSet(model, [Barrier(function, GAINS, name="post")])
+
+
 def test_a_point_of_an_arm_is_compared_by_its_kinematics_in_numbers():
     plant = MultibodyPlant(time_step=0.0)
     Parser(plant).AddModels(URDF)

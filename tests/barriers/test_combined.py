@@ -290,6 +290,7 @@ def test_a_class_k_function_of_relative_degree_1(car):
         lambda s: 1.0 + s,
         lambda s: -s,
         lambda s: 0.0 * s,
+        lambda s: s**0.5,  # Nothing at all on one side.
         lambda s: None,
         lambda s: "s",
         lambda s: s + 0.3 * np.sin(30.0 * s),

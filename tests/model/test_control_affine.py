@@ -255,6 +255,7 @@ def test_an_affine_form_may_want_simplification() -> None:
         (lambda t, x, u, d, p: [x[1], u[0]], "columns of the disturbance matrix"),
         (lambda t, x, u, d, p: [t * x[1], u[0] + d[0]], "of x0 depends on time"),
         (lambda t, x, u, d, p: [x[1], u[0] + d[0] if x[0] > 0 else 0], "do not eval"),
+        (lambda t, x, u, d, p: [x[1], u[0] + d[0] + np.nan * x[0]], "NaN has no count"),
     ],
 )
 def test_what_is_not_affine_is_refused_by_name(

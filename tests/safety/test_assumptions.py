@@ -43,10 +43,11 @@ def at(car, method, speed=1.0, observer=RiseObserver, barriers=(AHEAD,), **optio
     noise = [options.pop("noise")] if "noise" in options else []
     observer = observer(car, PERIOD, options.pop("bounds", BOUNDS))
     walls = [b.barrier([4.0, 3.0]) if b is AHEAD else b for b in barriers]
+    inputs = options.pop("inputs", INPUTS)
     safety_filter = SafetyFilter(
         car,
         walls,
-        INPUTS,
+        inputs,
         FilterSettings(method=method, **{"period": PERIOD, **options}),
         make_row_holder=HeldRows,
     )
@@ -64,6 +65,18 @@ def test_the_inputs_are_bounded(car):
     bounded = at(car, "cbf-qp")["bounded input set"]
     assert bounded.holds
     assert bounded.numbers == {"smallest half-width": 0.75}
+
+
+@pytest.mark.parametrize(
+    ("upper", "holds", "least"),
+    [([3.0, 0.0], True, 3.0), ([0.0, 0.0], None, np.inf), ([3.0, np.inf], None, 3.0)],
+)
+def test_inputs_without_room_or_limits_have_no_half_width(car, upper, holds, least):
+    """Of an input that is fixed it says nothing, and is infinite without limits."""
+    inputs = InputSet.box(np.negative(upper), upper)
+    bounded = at(car, "cbf-qp", inputs=inputs)["bounded input set"]
+    assert bounded.holds is holds
+    assert bounded.numbers == {"smallest half-width": least}
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -14,6 +14,7 @@ from vcbf_drake.safety import (
 )
 from vcbf_drake.safety.feasible_set import feasible_set
 from vcbf_drake.safety.qp import choose_input
+from vcbf_drake.safety.row_names import RowNames
 
 FAR = [1e6, 1e8, 1e9, 1e10, 1e12, 1e300, 1.7e308, np.inf]
 
@@ -44,6 +45,28 @@ def test_rows_a_unit_apart_exclude_each_other(far, reference):
     assert decision.status == FilterStatus.INFEASIBLE
     assert decision.conflict == (2, 3)
     np.testing.assert_allclose(decision.input, [1.5], atol=1e-8)
+
+
+@pytest.mark.parametrize("far", [1e13, 1e14, 3e14, 1e15])
+@pytest.mark.parametrize("gap", [1.0, 0.01, 1e-4])
+def test_what_excludes_every_input_is_decided_without_rounding(far, gap):
+    """U <= 1 and u >= 1 + gap: in half-widths they are less apart than a rounding."""
+    box = InputSet.box([-far], [far])
+    decision = choose(box, [[1.0], [-1.0]], [1.0, -1.0 - gap], [0.0])
+    assert decision.status == FilterStatus.INFEASIBLE
+    assert decision.conflict == (2, 3)
+    np.testing.assert_allclose(decision.input, [1.0 + 0.5 * gap], atol=1e-8)
+
+
+@pytest.mark.parametrize("far", [*FAR, 3e14, 1e15])
+@pytest.mark.parametrize("least", [0.0, -1.0])
+def test_rows_that_exclude_each_other_are_named_whatever_the_limits(far, least):
+    """U <= 1 and u >= 2, in inputs from least * far to far."""
+    box = InputSet.box([least * far if least else 0.0], [far])
+    names = RowNames.of(box, ("low", "high"))
+    A = np.vstack([box.A, [[1.0], [-1.0]]])
+    assert names.in_conflict(A, np.append(box.b, [1.0, -2.0])) == ("low", "high")
+    assert names.in_conflict(A, np.append(box.b, [2.0, -1.0])) == ()
 
 
 @pytest.mark.parametrize("far", FAR)

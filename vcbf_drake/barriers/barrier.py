@@ -164,6 +164,10 @@ def _check_class_k(class_k: ClassK, name: str) -> None:
     if not abs(values[len(positive)]) <= 1e-12:
         raise ValueError(f"{rule}; at 0 it is {values[len(positive)]:g}")
     finite = np.isfinite(values)  # It may overflow far away, or level off.
+    nowhere = ~finite & (np.abs(points) < 1.0)
+    if nowhere.any():
+        i = int(nowhere.argmax())
+        raise ValueError(f"{rule}; at {points[i]:.7g} it is {values[i]:g}")
     points, values = points[finite], values[finite]
     steps, near = np.diff(values), np.abs(points[1:]) < 1.0
     rounding = 1e-12 * np.abs(values[1:])

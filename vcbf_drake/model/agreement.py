@@ -87,6 +87,7 @@ def require_agreement(
 
     Raises:
         ModelError: They differ; the message has the point, both values and the way out.
+            Or the origin has other numbers each time.
     """
     compared = passed_over = 0
     for point in points:
@@ -96,6 +97,8 @@ def require_agreement(
             continue
         found = np.broadcast_to(found, expected.shape)
         compared += 1
+        if compared == 1:
+            _require_repeatable(origin, point, expected, describe, names)
         differs = ~(np.abs(found - expected) <= _tolerance(found, expected))
         if differs.any():
             rounding = _rounding(derived, point, found)
@@ -118,6 +121,24 @@ def require_agreement(
             f"{names[0]} is finite at {compared} of {number} points only, too few to"
             " tell whether what was derived from it has the same values",
             stacklevel=2,
+        )
+
+
+def _require_repeatable(
+    origin: NumberFunction,
+    point: Array,
+    first: Array,
+    describe: Callable[[Array], str],
+    names: Sequence[str],
+) -> None:
+    """Refuses what counts its calls or draws: its formula would be that of one call."""
+    second = _numbers(origin, point)
+    if second is None or not (second == first).all():
+        k = 0 if second is None else int((second != first).argmax())
+        then = "nothing" if second is None else f"{second[k]:.6g}"
+        raise ModelError(
+            f"{names[k % len(names)]} is {first[k]:.6g} and then {then} at one point,"
+            f" {describe(point)}; it must depend on its arguments alone"
         )
 
 

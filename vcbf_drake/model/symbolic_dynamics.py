@@ -120,7 +120,11 @@ def symbolic_dynamics(
         {time: variable("t")}
         | {v: n for key in named for v, n in zip(named[key], nodes[key], strict=True)}
     )
-    force, mass_matrix = _force_and_mass(reader.read(residual), nodes["r"])
+    try:
+        residual_nodes = reader.read(residual)
+    except NotImplementedError as error:
+        raise ModelError(f"{name}: its dynamics cannot be compiled: {error}") from None
+    force, mass_matrix = _force_and_mass(residual_nodes, nodes["r"])
     _require_time_invariant(force, mass_matrix, state_names, name)
     limits = effort_limits_of(system, input_)
     own_rate = _own_rate(system, input_, disturbance, context)

@@ -208,12 +208,14 @@ def _standing(
     """The hypotheses that hold at every state or at none."""
     method, applied = safety_filter.method, safety_filter.settings.corrections
     inputs, delta1 = safety_filter.input_set, observer.bounds.delta1
-    is_body = inputs.is_bounded and bool(np.any(inputs.scale > 0.0))
+    is_open = np.isinf(inputs.farthest(np.eye(inputs.num_inputs)))
+    half_widths = np.where(is_open, np.inf, inputs.scale)[inputs.scale > 0.0]
+    is_body = inputs.is_bounded and len(half_widths) > 0
     yield Assumption(
         "bounded input set",
-        "U = {u : A_m u <= b_m} is bounded and has an interior",
+        "U = {u : A_m u <= b_m} is bounded and has an interior, fixed inputs apart",
         True if is_body else False if method.has_volume_row else None,
-        {"smallest half-width": float(inputs.scale.min())},
+        {"smallest half-width": float(np.min(half_widths, initial=np.inf))},
         "the largest inscribed ellipsoid (E20) would not exist",
     )
     if method.disturbance == "ignored":

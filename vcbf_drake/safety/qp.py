@@ -13,6 +13,7 @@ from numpy.linalg import LinAlgError
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import EmptySetError, SolverError
+from vcbf_drake.safety.active_set import nearest_in_rationals
 from vcbf_drake.safety.decay import DecayRates
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
@@ -235,26 +236,12 @@ def _excludes_every_input(feasible: FeasibleSet, conflict: Sequence[int]) -> boo
     """Whether rows in conflict are one for every input, as they were given.
 
     In finer coordinates the input set is large, and what is left of y'A there, next to
-    nothing, may be worth more than y'b. With the multipliers y of the rows,
-
-        min over the input set's bounding box of y'A u > y'b, beyond rounding.
+    nothing, may be worth more than y'b. In rational numbers nothing is left of it.
     """
-    inputs, rows = feasible.input_set, feasible.cutting[list(conflict)]
-    if not inputs.is_bounded:
-        return True
-    A, b = feasible.A[rows], feasible.b[rows]
-    unit = A * inputs.scale
-    lengths = np.linalg.norm(unit, axis=1)
-    lengths[lengths == 0.0] = 1.0
-    # The conflict is irreducible: its multipliers are unique but for their size.
-    y = np.linalg.svd((unit / lengths[:, None]).T)[2][-1] / lengths
-    y = y if y.sum() > 0.0 else -y
-    slope, reach = y @ A, np.abs(inputs.center) + inputs.scale
-    least = float(slope @ inputs.center - np.abs(slope) @ inputs.scale)
-    terms = float(np.abs(y) @ (np.abs(A) @ reach + np.abs(b)))
-    is_sound = bool((y >= 0.0).all())
-    rounding = 16.0 * float(np.finfo(float).eps) * terms
-    return is_sound and least - float(y @ b) > rounding
+    rows = [*feasible.input_set.limits, *feasible.cutting[list(conflict)]]
+    chosen = np.unique(rows).astype(int)
+    A, b = feasible.A[chosen], feasible.b[chosen]
+    return nearest_in_rationals(A, b, feasible.input_set.center).conflict is not None
 
 
 def failed_decision(

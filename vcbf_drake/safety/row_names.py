@@ -38,12 +38,32 @@ class RowNames(tuple[str, ...]):
             A: The rows of a feasible set, shape (rows, m).
             b: Their right-hand sides, shape (rows,).
         """
-        center, scale = self._input_set.center, self._input_set.scale
-        num_limits, anywhere = len(self._input_set.b), np.zeros(len(center))
-        try:
-            nearest_point(A * scale, b - A @ center, anywhere, num_limits)
-        except EmptySetError as error:
-            return tuple(self[row] for row in error.conflict)
-        except SolverError:
-            pass  # Neither could be verified: whoever asks for names goes on.
+        scale, num_limits = self._input_set.scale, len(self._input_set.b)
+        limiting = np.isfinite(b).nonzero()[0]
+        # Beside a limit as good as none, rows are next to nothing: they have a size.
+        for origin, size in (
+            (self._input_set.center, 1.0),
+            _place_and_size(self._input_set, A[num_limits:], b[num_limits:]),
+        ):
+            try:
+                nearest_point(
+                    A[limiting] * scale,
+                    (b - A @ origin)[limiting] / size,
+                    np.zeros(len(origin)),
+                    int(np.sum(limiting < num_limits)),
+                )
+            except EmptySetError as error:
+                return tuple(self[limiting[row]] for row in error.conflict)
+            except SolverError:
+                pass  # Neither could be verified: whoever asks for names goes on.
         return ()
+
+
+def _place_and_size(input_set: InputSet, A: Array, b: Array) -> tuple[Array, float]:
+    """The input nearest to 0, and how far from it barrier rows are at least."""
+    origin = input_set.project(np.zeros(input_set.num_inputs))
+    length = np.linalg.norm(A * input_set.scale, axis=1)
+    distance = np.abs(b - A @ origin)
+    matters = (length > 0.0) & (distance > 0.0) & np.isfinite(distance)
+    sizes = distance[matters] / length[matters]
+    return origin, float(np.min(sizes, initial=1.0))
