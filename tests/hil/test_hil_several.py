@@ -416,6 +416,35 @@ def test_what_cannot_be_perceived_leads_to_the_fallback(change, words) -> None:
     assert words in run.controller.report()["changes"][-1]["reason"]
 
 
+def test_what_the_filter_cannot_satisfy_is_said_where_it_does_not_stop() -> None:
+    """For 0.4 s an obstacle is where the car is; the least violation is applied."""
+
+    def relay(message):
+        if hasattr(message, "radius") and message.time < 0.4:
+            message.position = [0.0] * message.num_coordinates
+        return message
+
+    loaded = seeing()
+    loaded.infeasible = "least_violation"
+    run = RelayedLoop(loaded, relay)
+    said: list[str] = []
+    run.controller.tell = said.append
+    reasons = set()
+    for tick in range(150):
+        run.advance_to(0.02 * tick)
+        run.controller._say()
+        status = run.controller._sender.last_status
+        assert status.mode == CommandMode.APPLY
+        names = ", ".join(status.conflicts)
+        assert status.reason == (f"no input satisfies {names}" if names else "")
+        reasons.add(status.reason)
+    assert {"", "no input satisfies seen obstacle 0"} <= reasons
+    found = [line for line in said if "satisf" in line]
+    assert len(found) == 2
+    assert found[0] == "0.00 s: no input satisfies seen obstacle 0"
+    assert found[1].endswith(" s: every row is satisfied again")
+
+
 def test_the_count_of_obstacles_may_change_and_old_ones_are_not_acted_on() -> None:
     counts = iter([1, 2, 3, 0, 1, 3, 2])
 

@@ -155,11 +155,9 @@ class CommandSender(LeafSystem):
             return Verdict(CommandMode.FALLBACK, f"refuted: {findings[0]}")
         stops = self._filter.settings.infeasible == "stop"
         if verdict.mode is CommandMode.APPLY and stops:
-            if self._sample_of(context)["status"][0] == FilterStatus.FAILED:
-                return Verdict(CommandMode.FALLBACK, "the filter's tick FAILED")
-            conflicts = self.conflicts(context)
-            if conflicts:
-                reason = f"no input satisfies {', '.join(conflicts)}"
+            status = self._sample_of(context)["status"][0]
+            reason = trouble_of_filter(status, self.conflicts(context))
+            if reason:
                 return Verdict(CommandMode.FALLBACK, reason)
         return verdict
 
@@ -200,9 +198,9 @@ class CommandSender(LeafSystem):
             self._commands.send(command)
         status = self._status(sample, u if is_ticking else np.zeros_like(u), stamp)
         status.mode = int(verdict.mode)
-        status.reason = self._reason(verdict, is_ticking)
         status.conflicts = list(self.conflicts(context))
         status.num_conflicts = len(status.conflicts)
+        status.reason = self._reason(verdict, is_ticking, status)
         status.findings = list(self.findings(context))
         status.num_findings = len(status.findings)
         self._statuses.send(status)
@@ -227,9 +225,11 @@ class CommandSender(LeafSystem):
             came = inbox.received_at
         return max(0, self._bus.clock.utime() - came)
 
-    def _reason(self, verdict: Verdict, is_ticking: bool) -> str:
+    def _reason(self, verdict: Verdict, is_ticking: bool, status: vcbf_status) -> str:
         """Why, who else speaks, and what was wrong with states that came."""
         notices = [verdict.reason, self._receiver.notice() if is_ticking else ""]
+        if verdict.mode is CommandMode.APPLY:
+            notices.append(trouble_of_filter(status.filter_status, status.conflicts))
         if verdict.mode is CommandMode.FALLBACK:
             now = self._bus.clock.utime()
             notices.append(self._receiver.inbox.complaint(now))
@@ -270,6 +270,18 @@ class CommandSender(LeafSystem):
             if math.isfinite(inbox.peer_clock.uncertainty):
                 message.clock_uncertainty = 1e-6 * inbox.peer_clock.uncertainty
         return message
+
+
+def trouble_of_filter(status: float, conflicts: Sequence[str]) -> str:
+    """Returns why its input does not satisfy every row; empty if it does.
+
+    Args:
+        status: A `FilterStatus`; nan before the first tick.
+        conflicts: The names of the rows that exclude each other.
+    """
+    if status == FilterStatus.FAILED:
+        return "the filter's tick FAILED"
+    return f"no input satisfies {', '.join(conflicts)}" if conflicts else ""
 
 
 def command_message(

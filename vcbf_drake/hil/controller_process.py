@@ -13,9 +13,14 @@ from pydrake.systems.framework import Context, Diagram
 
 from vcbf_drake.errors import ModelError
 from vcbf_drake.hil.bus import Bus, LinkFaults, Neighbours, SimulatedClock, Tap
-from vcbf_drake.hil.command_sender import CommandSender, ControllerRecord
+from vcbf_drake.hil.command_sender import (
+    CommandSender,
+    ControllerRecord,
+    trouble_of_filter,
+)
 from vcbf_drake.hil.controller_side import make_hardware_loop
 from vcbf_drake.hil.decoding import CommandMode, VehicleMode
+from vcbf_drake.hil.messages import vcbf_status
 from vcbf_drake.hil.processes import (
     HardwareProcess,
     PlantProcess,
@@ -57,6 +62,10 @@ _NEEDED = {
     "state_receiver": "a VehicleLink adds it",
     "command_sender": "VehicleLink.answer adds it, before the diagram is built",
 }
+
+
+# How long every row must be satisfied before that is told [us].
+_TO_RECOVER = 1_000_000
 
 
 class ControllerProcess(HardwareProcess):
@@ -103,7 +112,7 @@ class ControllerProcess(HardwareProcess):
         self.tick_taps: list[Callable[[Context], None]] = []
         self.takes_over = False
         self._record = ControllerRecord()
-        self._sent_at = 0
+        self._sent_at = self._troubled_at = 0
         self._session, self._began = 0, 0.0
 
     @property
@@ -237,11 +246,15 @@ class ControllerProcess(HardwareProcess):
         is_ticking = status.state_sequence >= 0
         when = f"{status.time:.2f} s: " if is_ticking else ""
         mode = CommandMode(status.mode).name.lower()
-        words = f"{when}{mode}, {status.reason}" if status.reason else f"{when}{mode}"
+        # With APPLY, what there is to say has lines of its own.
+        is_said = status.reason and status.mode != CommandMode.APPLY
+        words = f"{when}{mode}, {status.reason}" if is_said else f"{when}{mode}"
         kind = mode if is_ticking else f"before: {inbox.last_rejection}"
         self._tell_change("mode", kind, words)
         notice = self._receiver.notice() if is_ticking else ""
         self._tell_change("notice", notice, f"{when}{notice or 'followed again'}")
+        if status.mode == CommandMode.APPLY:
+            self._say_trouble(status, when)
         for finding in status.findings:
             self._tell_change(finding, finding, f"{when}refuted: {finding}")
         if status.refused_intervals:
@@ -260,6 +273,16 @@ class ControllerProcess(HardwareProcess):
             self._sender.deadlines_missed,
             self._sender.period,
         )
+
+    def _say_trouble(self, status: vcbf_status, when: str) -> None:
+        """Tells what the filter could not do, if it could for a second before."""
+        now = self.bus.clock.utime()
+        trouble = trouble_of_filter(status.filter_status, status.conflicts)
+        if trouble:
+            self._troubled_at = now
+            self._tell_change("filter", "in trouble", f"{when}{trouble}")
+        elif now - self._troubled_at > _TO_RECOVER:
+            self._tell_change("filter", "", f"{when}every row is satisfied again")
 
     def _receiver_context(self) -> Any:
         return self._receiver.GetMyContextFromRoot(self.context)
