@@ -15,6 +15,7 @@ from vcbf_drake.hil import (
     Bus,
     CommandMode,
     InProcess,
+    LinkFaults,
     Outbox,
     PlantProcess,
     Reason,
@@ -173,6 +174,40 @@ def test_a_second_controller_does_not_talk_the_first_one_down() -> None:
     assert report["arrived"]["rejected"] == {Reason.SESSION.value: 3}
     assert report["arrived"]["lost"] <= 3
     assert first.diagram.GetSubsystemByName("state_receiver").is_followed
+
+
+def test_a_controller_that_no_vehicle_obeys_says_so() -> None:
+    """Its commands do not arrive, or the vehicle may not move yet."""
+    run = InProcess(load_scenario(CAR), LinkFaults(drop=1.0))
+    said: list[str] = []
+    run.controller.tell = said.append
+    for _ in range(50):  # The vehicle stands, and speaks.
+        run.clock.now += 20_000
+        run.plant.diagram.ForcedPublish(run.plant.context)
+        run.controller.step()
+        run.controller._say()
+        run.plant.bus.poll()
+    assert run.plant.mode is VehicleMode.WAITING
+    words = "the vehicle tells of no command that it has accepted"
+    assert said == ["0.00 s: apply", f"0.00 s: {words}"]
+    assert run.controller._sender.last_status.reason == words
+
+
+def test_who_was_overruled_keeps_quiet_though_it_took_over_itself() -> None:
+    run = InProcess(load_scenario(CAR))
+    commands = heard(run.lcm, vcbf_command)
+    run.advance_to(0.5)
+    run.clock.now += 1
+    second = controller_of(load_scenario(CAR), Bus(run.lcm, run.clock))
+    for controller in (run.controller, second):
+        controller.diagram.GetSubsystemByName("command_sender").takes_over = True
+    for tick in range(26, 60):
+        run.advance_to(0.02 * tick)
+        second.step()
+        run.plant.bus.poll()
+    sessions = [command.session for command in commands[26:]]
+    assert sessions.count(second.bus.session) == 34
+    assert sessions.count(run.controller.bus.session) <= 3
 
 
 def test_a_standby_is_followed_from_the_first_one_s_farewell_on() -> None:

@@ -209,7 +209,9 @@ class CommandSender(LeafSystem):
     def _speaks(self, stamp: StateStamp) -> bool:
         """Whether a command is sent; told by what the states say alone."""
         lately = _SHARE * self._settings.command_timeout
-        if self.takes_over or not self._receiver.follows_another(lately):
+        followed = self._receiver.inbox.newest.command_session
+        overrules = self.takes_over and self._bus.session > followed
+        if overrules or not self._receiver.follows_another(lately):
             self._showed_itself_at = -math.inf
         elif stamp.utime - self._showed_itself_at < _BETWEEN_SIGNS:
             return False

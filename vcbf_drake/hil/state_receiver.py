@@ -168,12 +168,14 @@ class StateReceiver(LeafSystem):
         return applies and bool(newest.command_age < 1e6 * within)
 
     def notice(self) -> str:
-        """Returns who else speaks under this name; empty if nobody does."""
+        """Returns why nobody follows, or who else speaks; empty if all is well."""
         newest, now = self.inbox.newest, self._bus.clock.utime()
         is_settled = now - self._heard_since > _TO_SETTLE
         is_lost = newest is not None and is_settled and not self.is_followed
         if is_lost and newest.command_session > 0:
             return f"the vehicle follows another controller, {newest.command_session}"
+        if is_lost:
+            return "the vehicle tells of no command that it has accepted"
         if self.inbox.last_rejection == Reason.SESSION.value:
             if now - self.inbox.last_rejected_at < 1_000_000:
                 return "another vehicle of this name speaks and is not controlled"

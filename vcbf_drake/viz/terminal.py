@@ -247,7 +247,9 @@ def _remarks(summary: Mapping[str, Any]) -> Iterator[str]:
 
 
 def number_text(value: float | None) -> str:
-    """Returns a number in three digits; a dash for none."""
+    """Returns a number in three digits, a count in all of its; a dash for none."""
+    if isinstance(value, int):
+        return str(value)
     return "-" if value is None or math.isnan(value) else f"{value:.3g}"
 
 
