@@ -358,6 +358,28 @@ def test_a_blimp_that_skims_a_ball_keeps_its_plan():
     assert blimp.decide(x, 0.1, np.zeros(3)).is_certified
 
 
+@pytest.mark.parametrize("start", [0.0, 0.37, 64.0])
+@pytest.mark.parametrize(("clearance", "certified"), [(0.3, True), (-0.1, False)])
+def test_a_ball_that_passes_aslant_leaves_a_car_its_place(start, clearance, certified):
+    """It goes along a line that a car at rest is beside, by so much."""
+    world, x = car_before_a_disc(50.0, 0.0)
+    along, across = np.array([0.6, 0.8]), np.array([0.8, -0.6])
+    ball = SphereObstacle(
+        -along * (2.0 + 0.5 * start), 0.5, velocity=0.5 * along
+    ).barrier([4.0, 3.0])
+    barriers = BarrierSet(world.model, [ball])
+    gate = BackupGate(world.model, barriers, world.inputs, 0.02, 0.1)
+    known = DisturbanceKnowledge.constant(1, 0.0)
+    for k in range(100):  # The ball passes, and at no tick the plan is lost.
+        t = start + 0.1 * k
+        x = np.array([*((0.5 + clearance) * across), 0.0, 0.0])
+        tick = Tick(barriers.rows(x, t), x, t, known)
+        decision = gate.decide(tick, FilterDecision(np.zeros(2), FilterStatus.FILTERED))
+        assert decision.is_certified is certified
+        if not certified:
+            break
+
+
 def test_brakes_weaker_than_the_disturbance_make_no_gate():
     with pytest.raises(ModelError, match=r"no backup manoeuvre of .* is safe"):
         car_before_a_disc(5.0, 0.5, delta=0.6)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
+import math
 
 import numpy as np
 
@@ -13,7 +15,7 @@ from vcbf_drake.between_ticks.interval import Interval, as_interval, interval_fu
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.model.manoeuvre import Box, Manoeuvre, Plan
+from vcbf_drake.model.manoeuvre import FOREVER, Box, Manoeuvre, Plan
 from vcbf_drake.safety.backup import manoeuvres_of
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.qp import FilterDecision, FilterStatus
@@ -22,6 +24,9 @@ from vcbf_drake.safety.row_holder import Tick
 # How often the stretch between a filter's input and a manoeuvre's is halved.
 _HALVINGS = 5
 _TOLERANCE = 1e-9
+# Into whiles of which lengths [s] a box's time is parted, and how many of each.
+_WHILES = tuple(0.5 * 2.0**k for k in range(8))
+_PARTS = 8
 
 
 class BackupGate:
@@ -196,14 +201,37 @@ class _Check:
 
 def _is_clear(function: RowFunctions, plan: Plan, first: int, last: int) -> bool:
     """Whether a barrier is at least 0 in all cells: in many at once, or each alone."""
-    value = _value(function, plan.box(first, last))
+    box = plan.box(first, last)
+    value = _value(function, box)
     if value.low >= 0.0:
         return True
-    if last - first <= 1 or value.high < 0.0:
+    if value.high < 0.0:
+        return False
+    is_single, is_for_ever = last - first <= 1, box[-1][1] >= FOREVER
+    if (is_single or is_for_ever) and _is_clear_in_turn(function, box):
+        return True
+    if is_single:
         return False
     middle = (first + last) // 2
     return _is_clear(function, plan, first, middle) and _is_clear(
         function, plan, middle, last
+    )
+
+
+def _is_clear_in_turn(function: RowFunctions, box: Box) -> bool:
+    """Whether a barrier that moves is at least 0 in a box, one while after the other.
+
+    The instants that part them are so chosen that those for a later start lack none.
+    """
+    *states, (start, end) = box
+    parted = {
+        step * (math.floor(start / step) + i)
+        for step in _WHILES
+        for i in range(1, _PARTS + 1)
+    }
+    instants = [start, *sorted(each for each in parted if start < each < end), end]
+    return len(instants) > 2 and all(
+        _value(function, [*states, each]).low >= 0.0 for each in pairwise(instants)
     )
 
 
