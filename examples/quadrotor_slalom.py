@@ -26,8 +26,8 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 from vcbf_drake import InputLimits, Obstacle, Scenario, StateFeedback, Vehicle
 from vcbf_drake.barriers import StateLimit
 from vcbf_drake.disturbances import Sinusoid
-from vcbf_drake.plants.shapes import Part
-from vcbf_drake.simulation.scenario import BarrierGains
+from vcbf_drake.plants import Part
+from vcbf_drake.simulation import BarrierGains
 
 ARM, INERTIA, MOMENT = 0.175, np.diag([0.0023, 0.0023, 0.0040]), 0.0245
 # The second derivative of the thrust [N/s^2], moments [N m]: so small that with half

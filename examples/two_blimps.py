@@ -29,8 +29,7 @@ from vcbf_drake import (
 )
 from vcbf_drake.barriers import PairDistance, PerceivedSpheres
 from vcbf_drake.disturbances import Sinusoid
-from vcbf_drake.plants import BlimpVehicle
-from vcbf_drake.plants.shapes import Part
+from vcbf_drake.plants import BlimpVehicle, Part
 from vcbf_drake.safety import FilterStatus
 from vcbf_drake.viz import VehicleGeometry, write_diagram_replay
 from vcbf_drake.viz.scene_graph import Body, PosedGeometry

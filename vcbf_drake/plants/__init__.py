@@ -16,6 +16,7 @@ from vcbf_drake.plants.car import Car, Car_, CarInput, CarParameters, CarState
 from vcbf_drake.plants.car_controller import CarController, CarControllerParameters
 from vcbf_drake.plants.car_vehicle import CarVehicle, TurnLimit
 from vcbf_drake.plants.multibody_vehicle import MultibodyVehicle
+from vcbf_drake.plants.shapes import Part
 from vcbf_drake.plants.vehicle import StateFeedback, Vehicle
 
 __all__ = [
@@ -36,6 +37,7 @@ __all__ = [
     "CarVehicle",
     "Car_",
     "MultibodyVehicle",
+    "Part",
     "StateFeedback",
     "TurnLimit",
     "Vehicle",

@@ -189,10 +189,22 @@ class StateFeedback(LeafSystem):
         state = self.DeclareVectorInputPort("state", num_states)
 
         def calc(context: Context, output: BasicVector) -> None:
-            output.SetFromVector(np.asarray(law(state.Eval(context)), dtype=float))
+            found = law(state.Eval(context))
+            rule = f"{num_inputs} numbers"
+            require(
+                _are_numbers(found, num_inputs), "what the law returns", found, rule
+            )
+            output.SetFromVector(np.asarray(found, dtype=float))
 
         needs = {state.ticket()}
         self.DeclareVectorOutputPort("reference", num_inputs, calc, needs)
+
+
+def _are_numbers(value: Any, size: int) -> bool:
+    try:
+        return np.asarray(value, dtype=float).shape == (size,)
+    except (TypeError, ValueError):  # None, words, or lists of different lengths.
+        return False
 
 
 def tag(vehicle: type[Vehicle]) -> str:

@@ -1,5 +1,6 @@
 """Scenarios, the loop they describe, and what happens when it runs."""
 
+from vcbf_drake.simulation.faults import Faults
 from vcbf_drake.simulation.loading import (
     dump_scenario,
     load_scenario,
@@ -18,15 +19,24 @@ from vcbf_drake.simulation.obstacles import barriers
 from vcbf_drake.simulation.result import Result, load_result
 from vcbf_drake.simulation.run import check_assumptions, simulate, step_cpu_time
 from vcbf_drake.simulation.scenario import (
+    BarrierGains,
+    Hardware,
     InputLimits,
+    Integrator,
+    MeasurementNoise,
     Scenario,
     validate,
 )
 from vcbf_drake.simulation.schema import scenario_page, scenario_schema
 
 __all__ = [
+    "BarrierGains",
     "BodyPoint",
+    "Faults",
+    "Hardware",
     "InputLimits",
+    "Integrator",
+    "MeasurementNoise",
     "MovingObstacle",
     "Obstacle",
     "PolygonMap",

@@ -8,7 +8,7 @@ and a key at the top level that begins with an underscore is a template.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 import difflib
 from functools import reduce
@@ -285,18 +285,41 @@ def _shown(node: Node) -> str:
 
 
 def allowed_types(hint: Any) -> tuple[Any, ...]:
-    """Returns the types that a hint allows: of an abstract class, its subclasses."""
+    """Returns the types that a hint allows: of an abstract class, its subclasses.
+
+    None is the last of them.
+    """
     if inspect.isabstract(hint):
-        return tuple(hint.__subclasses__())
+        return tuple(_concrete(hint))
     is_union = get_origin(hint) in (types.UnionType, Union)
     members = get_args(hint) if is_union else (hint,)
-    return tuple(each for each in members if get_origin(each) is not np.ndarray)
+    lists = [each for each in members if get_origin(each) is not np.ndarray]
+    return tuple(sorted(lists, key=lambda each: each is types.NoneType))
+
+
+def _concrete(kind: Any) -> Iterator[Any]:
+    """The subclasses of a class, and theirs, but for those that are abstract."""
+    for each in kind.__subclasses__():
+        if not inspect.isabstract(each):
+            yield each
+        yield from _concrete(each)
+
+
+def item_type(hint: Any) -> Any:
+    """Returns the type of the items of a list or a tuple; None of anything else."""
+    if get_origin(hint) not in (list, Sequence, tuple):
+        return None
+    return get_args(hint)[0]
 
 
 def tagged_types(hint: Any) -> dict[str, Any]:
-    """Returns the dataclasses that a hint allows, by their tags."""
-    found = (each for each in allowed_types(hint) if is_dataclass(each))
-    return {tag_of(each): each for each in found}
+    """Returns the dataclasses that a hint allows, by their tags.
+
+    Of one tag it is the package's own, or the one that was made last.
+    """
+    found = [each for each in allowed_types(hint) if is_dataclass(each)]
+    own = [each for each in found if each.__module__.startswith("vcbf_drake.")]
+    return {tag_of(each): each for each in (*found, *own)}
 
 
 def tag_of(schema: Any) -> str:
@@ -315,11 +338,16 @@ def _build(node: Node, hint: Any, path: KeyPath) -> Any:
         return _build_object(node, classes, path, needs_tag)
     if node.tag.startswith("!"):
         _fail(node, path, f"tag {node.tag}; no tag is expected here")
-    if get_origin(first) in (list, Sequence):
+    if (item := item_type(first)) is not None:
         if not isinstance(node, yaml.SequenceNode):
             _fail(node, path, f"expected a list, got {_shown(node)}")
-        (item,) = get_args(first)
-        return [_build(each, item, (*path, i)) for i, each in enumerate(node.value)]
+        made = [_build(each, item, (*path, i)) for i, each in enumerate(node.value)]
+        if get_origin(first) is not tuple:
+            return made
+        size = len(get_args(first))
+        if Ellipsis not in get_args(first) and len(made) != size:
+            _fail(node, path, f"expected {size} values, got {len(made)}")
+        return tuple(made)
     return _build_scalar(node, first if first in TYPE_WORDS else str, path)
 
 
@@ -392,10 +420,9 @@ def plain(value: Any, hint: Any) -> Any:
             for each in fields(value)
             if names_file(each)
         }
-        names = [tag for tag, each in tags.items() if each is type(value)]
         is_one_of = len(tags) > 1 or inspect.isabstract(hint)
-        return {"_tag": names[0], **data} if is_one_of else data
+        return {"_tag": tag_of(type(value)), **data} if is_one_of else data
     if isinstance(value, list | tuple | np.ndarray):
-        (item,) = get_args(allowed_types(hint)[0])
+        item = item_type(allowed_types(hint)[0])
         return [plain(each, item) for each in value]
     return value.item() if isinstance(value, np.generic) else value

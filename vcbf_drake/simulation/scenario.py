@@ -32,6 +32,7 @@ from vcbf_drake.files import IS_FILE
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.plants import Vehicle
 from vcbf_drake.plants.channels import Channels, channels_of
+from vcbf_drake.plants.contract import check_returns, checked_plant, num_coordinates
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.methods import METHODS
 from vcbf_drake.safety.settings import FilterSettings
@@ -324,7 +325,7 @@ class Scenario(FilterSettings):
         require(delay <= duration, ("faults", "measurement_delay"), delay, rule)
 
     def _check_sizes(self, numbered: Sequence[tuple[int, AnyObstacle]]) -> None:
-        plant = self.vehicle.make_plant()
+        plant = checked_plant(self.vehicle)
         channels = channels_of(plant)
         states, inputs = channels.states, channels.inputs
         if isinstance(plant, MultibodyPlant) and self.between_ticks == "certified":
@@ -338,7 +339,7 @@ class Scenario(FilterSettings):
             self.input_set.lower,
             f"{len(inputs)} numbers, one each of {', '.join(inputs)}",
         )
-        size = len(self.start)
+        size = num_coordinates(self.vehicle, self.initial_state)
         at = self.vehicle.position
         axes = [*"xyz"][:size] if callable(at) else [[*states][i] for i in at]
         check_finite("target", self.target, names=axes)
@@ -397,8 +398,8 @@ class Scenario(FilterSettings):
     def _check_places(self, numbered: Sequence[tuple[int, AnyObstacle]]) -> None:
         with below("faults"):
             self.vehicle.altered(self.faults.mass, self.faults.drag)
-        self.vehicle.make_controller(self.target)  # It may refuse the target.
         state = np.array(self.initial_state)
+        check_returns(self.vehicle, state, self.target)
         places = [(each.radius, each.place(state)) for each in body(self)]
         for i, obstacle in numbered:
             what = f"obstacles[{i}]"

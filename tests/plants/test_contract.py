@@ -1,0 +1,192 @@
+"""The contract of a vehicle: what is returned instead is named, in one line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydrake.geometry import Box, Mesh
+from pydrake.systems.primitives import Gain, LinearSystem
+import pytest
+
+from vcbf_drake import InputLimits, Scenario, load_scenario, simulate
+from vcbf_drake.barriers import StateLimit
+from vcbf_drake.errors import InvalidValueError, ScenarioError
+from vcbf_drake.plants import CarVehicle, Part, StateFeedback, Vehicle
+from vcbf_drake.simulation import dump_scenario
+from vcbf_drake.simulation.loading import parse_scenario
+
+
+def integrators(*names: str) -> Any:
+    """A plant of two integrators: its velocities are its inputs."""
+    zeros, one = np.zeros((2, 2)), np.eye(2)
+    plant: Any = LinearSystem(zeros, one, one, zeros)
+    plant.state_names = names
+    return plant
+
+
+@dataclass
+class Trolley(Vehicle):
+    """A point that goes where it is told."""
+
+    gain: float = 1.0
+    sides: tuple[float, float] = (0.2, 0.1)
+    marks: tuple[int, ...] = ()
+    position = (0, 1)
+
+    def make_plant(self) -> Any:
+        return integrators("x", "y")
+
+    def make_controller(self, target: Any) -> Any:
+        return StateFeedback(lambda x: self.gain * (target - x), 2, 2)
+
+    def barriers(self) -> Any:
+        return StateLimit(1, -1.0, 1.0).barriers([2.0])
+
+    def geometry(self, color: str) -> list[Part]:
+        return [Part("box", Box(*self.sides, 0.1), color)]
+
+
+@dataclass
+class LongTrolley(Trolley):
+    """A vehicle that is derived from another one."""
+
+    length_of_bed: float = 2.0
+
+
+def scenario_with(vehicle: Vehicle) -> Scenario:
+    return Scenario(
+        name="trolley",
+        vehicle=vehicle,
+        method="cbf-qp",
+        input_set=InputLimits([-1.0, -1.0], [1.0, 1.0]),
+        initial_state=[0.0, 0.0],
+        target=[2.0, 0.0],
+        duration=0.1,
+    )
+
+
+def refusal(vehicle: Vehicle) -> str:
+    with pytest.raises(InvalidValueError) as caught:
+        scenario_with(vehicle)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize(
+    ("member", "wrong", "message"),
+    [
+        ("make_plant", lambda self: None, "make_plant(): None; it must be a Drake"),
+        (
+            "make_plant",
+            lambda self: integrators("x"),
+            "make_plant().state_names: ('x',)",
+        ),
+        (
+            "make_plant",
+            lambda self: integrators("x", "x"),
+            "2 different texts, or none",
+        ),
+        ("position", None, "position: None; it must be 1 to 3 different indices"),
+        ("position", (0, 2), "position: (0, 2); it must be 1 to 3 different indices"),
+        ("position", (0, 0), "whole numbers from 0 to 1, or a function of the state"),
+        ("position", ("x", "y"), "position: ('x', 'y'); it must be"),
+        ("position", lambda self, x: x[0], "position(state): 0"),
+        ("position", lambda self, x: None, "position(state): None; it must be 1 to 3"),
+        ("heading", 2, "heading: 2; it must be None, or one of the indices"),
+        ("heading", "yaw", "heading: 'yaw'; it must be None, or one of the indices"),
+        ("make_controller", lambda self, target: None, "(target): None; it must be a"),
+        (
+            "make_controller",
+            lambda self, target: Gain(1.0, 2),
+            "input ports: {'u0': 2}; it must be a system with input port state",
+        ),
+        (
+            "make_controller",
+            lambda self, target: StateFeedback(np.sum, 2, 1),
+            "output ports: {'reference': 1}; it must be a system with output port",
+        ),
+        ("barriers", lambda self: None, "barriers(): None; it must be a list"),
+        ("barriers", lambda self: [StateLimit(1, 0.0)], "barriers()[0]: StateLimit("),
+        ("pose", lambda self, state: None, "pose(state): None; it must be a RigidTr"),
+        ("poses", lambda self, state: [], "poses(state): []; it must be a dict"),
+        ("geometry", lambda self, color: None, "geometry(color): None; it must be a"),
+        ("geometry", lambda self, color: [Box(1, 1, 1)], "geometry(color)[0]: Box("),
+        (
+            "geometry",
+            lambda self, color: [Part("box", Box(1, 1, 1), "red")],
+            "geometry(color)[0].color: 'red'; it must be hexadecimal",
+        ),
+        (
+            "geometry",
+            lambda self, color: [Part("box", Box(1, 1, 1), body="trailer")],
+            "geometry(color)[0].body: 'trailer'; it must be a body of poses(state): ''",
+        ),
+        (
+            "geometry",
+            lambda self, color: [Part("body", Mesh("nowhere.gltf"))],
+            "geometry(color)[0].shape: ",
+        ),
+    ],
+)
+def test_what_a_member_returns_instead_is_named(
+    member: str, wrong: Any, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Trolley, member, wrong)
+    found = refusal(Trolley())
+    assert found.startswith(f"vehicle.{member}")
+    assert message in found
+
+
+def test_parameters_are_those_that_a_file_can_hold() -> None:
+    assert refusal(Trolley(gain="1")) == "vehicle.gain: '1'; it must be a number"  # type: ignore[arg-type]
+
+    class Undecorated(Vehicle):
+        position = (0, 1)
+        make_plant, make_controller = Trolley.make_plant, Trolley.make_controller  # type: ignore[assignment]
+
+    assert "it must be a dataclass" in refusal(Undecorated())
+
+    @dataclass
+    class Placed(Trolley):
+        folder: Path = field(default_factory=Path)
+
+    message = refusal(Placed())
+    assert message.startswith("vehicle.folder: of type Path; it must be float, int,")
+
+
+def test_a_vehicle_does_not_take_the_name_of_a_shipped_one() -> None:
+    message = refusal(dataclass(type("Car", (Trolley,), {}))())
+    assert message.startswith("vehicle: 'Car'; it must be called otherwise, for !Blimp")
+    assert isinstance(load_scenario("car-avoidance").vehicle, CarVehicle)
+
+
+@pytest.mark.parametrize("kind", [Trolley, LongTrolley])
+def test_tuples_and_derived_vehicles_are_dumped_and_loaded_back(
+    kind: Callable[..., Trolley],
+) -> None:
+    scenario = scenario_with(kind(sides=(0.4, 0.3), marks=(1, 2, 3)))
+    text = dump_scenario(scenario)
+    assert parse_scenario(text, "dump.yaml") == scenario
+    found = parse_scenario(text, "dump.yaml", "{vehicle: {marks: [4], sides: [1, 2]}}")
+    assert found.vehicle.marks == (4,)  # type: ignore[attr-defined]
+    assert found.vehicle.sides == (1.0, 2.0)  # type: ignore[attr-defined]
+    with pytest.raises(ScenarioError, match=r"sides: expected 2 values, got 1$"):
+        parse_scenario(text, "dump.yaml", "{vehicle: {sides: [1]}}")
+
+
+@pytest.mark.parametrize("wrong", [None, [1.0], "left", [[1.0, 2.0]]])
+def test_a_law_returns_one_number_an_input(
+    wrong: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    law = StateFeedback(lambda x: wrong, 2, 2)
+    monkeypatch.setattr(Trolley, "make_controller", lambda self, target: law)
+    scenario = scenario_with(Trolley())
+    with pytest.raises(
+        InvalidValueError, match=r"law returns: .*; it must be 2 numbers"
+    ):
+        simulate(scenario, step_time=False)

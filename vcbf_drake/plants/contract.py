@@ -1,0 +1,196 @@
+"""The contract of a vehicle: what its members return, checked before they are used."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
+from numbers import Integral
+from pathlib import Path
+import re
+import types
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+from pydrake.geometry import Convex, Mesh
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import System
+
+from vcbf_drake.barriers import Barrier, StateInputLimit
+from vcbf_drake.checks import Array, require
+from vcbf_drake.errors import InvalidValueError, below
+from vcbf_drake.model.ports import input_port_of, state_port_of
+from vcbf_drake.plants.shapes import Part
+from vcbf_drake.plants.vehicle import Vehicle, tag
+from vcbf_drake.typed import check_fields
+
+_SCALARS = (float, int, bool, str, types.NoneType)
+_COLOR = re.compile("#[0-9a-fA-F]{6}")
+
+
+def checked_plant(vehicle: Vehicle) -> System:
+    """Returns a vehicle's plant, if its parameters, channels and position are sound.
+
+    Raises:
+        InvalidValueError: They are not.
+    """
+    _check_parameters(vehicle)
+    plant = vehicle.make_plant()
+    _require(isinstance(plant, System), "make_plant()", plant, "a Drake System")
+    size = state_port_of(plant).size()
+    _check_names(plant)
+    rule = f"indices of the state, whole numbers from 0 to {size - 1}"
+    turn, at = vehicle.heading, getattr(vehicle, "position", None)
+    if turn is not None:
+        _require(_is_index(turn, size), "heading", turn, f"None, or one of the {rule}")
+    if not callable(at):
+        found = at if isinstance(at, Sequence) else ()
+        known = all(_is_index(i, size) for i in found) and len({*found}) == len(found)
+        rule = f"1 to 3 different {rule}, or a function of the state"
+        _require(known and 1 <= len(found) <= 3, "position", at, rule)
+    return plant
+
+
+def num_coordinates(vehicle: Vehicle, state: Sequence[float]) -> int:
+    """Returns how many coordinates a vehicle's position has, in a state (n,).
+
+    Raises:
+        InvalidValueError: Its function returns something else than coordinates.
+    """
+    at = vehicle.position
+    if not callable(at):
+        return len(at)
+    found = at(np.array(state, dtype=float))
+    try:
+        place = np.asarray(found, dtype=float)
+    except (TypeError, ValueError):
+        place = np.zeros(0)
+    known = place.ndim == 1 and 1 <= place.size <= 3 and bool(np.isfinite(place).all())
+    _require(known, "position(state)", found, "1 to 3 finite numbers")
+    return place.size
+
+
+def check_returns(vehicle: Vehicle, state: Array, target: Sequence[float]) -> None:
+    """Checks what a vehicle's other members return at the start of a run.
+
+    Args:
+        vehicle: The vehicle.
+        state: The initial state, shape (n,).
+        target: The position to reach, shape (k,).
+
+    Raises:
+        InvalidValueError: One returns something else.
+    """
+    _check_controller(vehicle.make_controller(target), vehicle.make_plant())
+    limits = vehicle.barriers()
+    _require(isinstance(limits, list | tuple), "barriers()", limits, "a list")
+    rule = "a StateInputLimit or a Barrier, as barriers(gains) of a StateLimit makes"
+    for i, each in enumerate(limits):
+        known = isinstance(each, Barrier | StateInputLimit)
+        _require(known, f"barriers()[{i}]", each, rule)
+    pose, poses = vehicle.pose(state), vehicle.poses(state)
+    rule = "a RigidTransform"
+    _require(isinstance(pose, RigidTransform), "pose(state)", pose, rule)
+    known = isinstance(poses, dict) and all(
+        isinstance(each, RigidTransform) for each in poses.values()
+    )
+    _require(known, "poses(state)", poses, f"a dict of names, each with {rule}")
+    _check_parts(vehicle.geometry("#000000"), [*poses])
+
+
+def _require(allowed: bool, member: str, value: object, rule: str) -> None:
+    require(allowed, ("vehicle", member), value, rule)
+
+
+def _check_parameters(vehicle: Vehicle) -> None:
+    kind: Any = type(vehicle)
+    rule = "a dataclass: write @dataclass above its class"
+    require(is_dataclass(kind), "vehicle", kind.__name__, rule)
+    shipped = [
+        tag(each)
+        for each in Vehicle.__subclasses__()
+        if each.__module__.startswith("vcbf_drake.") and each is not kind
+    ]
+    rule = f"called otherwise, for {', '.join(shipped)} come with the package"
+    require(tag(kind) not in shipped, "vehicle", kind.__name__, rule)
+    hints = get_type_hints(kind)
+    for each in fields(kind):
+        if not _is_parameter(hints[each.name]):
+            name = str(each.type).removeprefix("<class '").removesuffix("'>")
+            raise InvalidValueError(
+                ("vehicle", each.name),
+                f"of type {name}; it must be float, int, bool, str, a list or tuple of"
+                " one of these, or a dataclass of such fields",
+            )
+    with below("vehicle"):
+        check_fields(vehicle)
+
+
+def _is_parameter(hint: Any) -> bool:
+    """Whether a scenario file can hold what has a type."""
+    is_union = get_origin(hint) in (types.UnionType, Union)
+    members = [*get_args(hint)] if is_union else [hint]
+    if len(members) > 1:  # An array beside a list is written as one.
+        members = [each for each in members if get_origin(each) is not np.ndarray]
+    return all(map(_is_member, members))
+
+
+def _is_member(hint: Any) -> bool:
+    items = {each for each in get_args(hint) if each is not Ellipsis}
+    if get_origin(hint) in (list, tuple, Sequence):
+        return len(items) == 1 and _is_parameter(*items)
+    if is_dataclass(hint):
+        hints = get_type_hints(hint)
+        return all(_is_parameter(hints[each.name]) for each in fields(hint))
+    return hint in _SCALARS or get_origin(hint) is Literal
+
+
+def _is_index(value: Any, size: int) -> bool:
+    is_whole = isinstance(value, Integral) and not isinstance(value, bool)
+    return is_whole and 0 <= int(value) < size
+
+
+def _check_names(plant: Any) -> None:
+    """Checks that a plant's channels have one name and one unit each, or none."""
+    if isinstance(plant, MultibodyPlant):  # It has names of its own.
+        return
+    sizes = {"state": state_port_of(plant).size(), "input": input_port_of(plant).size()}
+    if plant.HasInputPort("disturbance"):
+        sizes["disturbance"] = plant.GetInputPort("disturbance").size()
+    for kind, size in sizes.items():
+        for what in ("names", "units"):
+            found = getattr(plant, f"{kind}_{what}", None) or ()
+            known = len(found) in (0, size) and all(isinstance(w, str) for w in found)
+            known = known and (what == "units" or len({*found}) == len(found))
+            rule = f"{size} {'different ' * (what == 'names')}texts, or none"
+            _require(known, f"make_plant().{kind}_{what}", found, rule)
+
+
+def _check_controller(controller: Any, plant: System) -> None:
+    where = "make_controller(target)"
+    _require(isinstance(controller, System), where, controller, "a Drake System")
+    inputs = map(controller.get_input_port, range(controller.num_input_ports()))
+    outputs = map(controller.get_output_port, range(controller.num_output_ports()))
+    for kind, ports, name, size in (
+        ("input", inputs, "state", state_port_of(plant).size()),
+        ("output", outputs, "reference", input_port_of(plant).size()),
+    ):
+        found = {port.get_name(): port.size() for port in ports}
+        rule = f"a system with {kind} port {name} of size {size}"
+        _require(found.get(name) == size, f"{where}: {kind} ports", found, rule)
+
+
+def _check_parts(parts: Any, bodies: Sequence[str]) -> None:
+    where = "geometry(color)"
+    _require(isinstance(parts, list | tuple), where, parts, "a list of Part")
+    for i, part in enumerate(parts):
+        place = f"{where}[{i}]"
+        _require(isinstance(part, Part), place, part, "a Part")
+        known = part.color is None or bool(_COLOR.fullmatch(str(part.color)))
+        rule = "hexadecimal, #rrggbb, or None"
+        _require(known, f"{place}.color", part.color, rule)
+        rule = f"a body of poses(state): {', '.join(map(repr, bodies))}"
+        _require(part.body in bodies, f"{place}.body", part.body, rule)
+        if isinstance(part.shape, Mesh | Convex) and part.shape.source().is_path():
+            file = Path(part.shape.source().path())
+            _require(file.is_file(), f"{place}.shape", str(file), "a file that exists")
