@@ -61,10 +61,10 @@ class BackupGate:
             ModelError: The plant has no manoeuvre that is safe under these limits, or a
                 barrier has no enclosure on intervals; or the limits are no box.
         """
-        RowEnclosures.at(barrier_set, 0.0, np.zeros(barrier_set.obstacles_size))
         self.manoeuvres = tuple(
             manoeuvres_of(model, input_set, period, disturbance_bound)
         )
+        RowEnclosures.at(barrier_set, 0.0, np.zeros(barrier_set.obstacles_size))
         self._barriers, self._input_set = barrier_set, input_set
         self._disturbance_bound = disturbance_bound
 
