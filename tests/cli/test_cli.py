@@ -27,6 +27,7 @@ from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.schema import scenario_schema
 import vcbf_drake.viz.figures as figures_module
 import vcbf_drake.viz.replay as replay_module
+from vcbf_drake.viz.terminal import number_text
 
 SHORT = "{duration: 0.1}"
 
@@ -169,6 +170,12 @@ def test_help_names_every_method_and_wraps_once() -> None:
         lines = [line.strip() for line in told.splitlines()]
         broken = [a for a, b in pairwise(lines) if b and a]
         assert all(len(line) > 50 for line in broken), broken
+
+
+def test_counts_are_printed_in_full_and_measures_in_three_digits() -> None:
+    assert number_text(2001) == "2001"
+    assert number_text(2001.4) == "2e+03"
+    assert number_text(None) == "-"
 
 
 def test_the_module_is_the_command_line() -> None:
