@@ -44,6 +44,18 @@ def handle(number: int, handler: Callable[[int, FrameType | None], object]) -> N
 
 
 def raise_on_interrupt() -> None:
-    """Gives Ctrl-C back to Python: whoever works now tidies up after itself."""
+    """Has Ctrl-C raise from now on: whoever works then tidies up after itself."""
     if signal.getsignal(signal.SIGINT) is end_at_once:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, _raise_unless_importing)
+
+
+def _raise_unless_importing(number: int, frame: FrameType | None) -> None:
+    """Raises KeyboardInterrupt; amid an import, ends the process at once.
+
+    A module in C++ that is interrupted while it is made raises an ImportError instead.
+    """
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            end_at_once(number, frame)
+        frame = frame.f_back
+    raise KeyboardInterrupt

@@ -265,7 +265,12 @@ def test_a_signal_while_everything_is_loaded_is_one_line(start) -> None:
 
 
 @pytest.mark.parametrize(
-    "moment", ["typer.main", "vcbf_drake.cli", "typer._adapters", "pydrake.common"]
+    "moment",
+    [
+        *("typer.main", "vcbf_drake.cli", "typer._adapters", "pydrake.common"),
+        # Amid which modules in C++ are made.
+        *("pydrake.solvers", "pydrake.geometry"),
+    ],
 )
 @pytest.mark.parametrize(
     ("command", "number"),
