@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull
 from tests.helpers.synthetic_results import blimp_result, blimp_results, car_result
 from vcbf_drake.safety.methods import METHODS
 from vcbf_drake.simulation import InputLimits, Obstacle
-from vcbf_drake.viz import write_figures
+from vcbf_drake.viz import write_figures, write_replay
 from vcbf_drake.viz.feasible_set import (
     feasible_set_at,
     polytope_vertices,
@@ -113,6 +113,16 @@ def test_a_run_without_a_state_of_the_filter_is_drawn(tmp_path):
     barriers[:, 0] = np.nan
     log = result.log | missing | {"barriers": barriers}
     assert write_figures([dataclasses.replace(result, log=log)], tmp_path)
+
+
+def test_a_reference_that_is_not_finite_has_no_place_in_pictures(tmp_path):
+    result = car_result(end=2.0)
+    reference = result.log["reference"].copy()
+    reference[:, 1] = np.nan
+    log = result.log | {"reference": reference}
+    run = dataclasses.replace(result, log=log)
+    assert write_figures([run], tmp_path)
+    assert write_replay([run], tmp_path / "replay.html").exists()
 
 
 def test_the_least_barrier_leaves_out_what_is_not_a_number():

@@ -143,15 +143,19 @@ def _draw_ellipse(axes: Any, chosen: FeasibleSet, color: str) -> None:
 
 
 def _draw_choice(axes: Any, chosen: FeasibleSet, view: Array, color: str) -> None:
-    """The reference, square where it is out of view, and the chosen input."""
+    """The reference, square where it is out of view, and the chosen input.
+
+    A reference that is not finite has no place in it.
+    """
     inner = view + 0.03 * np.array([[1.0], [-1.0]]) * (view[1] - view[0])
     reference = np.clip(chosen.reference[:2], *inner)
     inside = bool(np.all(reference == chosen.reference[:2]))
     style: Style = dict(mfc="white", mec=INK, ms=6, mew=1.2, zorder=5)
     axes.plot(*reference, "o" if inside else "s", **style)
     if chosen.has_choice:
-        arrow = dict(arrowstyle="-", color=INK, lw=0.7, shrinkA=3, shrinkB=3)
-        axes.annotate("", chosen.input[:2], reference, arrowprops=arrow, zorder=4)
+        if np.isfinite(reference).all():
+            arrow = dict(arrowstyle="-", color=INK, lw=0.7, shrinkA=3, shrinkB=3)
+            axes.annotate("", chosen.input[:2], reference, arrowprops=arrow, zorder=4)
         axes.plot(*chosen.input[:2], "o", mfc=color, mec="white", ms=7, zorder=5)
 
 

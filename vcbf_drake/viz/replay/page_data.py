@@ -238,7 +238,7 @@ def _sets(run: Shown) -> dict[str, list[Any]]:
         "outline": [_outline(each) for each in sets],
         "eased": [int(each.empty and each.has_choice) for each in sets],
         "ellipse": [_ellipse(each) for each in sets],
-        "reference": [_in_plane(each.reference) for each in sets],
+        "reference": [_place_in_plane(each.reference) for each in sets],
         "input": [_in_plane(each.input) for each in sets],
     }
 
@@ -265,6 +265,11 @@ def _ellipse(feasible: FeasibleSet) -> list[float] | None:
 
 def _in_plane(values: Array) -> list[float]:
     return _rounded(np.append(values[:2], 0.0)[:2])
+
+
+def _place_in_plane(values: Array) -> list[float] | None:
+    """The same, or nothing where it is not finite."""
+    return _in_plane(values) if np.isfinite(values[:2]).all() else None
 
 
 def _kept(ticks: int, most: int) -> NDArray[np.int_]:

@@ -99,7 +99,7 @@ class Choice {
     const { left, right, top, bottom } = this.box;
     const within = (value, low, high) => Math.min(Math.max(value, low + 4), high - 4);
     const [chosenX, chosenY] = [this.x(sets.input[k][0]), this.y(sets.input[k][1])];
-    if (primary) {
+    if (primary && sets.reference[k]) {
       const x = within(this.x(sets.reference[k][0]), left, right);
       const y = within(this.y(sets.reference[k][1]), top, bottom);
       element("line", { class: "way", x1: x, y1: y, x2: chosenX, y2: chosenY }, group);
