@@ -11,15 +11,17 @@ from scipy.spatial import ConvexHull
 
 from tests.helpers.synthetic_results import blimp_result, blimp_results, car_result
 from vcbf_drake.safety.methods import METHODS
-from vcbf_drake.simulation import InputLimits, Obstacle
+from vcbf_drake.simulation import InputLimits, Obstacle, load_scenario, simulate
 from vcbf_drake.viz import write_figures, write_replay
 from vcbf_drake.viz.feasible_set import (
     feasible_set_at,
     polytope_vertices,
+    shadow,
     telling_times,
 )
+from vcbf_drake.viz.feasible_set_figure import feasible_set_figure
 from vcbf_drake.viz.runs import label_runs
-from vcbf_drake.viz.series_figures import volume_figure
+from vcbf_drake.viz.series_figures import input_figure, volume_figure
 from vcbf_drake.viz.solids import hull
 from vcbf_drake.viz.space_figure import ConvexBody, ParallelView
 from vcbf_drake.viz.style import METHOD_STYLES, figure_style, save_figure
@@ -196,6 +198,26 @@ def test_an_input_that_is_fixed_leaves_a_flat_set():
     np.testing.assert_allclose(corners[:, 2], 0.3)
     around = [[-1, -1], [1, -1], [1, -0.5], [-0.5, 1], [-1, 1]]
     assert same_points(hull(corners[:, :2]), np.array(around))
+
+
+@pytest.mark.parametrize("widths", [[2.0, 3.0, 1.0], [2.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
+def test_the_shadow_of_an_ellipsoid_flat_or_not(widths):
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    B = np.diag(widths) @ turn
+    L = shadow(B)
+    np.testing.assert_allclose(L @ L.T, (B @ B.T)[:2, :2], atol=1e-12)
+    assert L[0, 1] == 0.0 and (np.diag(L) >= 0.0).all()
+
+
+@pytest.mark.filterwarnings("error")
+def test_the_inputs_of_a_dead_actuator_are_drawn(tmp_path):
+    scenario = load_scenario(
+        "car-avoidance",
+        {"duration": 0.1, "input_set": {"lower": [-3, 0], "upper": [3, 0]}},
+    )
+    runs = label_runs([simulate(scenario)])
+    for figure in (feasible_set_figure(runs, [0.1]), input_figure(runs)):
+        figure.savefig(tmp_path / "figure.png")
 
 
 def test_an_empty_set_has_no_corners():

@@ -102,8 +102,8 @@ class LoopMonitor(LeafSystem):
         levels = self._read(context, "levels")
         if len(levels) and np.isnan(levels).all():
             self._warn(
-                "at the start no barrier has a value: is the measured state finite?"
-                " None of the hypotheses could be checked"
+                "at the start no barrier has a value: is the measured state finite, and"
+                " at no obstacle's centre? None of the hypotheses could be checked"
             )
             return EventStatus.Succeeded()
         authority = self._read(context, "authority")

@@ -129,6 +129,19 @@ def in_plane(one: FeasibleSet) -> FeasibleSet:
     )
 
 
+def shadow(shape: Array) -> Array:
+    """The shadow of ``{B v : |v| <= 1}`` on the plane of two inputs, of a flat one too.
+
+    Args:
+        shape: B, shape (m, m), m >= 2.
+
+    Returns:
+        L with L L' = (B B')[:2, :2], lower triangular, its diagonal not negative.
+    """
+    triangle: Array = np.linalg.qr(shape[:2].T)[1].T
+    return triangle * np.where(np.diag(triangle) < 0.0, -1.0, 1.0)
+
+
 def shown_inputs(log: Mapping[str, Array], limits: InputLimits) -> tuple[Array, Array]:
     """The least and the greatest inputs to show, shape (m,) each.
 

@@ -14,6 +14,7 @@ from vcbf_drake.viz.feasible_set import (
     in_plane,
     moment,
     polytope_vertices,
+    shadow,
 )
 from vcbf_drake.viz.runs import Run
 from vcbf_drake.viz.solids import hull
@@ -65,7 +66,7 @@ def draw_feasible_set(axes: Any, chosen: FeasibleSet, color: str) -> None:
     from matplotlib.patches import Polygon
 
     low, high = chosen.low[:2], chosen.high[:2]
-    room = MARGIN * (high - low)
+    room = MARGIN * np.where(high > low, high - low, 1.0)  # A fixed input has no range.
     view = np.stack([low - room, high + room])
     axes.set(xlim=view[:, 0], ylim=view[:, 1])
     axes.grid(False)
@@ -135,9 +136,10 @@ def _draw_ellipse(axes: Any, chosen: FeasibleSet, color: str) -> None:
     if not np.all(np.isfinite(chosen.shape)):
         return
     angle = np.linspace(0.0, 2.0 * np.pi, 121)
-    # The shadow of {B v + c : |v| <= 1} on the plane has the matrix of its first rows.
-    shadow = np.linalg.cholesky((chosen.shape @ chosen.shape.T)[:2, :2])
-    ring = chosen.center[:2, None] + shadow @ [np.cos(angle), np.sin(angle)]
+    ring = chosen.center[:2, None] + shadow(chosen.shape) @ [
+        np.cos(angle),
+        np.sin(angle),
+    ]
     axes.plot(*ring, color=color, lw=1.0, ls=(0, (2, 1.2)), zorder=3)
     axes.plot(*chosen.center[:2], "+", color=color, ms=6, zorder=3)
 

@@ -101,7 +101,7 @@ def input_figure(runs: Sequence[Run]) -> Any:
             style = run.line(lw=1.2, drawstyle="steps-post", label=run.caption)
             axes.plot(run.time, run.result.log["input"][:, channel], **style)
         axes.set_ylabel(name)
-        room = 0.12 * (high - low)
+        room = 0.12 * ((high - low) or 1.0)
         axes.set_ylim(low - room, high + room)
         _time_axis(axes)
     panels[0].plot([], [], color=ALARM, lw=0.8, ls=(0, (4, 2)), label="limits")

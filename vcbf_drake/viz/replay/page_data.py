@@ -18,6 +18,7 @@ from vcbf_drake.plants.vehicle import tag
 from vcbf_drake.viz.feasible_set import (
     FeasibleSet,
     feasible_set_of_tick,
+    shadow,
     shown_inputs,
 )
 from vcbf_drake.viz.runs import Event, Run, barrier_unit, least_barrier
@@ -258,9 +259,7 @@ def _ellipse(feasible: FeasibleSet) -> list[float] | None:
         return None
     if len(shape) == 1:
         return [*_in_plane(feasible.center), *_rounded([shape[0, 0], 0.0, 0.5])]
-    # The shadow of {B v + c : |v| <= 1} on the plane has the matrix of its first rows.
-    triangle = np.linalg.cholesky((shape @ shape.T)[:2, :2])
-    return _rounded([*feasible.center[:2], *triangle[np.tril_indices(2)]])
+    return _rounded([*feasible.center[:2], *shadow(shape)[np.tril_indices(2)]])
 
 
 def _in_plane(values: Array) -> list[float]:
