@@ -43,7 +43,7 @@ def test_runs_comparisons_checks_and_studies(robot: str, tmp_path: Path) -> None
     two = ("--methods", "robust-cbf-qp,dob-vcbf-qp", "--override", brief)
     output(start("compare", robot, *two, "--out", f"{tmp_path}/compare"))
     assert (tmp_path / "compare" / "replay.html").stat().st_size > 1e6
-    vary = ("--vary", "vehicle.mass: !Uniform [0.9, 1.1]", "--trials", "2")
+    vary = ("--vary", "vehicle.mass: !Scale [0.9, 1.1]", "--trials", "2")
     study = ("--methods", "robust-cbf-qp", "--workers", "1", "--override", brief)
     output(start("monte-carlo", robot, *vary, *study, "--out", f"{tmp_path}/study"))
     trials = (tmp_path / "study" / "trials.jsonl").read_text().splitlines()
