@@ -124,7 +124,7 @@ def estimation(result: Result) -> Record:
     Returns:
         ``greatest_disturbance``; ``greatest_error`` and ``rms_error`` after the first
         second [m/s^2]; the shares of all ticks with an error above the printed bound
-        delta1 exp(-lambda_V t / 2) (E13) and above the certified one (E39).
+        delta1 exp(-lambda_V t / 2) (E20) and above the certified one (E28).
     """
     log, observer = result.log, result.scenario.observer
     error = np.linalg.norm(log["disturbance"] - log["disturbance_estimate"], axis=1)

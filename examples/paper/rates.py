@@ -42,12 +42,12 @@ Made by `python -m examples.paper.rates`.
 
 The rows of the filter hold at the ticks; the input is held in between. Each case runs
 at every rate twice: with `between_ticks: none`, and with `between_ticks: certified`,
-which asks for inputs under which the rows hold until the next tick (E77). All runs have
+which asks for inputs under which the rows hold until the next tick (E88). All runs have
 the method dob-vcbf-qp, and the input of least violation where no input is safe.
 
 *Least h seen* is over steps of 1 ms at most. *Certified* is what h was nowhere below,
 no instant left out, whatever the disturbance did within what was known of it at the
-ticks (E76). The labels are those of [theory.md](../theory.md).
+ticks (E87). The labels are those of [theory.md](../theory.md).
 """
 
 _ABOUT = {
@@ -55,7 +55,7 @@ _ABOUT = {
 A car is pressed, with all it has, against a wall that moves to and fro, 0.5 m to
 either side at 2 rad/s; h is its distance [m]. The row is active at every tick, and its
 right-hand side moves on as soon as the tick is over. The observer has to find a
-constant push of 0.2 m/s^2; as it does not change, the hold's margin (E39) is 0 and
+constant push of 0.2 m/s^2; as it does not change, the hold's margin (E28) is 0 and
 hides nothing. *Median h* is what the margin costs: the distance that the car keeps.""",
     "car-avoidance": """\
 The shipped scenario, its car a point; h in m^2. Its obstacle is round and stands still,

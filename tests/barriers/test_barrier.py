@@ -32,7 +32,7 @@ def car() -> ControlAffineModel:
 
 
 def blimp_row(x, center, radius, k1, k2):
-    """(E31), (E32) and (E45): h, dh, A, b, w and their gradients by x (8)."""
+    """(E77), (E78) and (E59): h, dh, A, b, w and their gradients by x (8)."""
     parameters = BlimpParameters()
     m_x, _, m_z = parameters.effective_masses
     drag_x, _, drag_z = parameters.drag
@@ -65,7 +65,7 @@ def blimp_row(x, center, radius, k1, k2):
 
 
 def car_row(x, center, radius, k1, k2, mass):
-    """(E35): h, dh, A, b, w."""
+    """(E80): h, dh, A, b, w."""
     r, v = x[:2] - center, x[2]
     q = np.array([np.cos(x[3]), np.sin(x[3])])
     q_perp = np.array([-q[1], q[0]])

@@ -19,7 +19,7 @@ CENTERS = np.array([[1.5, 0.3, 0.2], [2.6, -0.9, -0.3], [2.4, 0.9, -0.8]])  # [m
 RADII = np.array([0.5, 0.6, 0.5])  # [m]
 RATES = (1.0, 3.0)  # Decay rates of the barriers [1/s].
 GAINS = (RATES[0] + RATES[1], RATES[0] * RATES[1])  # K of (E4).
-# xi of (E21) and lambda_Vv [1/s]: cautious, so that the volume row acts often.
+# xi of (E49) and lambda_Vv [1/s]: cautious, so that the volume row acts often.
 THRESHOLD, VOLUME_GAIN = 0.1, 0.5
 
 NUM_STATES, NUM_INPUTS = 6, 3
@@ -65,7 +65,7 @@ def polytope(state: Array) -> tuple[Array, Array]:
 
 
 def volume_row(state: Array, det: float, gradient: Array) -> tuple[Array, float]:
-    """Returns a (3,) and c of the row a u <= c of the volume barrier (E24).
+    """Returns a (3,) and c of the row a u <= c of the volume barrier (E54).
 
     Args:
         state: Shape (6,).

@@ -74,7 +74,7 @@ def ellipsoid_gradient(state: Array) -> tuple[float, Array] | None:
 
 
 def volume_filtered_input(state: Array, reference: Array) -> Array | None:
-    """Returns the input of (E24) with hard rows, or None if there is none."""
+    """Returns the input of (E54) with hard rows, or None if there is none."""
     found = ellipsoid_gradient(state)
     if found is None:
         return None

@@ -58,7 +58,7 @@ STEPS = 200
 
 
 def car_rate(x, u, d):
-    """(E33), mass 2 kg."""
+    """(E79), mass 2 kg."""
     return np.array(
         [x[2] * math.cos(x[3]), x[2] * math.sin(x[3]), u[0] / 2.0 + d[0], u[1]]
     )
@@ -86,7 +86,7 @@ BLIMP = BlimpParameters(
 
 
 def blimp_rate(x, u, d):
-    """(E29)."""
+    """(E76)."""
     heading = np.array([math.cos(x[3]), math.sin(x[3]), 0.0])
     v = x[4:7]
     force = heading * u[0] / 0.2 + np.array([0.0, 0.0, u[1] / 0.25])
@@ -670,7 +670,7 @@ def test_a_hold_covers_a_period_of_rounded_ticks():
 @pytest.mark.parametrize(
     ("x", "v", "retreat", "a", "least"),
     [
-        (0.4, -0.5, 0.0, 0.6, 0.0),  # It gains; by (E75) alone it would seem to lose.
+        (0.4, -0.5, 0.0, 0.6, 0.0),  # It gains; by (E86) alone it would seem to lose.
         (0.2, -0.3, 0.2, 0.0, -0.01),  # It loses the rate of -0.1 for 0.1 s.
     ],
 )

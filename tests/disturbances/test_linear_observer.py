@@ -61,7 +61,7 @@ def test_bound_tends_to_that_of_continuous_time():
 
 
 def test_estimate_follows_the_continuous_observer():
-    """Against (E41) itself, integrated with the true velocity and no drift."""
+    """Against (E67) itself, integrated with the true velocity and no drift."""
     model = DragModel(1, linear=0.0, cubic=0.0)
     bounds = DisturbanceBounds(1.0, 2.0, 4.0)
     observer = LinearDisturbanceObserver(model, 0.01, bounds, 4.0)

@@ -111,7 +111,7 @@ def test_gains_for_bounds_satisfy_their_condition_at_every_period(period, delta3
     bounds = DisturbanceBounds(1.0, 2.0, delta3)
     for alpha, gamma in [(5.0, 4.0), (1.5, 8.0), (9.0, 2.0)]:
         gains = RiseGains.for_bounds(bounds, period, alpha, gamma)
-        kappa = min(alpha - 1.0, gamma)  # (E49), by hand.
+        kappa = min(alpha - 1.0, gamma)  # (E32), by hand.
         assert (alpha - kappa) * (gains.beta - 2.0) > delta3 * (1.0 + kappa * period)
 
 

@@ -104,7 +104,7 @@ def test_a_longer_interval_costs_a_higher_floor(kind) -> None:
     assert kind(MODEL, 1.0, BOUNDS, longest_interval=0.1).longest_interval == 1.0
 
 
-# The proof for unequal intervals, (E150) and (E151) --------------------------------
+# The proof for unequal intervals, (E34) and (E35) --------------------------------
 
 
 def signal(generator) -> tuple:
@@ -165,7 +165,7 @@ def test_the_proven_bound_holds_over_the_worst_of_intervals(seed: int) -> None:
 
 
 def test_what_the_bound_of_unequal_intervals_rests_on() -> None:
-    """Beta of (E151) by hand; one that meets (E49) alone is calibrated."""
+    """Beta of (E35) by hand; one that meets (E32) alone is calibrated."""
     delta2, delta3, h, kappa = 0.9, 3.0, 0.9 * PERIOD, 4.0
     r = LONGEST / h
     jump = delta2 * (r - 1.0 / r) / 2.0 + delta3 * LONGEST * (1.0 + r) / 2.0

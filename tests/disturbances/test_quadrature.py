@@ -73,7 +73,7 @@ def test_without_its_quadrature_term_the_bound_is_broken() -> None:
 
 
 def test_a_quadrature_error_is_a_disturbance_with_larger_bounds() -> None:
-    """(E97): delta2 + 2 Q / T and delta3 + 4 Q / T^2 are what the gains must suit."""
+    """(E42): delta2 + 2 Q / T and delta3 + 4 Q / T^2 are what the gains must suit."""
     d = DisturbanceSource([Sinusoid([0.4], frequency=1.5)], 20.0)
     gains, period, Q = RiseGains(5.0, 6.0, 4.0), 0.1, 0.02
     observer = rise(DragModel(1), period, d.bounds, gains)

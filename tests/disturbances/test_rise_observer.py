@@ -157,7 +157,7 @@ def test_explicit_step_chatters_by_its_law(period):
     d = source("constant")
     observer = rise(MODEL, period, d.bounds, step="explicit")
     result = run(observer, MODEL, d.value, 3.0)
-    law = math.sqrt(2) * 6.0 * math.sqrt(3 * period / 9.0)  # (E36)
+    law = math.sqrt(2) * 6.0 * math.sqrt(3 * period / 9.0)  # (E27)
     peak = result.error[result.time > 1.5].max()
     assert 0.75 * law < peak < 1.2 * law
     assert observer.error_bound(99.0) == pytest.approx(1.2 * law)
@@ -167,7 +167,7 @@ def test_saturated_step_does_not_chatter_and_follows_by_its_law():
     d = DisturbanceSource([Sinusoid([0.3, 0.4], frequency=0.5)], 20.0)
     observer = rise(MODEL, 0.01, d.bounds, step="saturated", boundary_layer=0.05)
     result = run(observer, MODEL, d.value, 16.0)
-    law = 5.0 * d.bounds.delta2 / (5.0 * 4.0 + 1.0 + 6.0 / 0.05)  # (E38)
+    law = 5.0 * d.bounds.delta2 / (5.0 * 4.0 + 1.0 + 6.0 / 0.05)  # (E26)
     floor = law + d.bounds.delta2 * 0.01 / 2
     assert result.error[result.time > 3.0].max() == pytest.approx(floor, rel=0.15)
     assert np.abs(np.diff(result.estimate[300:], axis=0)).max() < 0.003
@@ -180,7 +180,7 @@ def test_estimate_rate_and_gain_explain_how_the_estimate_moves(step):
     result = run(observer, MODEL, d.value, 0.5)
     mean = (d.value(result.time[1:]) + d.value(result.time[:-1])) / 2
     move = np.diff(result.estimate, axis=0) / period
-    # (E26), taken at the end of an interval by the implicit steps, else at its start.
+    # (E60), taken at the end of an interval by the implicit steps, else at its start.
     end = slice(None, -1) if step == "explicit" else slice(1, None)
     predicted = result.rate[end] + 4.0 * (mean - result.estimate[end])
     np.testing.assert_allclose(move, predicted, atol=1e-5)

@@ -26,7 +26,7 @@ def moved_start(index: int) -> list[float]:
 
 
 def clearance(summary: dict[str, Any]) -> float:
-    """The distance to the disc's edge [m], from h = rho^2 - (R + margin)^2 (E35)."""
+    """The distance to the disc's edge [m], from h = rho^2 - (R + margin)^2 (E80)."""
     (disc,) = load_scenario(AVOIDANCE).obstacles
     reach = disc.radius + disc.margin
     return math.sqrt(summary["min_barrier"] + reach**2) - disc.radius

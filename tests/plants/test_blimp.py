@@ -39,7 +39,7 @@ def body_velocity(x: Array) -> Array:
 
 
 def test_closed_form_of_a_blimp_with_equal_surge_and_sway() -> None:
-    # (E29), with the numbers of the GT-MAB written out.
+    # (E76), with the numbers of the GT-MAB written out.
     m_x, m_z, inertia = 0.1715, 0.1794, 0.005821
     random = np.random.default_rng(0)
     for _ in range(20):

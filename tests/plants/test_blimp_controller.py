@@ -36,7 +36,7 @@ def reference(
 
 
 def literal_law(x: Array, target: Array, p: BlimpControllerParameters) -> Array:
-    """The law (E30) by its formulas, with signed surge and yaw damping."""
+    """The law (E81) by its formulas, with signed surge and yaw damping."""
     e_d = np.linalg.norm(x[:2] - target[:2])
     e_yaw = x[3] - np.angle(complex(*(target - x[:3])[:2]))
     e_yaw = np.angle(np.exp(1j * e_yaw))

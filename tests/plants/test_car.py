@@ -11,7 +11,7 @@ from vcbf_drake.plants import Car, CarInput, CarParameters, CarState
 
 
 def test_closed_form() -> None:
-    # (E33)
+    # (E79)
     random = np.random.default_rng(0)
     car = Car(CarParameters(mass=1.6))
     context = car.CreateDefaultContext()

@@ -27,7 +27,7 @@ def reference(
 
 
 def test_it_is_the_published_law() -> None:
-    # (E34), the heading error by way of complex numbers.
+    # (E82), the heading error by way of complex numbers.
     parameters = CarControllerParameters(1.7, 3.0, 0.4)
     controller = CarController(TARGET, parameters, CarParameters(mass=1.5))
     random = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""The two properties of a plan, cover and nest (E120), of the car's and the blimp's.
+"""The two properties of a plan, cover and nest (E89), of the car's and the blimp's.
 
 Motions are exact where the disturbance is constant over a period, or integrated by
 another hand; disturbances are at their bound.

@@ -182,7 +182,7 @@ def _fastest(tick: Tick) -> _Rows:
 def _is_least_decay(
     tick: Tick, decision: FilterDecision, limits: _Rows, rows: _Rows, v: Array
 ) -> bool:
-    """Whether (v, s) minimises |v - reference|^2 + |s|^2, s = 10 (omega - 1), (E99).
+    """Whether (v, s) minimises |v - reference|^2 + |s|^2, s = 10 (omega - 1), (E69).
 
     At v each factor omega is the least that its row asks for.
     """

@@ -211,7 +211,7 @@ def test_gains_that_are_too_small_are_named_with_both_sides(car):
     conditions = [a for n, a in found.items() if n.startswith("observer gain: ")]
     assert [a.holds for a in conditions] == [True, True, False]
     beta = conditions[-1]
-    # (E49): delta2 + (1 + lambda_V T) delta3 / max(1, alpha - gamma).
+    # (E32): delta2 + (1 + lambda_V T) delta3 / max(1, alpha - gamma).
     assert beta.numbers == pytest.approx({"left": 0.1, "right": 0.2 + 1.08 * 0.1})
 
 

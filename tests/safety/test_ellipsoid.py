@@ -96,7 +96,7 @@ def exact_bounds(A, b, e):
 
 
 def conditions(A, b, e):
-    """Violations of (E20) and (E42), in the coordinates of the ellipsoid itself."""
+    """Violations of (E48) and (E56), in the coordinates of the ellipsoid itself."""
     reach = A @ e.shape
     length = np.linalg.norm(reach, axis=1)
     n, w = reach / length[:, None], e.multipliers * length
@@ -419,7 +419,7 @@ def test_cut_box_agrees_with_all_rows_at_once(m):
         assert e.log_det == pytest.approx(oracle.log_det, abs=1e-8)
         np.testing.assert_allclose(e.shape, oracle.shape, atol=1e-7)
         np.testing.assert_allclose(e.center, oracle.center, atol=1e-7)
-        # Of a row of zeros (E42) says nothing.
+        # Of a row of zeros (E56) says nothing.
         live = np.linalg.norm(rows, axis=1) > 0.0
         assert (e.multipliers[~live] == 0.0).all()
         part = type(e)(

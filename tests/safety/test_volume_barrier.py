@@ -144,7 +144,7 @@ def test_plateau_has_no_gradient(blimp):
 
 
 def test_volume_row_is_the_worst_case_of_the_total_derivative(blimp):
-    """The row's right side is the least of (E26) over |d - estimate| <= bound."""
+    """The row's right side is the least of (E60) over |d - estimate| <= bound."""
     model, barriers = blimp
     rng = np.random.default_rng(3)
     for state, time, known in situations(barriers, 10):

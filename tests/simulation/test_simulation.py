@@ -319,7 +319,7 @@ def test_assumptions_that_fail_are_reported_as_such(overrides, name):
 
 
 def test_observer_may_run_faster_than_the_controller():
-    """The explicit step's chatter grows with the root of its own period (E36)."""
+    """The explicit step's chatter grows with the root of its own period (E27)."""
     errors = []
     for period in (0.02, 0.002):
         observer = {"step": "explicit", "period": period}

@@ -41,11 +41,11 @@ def is_arithmetic(function: Callable[..., Any]) -> bool:
 
 @dataclass(frozen=True)
 class EarlyDisturbance:
-    """What is assumed of a disturbance that reaches h before the input does (E70).
+    """What is assumed of a disturbance that reaches h before the input does (E8).
 
     Attributes:
         bound: delta1, the bound of its norm [m/s^2].
-        smoothing: What keeps the roots of (E70) smooth, in units of E' grad h.
+        smoothing: What keeps the roots of (E8) smooth, in units of E' grad h.
     """
 
     bound: float
@@ -106,7 +106,7 @@ class Barrier:
     def robust_to(self, bound: float, smoothing: float = 0.01) -> Barrier:
         """Returns this barrier, made for a disturbance that comes before the input.
 
-        Its chain has the disturbance's worst taken off at every level (E70), so that
+        Its chain has the disturbance's worst taken off at every level (E8), so that
         only the last needs an observer. It keeps more distance than it otherwise would.
 
         Args:
@@ -123,7 +123,7 @@ class Barrier:
         return robust
 
     def with_class_k(self, class_k: ClassK) -> Barrier:
-        """Returns this barrier with another function in place of lambda_r phi (E82).
+        """Returns this barrier with another function in place of lambda_r phi (E10).
 
         Its row is d/dt phi^(r-1) >= -class_k(phi^(r-1)); the faster decay rates still
         make the levels before. A cube lets the robot do as it likes far away and slows

@@ -120,7 +120,7 @@ def _nodes(prefix: str, size: int) -> tuple[Node, ...]:
 
 
 def class_k_formula(function: Callable[[Any], Any] | None) -> Node | None:
-    """Returns a barrier's class-K function as a formula of `LEVEL` (E82).
+    """Returns a barrier's class-K function as a formula of `LEVEL` (E10).
 
     Raises:
         ModelError: It does not work on symbols, or has other values there.
@@ -152,8 +152,8 @@ class Formula(NamedTuple):
         dynamics: The model's.
         parameters: The parameters of h.
         order: The relative degree r.
-        robust: Whether the disturbance may come before the input (E70).
-        class_k: What stands for lambda_r phi (E82), of `LEVEL`; None for that.
+        robust: Whether the disturbance may come before the input (E8).
+        class_k: What stands for lambda_r phi (E10), of `LEVEL`; None for that.
     """
 
     h: Node
@@ -169,7 +169,7 @@ class Chain:
     """The functions phi^0 = h, ..., phi^(r-1), whose last derivative has the input.
 
     Each is the last one's rate along the extended drift and lambda times it (E3); of a
-    robust chain less the worst that a bounded disturbance does to it (E70). The plain
+    robust chain less the worst that a bounded disturbance does to it (E8). The plain
     chain is the robust one with the bound 0.
 
     Attributes:
@@ -208,7 +208,7 @@ class Chain:
         return Chain(formula, tuple(levels), constants)
 
     def row(self) -> Nodes:
-        """Returns [A, b, w] of the last level's row (E5), (E71), shape (m + 1 + q,).
+        """Returns [A, b, w] of the last level's row (E5), (E9), shape (m + 1 + q,).
 
         Raises:
             ValueError: The last level has no derivative.

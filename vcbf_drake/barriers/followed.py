@@ -17,7 +17,7 @@ from vcbf_drake.model.compiled import Expressions
 class TrajectoryBarrier(Barrier):
     """A barrier whose shape is where a trajectory is; its `parameters` are those at 0.
 
-    At each tick the trajectory is its Taylor polynomial there (E79): place, velocity,
+    At each tick the trajectory is its Taylor polynomial there (E13): place, velocity,
     acceleration and as many derivatives as rows and their gradients have, so these are
     exact at the tick, whatever the trajectory is made of.
 
@@ -38,7 +38,7 @@ class TrajectoryBarrier(Barrier):
 
         Args:
             function: h(x, t, p), with p = (parameters, time, coefficients).
-            gains: K of (E4).
+            gains: K of (E4, gains and decay rates).
             parameters: The shape's.
             trajectory: Of the shape's place, in k dimensions.
             name: What error messages and logs call it.

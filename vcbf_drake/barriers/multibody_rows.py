@@ -5,11 +5,11 @@ coordinates of bodies' points. h is small and is differentiated in formulas; how
 outputs move is Drake's kinematics and dynamics, in numbers. Where one of the outputs is
 a velocity, the inputs are in their first derivatives,
 
-    (E80)  dz/dt = a + b u + c d,
+    (E14, rows of outputs)  dz/dt = a + b u + c d,
 
 and where all are positions, whose rates no input moves at once, in their second:
 
-    (E81)  d²z/dt² = a + b u + c d.
+    (E15, rows of their rates)  d²z/dt² = a + b u + c d.
 
 So to a barrier the plant is a chain of integrators (`Dynamics` of z, or of z and dz/dt)
 whose a, b and c are numbers of the state.
@@ -179,7 +179,7 @@ def _jet(size: int, num_inputs: int, num_disturbances: int) -> Nodes:
 
 
 def _integrators(jet: Nodes, num_inputs: int, order: int) -> Dynamics:
-    """The outputs' dynamics, of z (E80) or of z and dz (E81)."""
+    """The outputs' dynamics, of z (E14) or of z and dz (E15)."""
     k, (z, dz, a) = len(jet), jet[:, :3].T
     b, c = jet[:, 3 : 3 + num_inputs], jet[:, 3 + num_inputs :]
     if order == 1:

@@ -61,8 +61,8 @@ class SphereObstacle(CentredObstacle):
     With the position p, the centre c(t) and the safety distance R = radius + margin,
     its barrier is one of::
 
-        distance:  h = |p - c(t)| - R        [m]    (E31)
-        squared:   h = |p - c(t)|^2 - R^2    [m^2]  (E35)
+        distance:  h = |p - c(t)| - R        [m]    (E77, the sphere's barrier)
+        squared:   h = |p - c(t)|^2 - R^2    [m^2]  (E80, the car's barrier)
 
     Attributes:
         center: The centre at t = 0, shape (k,) with k = 2 or 3 [m].

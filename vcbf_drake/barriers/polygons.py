@@ -26,11 +26,11 @@ class PolygonObstacle(Shape):
     """A polygon in the plane, or a pillar of that outline in space; convex or not.
 
     A convex one is left where the position is beyond one of its sides: with the outward
-    unit normals n_i and the offsets o_i, the barrier is the smooth maximum (E84)::
+    unit normals n_i and the offsets o_i, the barrier is the smooth maximum (E12)::
 
         h = smooth max_i (n_i . p - o_i) - margin    [m]
 
-    Any other is cut into convex pieces, whose smooth minimum (E83) is the barrier; or
+    Any other is cut into convex pieces, whose smooth minimum (E11) is the barrier; or
     each has its own, by `barriers`, which loses nothing where two of them meet. h is
     smooth everywhere and conservative: outside it never exceeds the distance to the
     polygon less the margin, and inside it is negative. Relative degree 2 for a position

@@ -22,7 +22,7 @@ def check_relative_degree(
 ) -> None:
     """Checks that the input enters the last level first (R2).
 
-    The disturbance must come no earlier, unless the chain is robust (E70).
+    The disturbance must come no earlier, unless the chain is robust (E8).
 
     Args:
         model: The plant.

@@ -30,7 +30,7 @@ class BarrierRows:
     Few rows touch the ellipsoid at a time, and most of a row's numbers are its
     derivatives: they are evaluated when they are asked for.
 
-    Rows of a barrier are (E7), (E17); rows of a limit on the input have w = 0 and no
+    Rows of a barrier are (E7), (E45); rows of a limit on the input have w = 0 and no
     value. A row is not finite where its barrier is singular.
 
     Attributes:

@@ -14,7 +14,7 @@ from vcbf_drake.model.compiled import Expressions
 
 
 def all_of(barriers: Sequence[Barrier], smoothing: float, name: str = "all") -> Barrier:
-    """Returns one barrier that is positive only where all are: a smooth minimum (E83).
+    """Returns one barrier that is positive only where all are: a smooth minimum (E11).
 
     Clear of a union of obstacles, by one row. It is below each h, by at most half the
     smoothing for two of them, and half more each time their number doubles.
@@ -31,7 +31,7 @@ def all_of(barriers: Sequence[Barrier], smoothing: float, name: str = "all") -> 
 
 
 def any_of(barriers: Sequence[Barrier], smoothing: float, name: str = "any") -> Barrier:
-    """Returns one barrier that is positive only where one is: a smooth maximum (E84).
+    """Returns one barrier that is positive only where one is: a smooth maximum (E12).
 
     Inside a union of rooms, or outside a polygon. It is never above the greatest h, and
     below it by at most half the smoothing for two of them, and half more each time
@@ -49,12 +49,12 @@ def any_of(barriers: Sequence[Barrier], smoothing: float, name: str = "any") -> 
 
 
 def smooth_minimum(a: Any, b: Any, smoothing: Any) -> Any:
-    """Returns a smooth bound of min(a, b) from below (E83)."""
+    """Returns a smooth bound of min(a, b) from below (E11)."""
     return (a + b - ((a - b) ** 2 + smoothing**2) ** 0.5) / 2
 
 
 def smooth_maximum(a: Any, b: Any, smoothing: Any) -> Any:
-    """Returns a smooth bound of max(a, b) from below (E84)."""
+    """Returns a smooth bound of max(a, b) from below (E12)."""
     return (a + b + ((a - b) ** 2 + smoothing**2) ** 0.5 - smoothing) / 2
 
 

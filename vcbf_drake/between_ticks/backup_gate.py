@@ -33,7 +33,7 @@ class BackupGate:
     """Keeps a certified plan at every tick: an input, and a manoeuvre after it.
 
     A plan is certified where every barrier is at least 0 in all its cells, by interval
-    arithmetic (E121). From a certified plan the manoeuvre leads to another one, so that
+    arithmetic (E90). From a certified plan the manoeuvre leads to another one, so that
     a filter that had one once has one for ever (Theorem 5).
 
     Attributes:
@@ -153,7 +153,7 @@ class _Check:
         )
 
     def passes(self, manoeuvre: Manoeuvre, u: Array) -> bool:
-        """Returns whether an input's plan is certified (E121)."""
+        """Returns whether an input's plan is certified (E90)."""
         tick = self._tick
         if not self.allows(u):
             return False

@@ -60,7 +60,7 @@ def is_certifiable(scenario: Scenario, assumptions: Sequence[Assumption]) -> boo
         scenario: What is run.
         assumptions: Its hypotheses.
     """
-    # The explicit step's bound is calibrated, not proven (E36).
+    # The explicit step's bound is calibrated, not proven (E27).
     return scenario.observer.step != "explicit" and all(
         each.holds is not False or each.name.startswith(_IRRELEVANT)
         for each in assumptions
@@ -74,7 +74,7 @@ def certified_least_barrier(
     period: float,
     disturbance_bound: float,
 ) -> float:
-    """Returns what no h of a run was below, at the ticks or between them (E76).
+    """Returns what no h of a run was below, at the ticks or between them (E87).
 
     That is true of every disturbance that agrees with what was known at the ticks.
     -inf where nothing is certain, inf without a barrier.

@@ -171,7 +171,7 @@ def reach_tube(
     disturbances: Sequence[Number],
     duration: float,
 ) -> ReachTube:
-    """Returns a tube that the state does not leave for a while (E73).
+    """Returns a tube that the state does not leave for a while (E84, the reach tube).
 
     By Picard and Lindeloef: where the rates inside a box lead from the start, in any
     time up to the duration, to points of that box only, no run leaves it.
@@ -210,7 +210,7 @@ def _rates(
     inputs: Sequence[Number],
     disturbances: Sequence[Number],
 ) -> list[Number]:
-    """Encloses dx/dt = f + g u + E d over a box (E1)."""
+    """Encloses dx/dt = f + g u + E d over a box (E1, the plant)."""
     rates = nominal_rate_over(model, box, inputs)
     for i, row in enumerate(model.disturbance_matrix.tolist()):
         for factor, value in zip(row, disturbances, strict=True):

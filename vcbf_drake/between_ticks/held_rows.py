@@ -36,7 +36,7 @@ _ROUNDING = 1e-12
 
 
 class HeldRows:
-    """The rows' values while an input is held, bounded from below (E72).
+    """The rows' values while an input is held, bounded from below (E83).
 
     Attributes:
         period: For how long it is held [s].
@@ -127,10 +127,10 @@ class HeldRows:
         box = [*tube.states, Interval(0.0, self.period) + tick.time]
         enclosures = RowEnclosures.at(self._barriers, tick.time, tick.obstacles)
         weights = _pair([*(-u).tolist(), 1.0, *d])
-        # Far from its bound, a row is safe wherever in the tube the state is (E75) ...
+        # Far from its bound, a row is safe wherever in the tube the state is (E86) ...
         least = _least_products(_middle_and_radius(*enclosures.entries(box)), weights)
         near = np.flatnonzero(~(least >= 0.0)).tolist()
-        if near:  # ... and else its rate says how much it can lose (E74).
+        if near:  # ... and else its rate says how much it can lose (E85).
             gradients = _middle_and_radius(*enclosures.gradients(box, near))
             rates = _least_rates(weights, gradients, _pair([*tube.rates, 1.0]))
             lasting = tick.chi(u)[near] + self.period * np.minimum(rates, 0.0)
@@ -157,7 +157,7 @@ class HeldRows:
         decision: FilterDecision,
         choose: Callable[[Array], FilterDecision],
     ) -> FilterDecision:
-        """Returns a decision under which the rows hold until the next tick (E77).
+        """Returns a decision under which the rows hold until the next tick (E88).
 
         A row that would not is given, as a margin, what it would lose and some more.
         Where no input leaves it that, the margin gives way: the decision stays, and
@@ -193,7 +193,7 @@ def _judged(decision: FilterDecision, least: Array) -> FilterDecision:
 def least_height(
     chain: Array, decay_rates: Array, least_chi: float, duration: float
 ) -> float:
-    """Returns a lower bound of h while an input is held, by comparison (E76).
+    """Returns a lower bound of h while an input is held, by comparison (E87).
 
     Args:
         chain: phi^0, ..., phi^(r-1) at the tick, shape (r,).
@@ -212,7 +212,7 @@ def least_height(
 # Singular rows have infinite ends, which become nan here.
 @np.errstate(invalid="ignore")
 def _least_products(entries: _Pair, weights: _Pair) -> Array:
-    """Returns the least of b + w'd - A u for each row (E75), shape (N,)."""
+    """Returns the least of b + w'd - A u for each row (E86), shape (N,)."""
     (middle, radius), (z, z_radius) = entries, weights
     z_most, most = np.abs(z) + z_radius, np.abs(middle) + radius
     uncertain = radius @ z_most + np.abs(middle) @ z_radius
@@ -222,7 +222,7 @@ def _least_products(entries: _Pair, weights: _Pair) -> Array:
 
 @np.errstate(invalid="ignore")
 def _least_rates(weights: _Pair, gradients: _Pair, rates: _Pair) -> Array:
-    """Returns the least of z' G F for each row (E74), shape (N,)."""
+    """Returns the least of z' G F for each row (E85), shape (N,)."""
     (z, z_radius), (G, G_radius), (F, F_radius) = weights, gradients, rates
     z_most, G_most, F_most = (
         np.abs(z) + z_radius,

@@ -19,7 +19,7 @@ Basis = Literal["proven", "worst case", "calibrated", "published"]
 
 @dataclass(frozen=True)
 class DisturbanceBounds:
-    """Upper bounds of a disturbance and its derivatives, Euclidean norms (E8).
+    """Upper bounds of a disturbance and its derivatives, Euclidean norms (E16).
 
     Attributes:
         delta1: Bound of |d| [m/s^2].
@@ -89,8 +89,8 @@ class DisturbanceEstimate(NamedTuple):
         error_bound: A bound of abs(d - dhat), Euclidean, shape (...) [m/s^2].
         error_bound_rate: Its time derivative, shape (...) [m/s^3].
         refused_intervals: How many intervals were refused so far, for the measured
-            state jumped or was missing (E96), shape (...).
-        quadrature_error: The largest error of an interval's mean so far (E97), shape
+            state jumped or was missing (E43, a jump of the state), shape (...).
+        quadrature_error: The largest error of an interval's mean so far (E42), shape
             (...) [m/s^2].
     """
 

@@ -18,7 +18,7 @@ from vcbf_drake.typed import typed
 
 
 class LinearDisturbanceObserver(DisturbanceObserver):
-    """The first-order disturbance observer (E41), exact for sampled states.
+    """The first-order disturbance observer (E67), exact for sampled states.
 
     .. pydrake_system::
 
@@ -35,13 +35,13 @@ class LinearDisturbanceObserver(DisturbanceObserver):
 
         dhat <- rho dhat + (1 - rho) dbar,    rho = exp(-l dt),
 
-    which is (E41) for a disturbance that is constant over the interval. At the ticks
-    the error is certified to be at most (E53)
+    which is (E67) for a disturbance that is constant over the interval. At the ticks
+    the error is certified to be at most (E41, the first-order observer's bound)
 
         delta1 exp(-l t) + delta2 dt (1 + rho) / (2 (1 - rho)) (1 - exp(-l t)),
 
     which tends to the bound (B4) of continuous time, with floor delta2 / l, as dt tends
-    to 0. That is proven for every rate, period and bounds; what noise adds (E95) is
+    to 0. That is proven for every rate, period and bounds; what noise adds (E40) is
     exceeded with a probability below 1e-4 at each tick. For ports see
     `DisturbanceObserver`.
 
@@ -63,7 +63,7 @@ class LinearDisturbanceObserver(DisturbanceObserver):
         Args:
             model: Gives f, g and E.
             period: Time between measurements [s].
-            bounds: delta1, delta2 and delta3 of the disturbance (E8).
+            bounds: delta1, delta2 and delta3 of the disturbance (E16).
             rate: l, how fast the estimate follows [1/s].
             noise: Standard deviation of the measured disturbed channels [m/s].
             longest_interval: The longest time between measurements that is bridged,
@@ -113,6 +113,6 @@ class LinearDisturbanceObserver(DisturbanceObserver):
 
 
 def _deviation(rate: float, period: float, noise: float) -> float:
-    """Returns the standard deviation of a channel's estimate in white noise (E95)."""
+    """Returns the standard deviation of a channel's estimate in white noise (E40)."""
     rho = math.exp(-rate * period)
     return noise * (1.0 - rho) / period * math.sqrt(2.0 / (1.0 + rho))

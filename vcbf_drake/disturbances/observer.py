@@ -35,7 +35,7 @@ _JUMP_SIGMAS = 10.0
 # What rounding and integrators leave of a state, relative.
 _ROUNDING = 1e-9
 # By which share the curvature of f + g u changes within an interval, but for what the
-# plant's own rate makes of it (E97).
+# plant's own rate makes of it (E42, the mean's quadrature).
 _CHANGE = 0.05
 # Of a function's values at both ends and in the middle: its mean, and its bend.
 _SIMPSON = np.array((1.0, 4.0, 1.0)) / 6.0
@@ -50,7 +50,7 @@ class IntervalMean(NamedTuple):
     Attributes:
         disturbance: Its mean, shape (q,) [m/s^2].
         quadrature: How far off that may be, for f + g u is known at a few points only
-            (E97) [m/s^2].
+            (E42) [m/s^2].
     """
 
     disturbance: Array
@@ -106,17 +106,17 @@ class DisturbanceObserver(LeafSystem):
     An interval that begins or ends with a state that is not finite tells nothing, and
     neither does one whose mean disturbance is beyond what bounds, noise and quadrature
     allow: the measured state jumped. It is refused: the estimate keeps its value, and
-    the error bound is re-armed, to what is known of an estimate of that size (E96), and
+    the error bound is re-armed, to what is known of an estimate of that size (E43), and
     decays from there. After a longer interval than `longest_interval`, or when time
     goes back, the observer begins anew: its estimate is 0 and its error bound is what
     it was at first. Angles that come round are no jumps, where the model names them
     (`ControlAffineModel.wrapping_periods`).
 
     Attributes:
-        bounds: delta1, delta2 and delta3 (E8).
+        bounds: delta1, delta2 and delta3 (E16, bounds of the disturbance).
         basis: What the error bound rests on; only ``proven`` and ``worst case`` are
             certain.
-        estimate_gain: How the unknown error drives the estimate [1/s] (E26):
+        estimate_gain: How the unknown error drives the estimate [1/s] (E60):
             d(dhat)/dt = estimate_rate + estimate_gain (d - dhat).
         longest_interval: The longest time between measurements that is bridged [s];
             infinite unless given.
@@ -144,7 +144,7 @@ class DisturbanceObserver(LeafSystem):
         Args:
             model: Gives f, g and E.
             period: Time between measurements [s].
-            bounds: delta1, delta2 and delta3 of the disturbance (E8).
+            bounds: delta1, delta2 and delta3 of the disturbance (E16).
             memory_size: How many numbers the observer remembers, all 0 at the start.
             error_bound: The bound of its error.
             basis: See the attribute.
@@ -228,7 +228,7 @@ class DisturbanceObserver(LeafSystem):
         raise NotImplementedError
 
     def _bound_after(self, excess: float, quadrature: float) -> ErrorBound:
-        """Returns the bound since the last start (E96), (E97).
+        """Returns the bound since the last start (E43), (E42).
 
         Args:
             excess: The size of the estimate at that start [m/s^2].
@@ -294,7 +294,7 @@ class DisturbanceObserver(LeafSystem):
         return mean if is_plausible and tells_something else None
 
     def _re_armed(self, known: _Posterior, now: float) -> _Posterior:
-        """Keeps the estimate, forgets how good it was (E96)."""
+        """Keeps the estimate, forgets how good it was (E43)."""
         estimate = self._estimate(known.memory)
         return replace(
             known,
@@ -307,7 +307,7 @@ class DisturbanceObserver(LeafSystem):
     def mean_disturbance(
         self, x_0: Array, x_1: Array, u: Array, elapsed: float
     ) -> IntervalMean:
-        """Returns the mean of d between two measured states with u held (E46).
+        """Returns the mean of d between two measured states with u held (E29).
 
         The mean of f + g u is Simpson's, with the middle state on the cubic Hermite
         curve between the two.

@@ -30,17 +30,17 @@ from vcbf_drake.typed import check_fields, typed
 
 @dataclass
 class ObserverSettings:
-    """The disturbance observers: the RISE observer (E9), and the linear one (B4).
+    """The disturbance observers: the RISE observer (E17), and the linear one (B4).
 
     Attributes:
-        alpha: Gain of the RISE observer (E9), (E13) [1/s].
+        alpha: Gain of the RISE observer (E17), (E20, the printed error bound) [1/s].
         beta: Gain of its sign term [m/s^3]; null for one that the disturbance's bounds
-            need (E49): 6, or more.
+            need (E32, the gain conditions): 6, or more.
         gamma: Gain of its filtered error [1/s].
-        uncertified: Whether gains that fail (E49) are allowed: with the error bound
-            2 delta1 (E94).
-        step: How one sampled step is taken: implicit (E40), saturated (E38), explicit
-            (E36).
+        uncertified: Whether gains that fail (E32) are allowed: with the error bound
+            2 delta1 (E37, without a proof).
+        step: How one sampled step is taken: implicit (E24), saturated (E26), explicit
+            (E27, the explicit step's chatter).
         period: Time between its steps, at most the control period [s]; 0 means that
             one.
         boundary_layer: Where the saturated step's sign function becomes linear [m/s].
@@ -75,7 +75,7 @@ _SHORTEST = 0.9
 
 
 class RiseObserver(DisturbanceObserver):
-    """The RISE disturbance observer (E10), its error bounded in sampled time.
+    """The RISE disturbance observer (E18), its error bounded in sampled time.
 
     .. pydrake_system::
 
@@ -94,24 +94,24 @@ class RiseObserver(DisturbanceObserver):
 
     An interval of length dt with mean disturbance dbar is taken in one of three steps:
 
-    * ``implicit`` (E40), the default: backward Euler, solved exactly. While sliding
+    * ``implicit`` (E24), the default: backward Euler, solved exactly. While sliding
       (xtil = 0) the estimate is dbar itself.
     * ``saturated``: the same with clip(xtil / φ, -1, 1) in place of sign(xtil), stable
       for every φ; for noisy measurements, φ about 10 to 50 standard deviations.
-    * ``explicit``: forward Euler, which chatters (E36). For comparison only.
+    * ``explicit``: forward Euler, which chatters (E27). For comparison only.
 
     At the ticks, if `gain_conditions` hold and measurements are exact, the error of the
-    first two is certified to be at most (E50), (E51)
+    first two is certified to be at most (E33, the implicit step's bound), (E38)
 
         (δ1 + δ2 dt) exp(-λ t / 2) + δ2 dt / 2 [+ sqrt(φ/β (δ2² + c² / (κ (2α - κ))))],
         κ = min(α - 1, γ),  λ = log(1 + κ dt) / dt,  c = (α - κ) δ2 + (1 + κ dt) δ3.
 
-    What noise adds to that, and the explicit step's bound, are calibrated (E52), (E36).
-    The means' quadrature error counts as a disturbance with larger bounds (E97).
+    What noise adds to that, and the explicit step's bound, are calibrated (E39), (E27).
+    The means' quadrature error counts as a disturbance with larger bounds (E42).
 
     For ports see `DisturbanceObserver`.
 
-    Source: (E9), (E13) are the paper's; the sampled steps and their bounds are ours.
+    Source: (E17), (E20) are the paper's; the sampled steps and their bounds are ours.
     """
 
     @typed
@@ -131,16 +131,16 @@ class RiseObserver(DisturbanceObserver):
         Args:
             model: Gives f, g and E.
             period: Time between measurements [s].
-            bounds: delta1, delta2 and delta3 of the disturbance (E8).
+            bounds: delta1, delta2 and delta3 of the disturbance (E16).
             settings: Its gains and its step; `ObserverSettings()` by default.
             noise: Standard deviation of the measured disturbed channels [m/s].
-            floor: Whether the error bound has its floor. Without, it is (E13) as
+            floor: Whether the error bound has its floor. Without, it is (E20) as
                 published, which no sampled observer meets.
             longest_interval: The longest time between measurements that is bridged,
                 and that the bound is for [s]. By default every time is bridged, and
                 the bound is for the period. Where it is longer than that, the bound is
-                proven (E150) if beta is large enough for intervals of 0.9 periods to
-                the longest (E151), and without noise; else calibrated.
+                proven (E34) if beta is large enough for intervals of 0.9 periods to
+                the longest (E35), and without noise; else calibrated.
 
         Raises:
             ModelError: Two disturbances act on the state in the same way.
@@ -189,11 +189,11 @@ class RiseObserver(DisturbanceObserver):
 
     @property
     def decay_rate(self) -> float:
-        """lambda_V of (E13) [1/s]."""
+        """lambda_V of (E20) [1/s]."""
         return self.gains.decay_rate
 
     def gain_conditions(self, quadrature: float = 0.0) -> tuple[Condition, ...]:
-        """Returns the inequalities that the error bound rests on (E13), (E49), (E97).
+        """Returns the inequalities that the error bound rests on (E20), (E32), (E42).
 
         Args:
             quadrature: How far off a mean may be [m/s^2].
@@ -207,7 +207,7 @@ class RiseObserver(DisturbanceObserver):
         return step(memory, mean, elapsed)
 
     def _backward(self, memory: Array, mean: Array, dt: float) -> Array:
-        """Takes the implicit or saturated step (E40), (E51), channel by channel."""
+        """Takes the implicit or saturated step (E24), (E38), channel by channel."""
         gains, C = self.gains, self.gains.denominator(dt)
         jump = dt**2 * gains.beta
         settings = self.settings
@@ -225,7 +225,7 @@ class RiseObserver(DisturbanceObserver):
         return np.array(channels).T.ravel()
 
     def _forward(self, memory: Array, mean: Array, dt: float) -> Array:
-        """Takes the explicit step, Euler's of (E10)."""
+        """Takes the explicit step, Euler's of (E18)."""
         xtil, integral, s = memory.reshape(3, -1)
         gains = self.gains
         slope = gains.stiffness * xtil + gains.beta * s
@@ -254,7 +254,7 @@ class RiseObserver(DisturbanceObserver):
     def _estimate(self, memory: Array) -> Array:
         xtil, integral, _ = memory.reshape(3, -1)
         estimate = self.gains.gamma * xtil + integral
-        if self.basis == "worst case":  # Nearest to it where d can be (E94).
+        if self.basis == "worst case":  # Nearest to it where d can be (E37).
             return nearest_in_ball(estimate, self.bounds.delta1)
         return estimate
 

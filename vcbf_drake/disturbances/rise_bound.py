@@ -1,31 +1,31 @@
 """What can be said about the RISE observer's error in sampled time.
 
 Proven, for exact measurements and every period dt. With dbar_k the mean of d over
-[t_k, t_k+1] and e_k = dbar_k-1 - dhat_k, the implicit step (E40) is exactly backward
-Euler for the error system (E11), d' replaced by dbar'_k = (dbar_k - dbar_k-1) / dt:
+[t_k, t_k+1] and e_k = dbar_k-1 - dhat_k, the implicit step (E24) is exactly backward
+Euler for the error system (E19), d' replaced by dbar'_k = (dbar_k - dbar_k-1) / dt:
 
-    (E46)  x_k+1 = x_k + dt (e_k+1 - α x_k+1),
+    (E29, sampled error dynamics)  x_k+1 = x_k + dt (e_k+1 - α x_k+1),
            e_k+1 = e_k + dt (dbar'_k - γ e_k+1 - x_k+1 - β s_k+1),
 
-with x for xtil and s_k+1 in the subdifferential of the 1-norm at x_k+1. Then (E47)
-|dbar'_k| <= δ2, |dbar'_k+1 - dbar'_k| <= δ3 dt, |e_0| <= δ1 + δ2 dt. Take (E48)
+with x for xtil and s_k+1 in the subdifferential of the 1-norm at x_k+1. Then (E30)
+|dbar'_k| <= δ2, |dbar'_k+1 - dbar'_k| <= δ3 dt, |e_0| <= δ1 + δ2 dt. Take (E31)
 
     W_k = |x_k|²/2 + |e_k|²/2 + P_k,   κ = min(α - 1, γ),
     (1 + κ dt) P_k+1 = P_k - dt e_k+1 . (dbar'_k - β s_k+1),   P_0 = 0.
 
 By convexity of the squares (1 + κ dt) W_k+1 <= W_k. By convexity of the 1-norm
-P_k >= β |x_k|_1 - x_k . dbar'_k >= 0 if (E49) (α - κ)(β - δ2) >= δ3 (1 + κ dt). So
-|e_k| <= |e_0| (1 + κ dt)^(-k/2); d(t_k) is within δ2 dt / 2 of dbar_k-1: (E50). The
+P_k >= β |x_k|_1 - x_k . dbar'_k >= 0 if (E32) (α - κ)(β - δ2) >= δ3 (1 + κ dt). So
+|e_k| <= |e_0| (1 + κ dt)^(-k/2); d(t_k) is within δ2 dt / 2 of dbar_k-1: (E33). The
 saturated step has the Huber function of width φ for the 1-norm. There P_k may fall
-below 0, which costs the further floor (E51).
+below 0, which costs the further floor (E38, the saturated step's bound).
 
 Over unequal intervals the implicit step's bound is that of the longest, under a gain
-condition of its own (E151): a mean's rate may then jump from interval to interval.
+condition of its own (E35): a mean's rate may then jump from interval to interval.
 
-Calibrated, not proven: what measurement noise adds (E52), the saturated step over
-unequal intervals, and all of the explicit step, which chatters (E36). Where the
+Calibrated, not proven: what measurement noise adds (E39), the saturated step over
+unequal intervals, and all of the explicit step, which chatters (E27). Where the
 conditions fail, nothing but |d| <= δ1 is left: the estimate is kept within δ1, so that
-it is off by 2 δ1 at most (E94).
+it is off by 2 δ1 at most (E37, without a proof).
 """
 
 from __future__ import annotations
@@ -48,15 +48,15 @@ from vcbf_drake.disturbances.bounds import (
 ObserverStep = Literal["implicit", "saturated", "explicit"]
 STEPS: tuple[ObserverStep, ...] = get_args(ObserverStep)
 
-# The explicit step's peaks over the law (E36) were 0.86 to 1.18 in simulations.
+# The explicit step's peaks over the law (E27) were 0.86 to 1.18 in simulations.
 _CHATTER_MARGIN = 1.2
-# By how much a computed beta exceeds the least that (E49) allows.
+# By how much a computed beta exceeds the least that (E32) allows.
 _GAIN_MARGIN = 1.1
 
 
 @dataclass(frozen=True)
 class RiseGains:
-    """Gains of the RISE observer (E9).
+    """Gains of the RISE observer (E17, the RISE observer).
 
     Attributes:
         alpha: Feedback of the state's error [1/s].
@@ -83,10 +83,10 @@ class RiseGains:
         alpha: float = 5.0,
         gamma: float = 4.0,
     ) -> RiseGains:
-        """Returns gains whose beta satisfies (E49), whatever the disturbance's unit.
+        """Returns gains whose beta satisfies (E32), whatever the disturbance's unit.
 
-        beta is the paper's 6 where that does, else 10 % above the least (E93). In the
-        implicit step a large beta costs nothing: the bound (E50) does not contain it.
+        beta is the paper's 6 where that does, else 10 % above the least (E36). In the
+        implicit step a large beta costs nothing: the bound (E33) does not contain it.
 
         Args:
             bounds: Bounds of the disturbance.
@@ -100,16 +100,16 @@ class RiseGains:
 
     @property
     def decay_rate(self) -> float:
-        """lambda_V = min(alpha - 1, gamma) of (E13), or 0 where alpha <= 1 [1/s]."""
+        """lambda_V = min(alpha - 1, gamma) of (E20), or 0 where alpha <= 1 [1/s]."""
         return max(0.0, min(self.alpha - 1.0, self.gamma))
 
     @property
     def stiffness(self) -> float:
-        """How strongly xtil drives I in (E10), alpha gamma + 1 [1/s^2]."""
+        """How strongly xtil drives I in (E18), alpha gamma + 1 [1/s^2]."""
         return self.alpha * self.gamma + 1.0
 
     def denominator(self, dt: float) -> float:
-        """Returns C of (E40), 1 + dt (alpha + gamma) + dt^2 (alpha gamma + 1)."""
+        """Returns C of (E24), 1 + dt (alpha + gamma) + dt^2 (alpha gamma + 1)."""
         return 1.0 + dt * (self.alpha + self.gamma) + dt**2 * self.stiffness
 
 
@@ -128,7 +128,7 @@ class Intervals(NamedTuple):
 def least_beta(
     gains: RiseGains, bounds: DisturbanceBounds, intervals: Intervals
 ) -> float:
-    """Returns what beta has to exceed, (E49) or (E151); at once, (E13) [m/s^3]."""
+    """Returns what beta has to exceed, (E32) or (E35); at once, (E20) [m/s^3]."""
     shortest, longest = intervals
     size, change = bounds.delta2, bounds.delta3
     if longest > shortest:
@@ -144,14 +144,14 @@ def least_beta(
 def gain_conditions(
     gains: RiseGains, bounds: DisturbanceBounds, intervals: Intervals, step: str
 ) -> tuple[Condition, ...]:
-    """Returns what (E13) asks of the gains, in sampled time (E49), (E151).
+    """Returns what (E20) asks of the gains, in sampled time (E32), (E35).
 
     Args:
         gains: The gains.
         bounds: Bounds of the disturbance.
         intervals: The times between measurements.
         step: Which step; the explicit one has the conditions of continuous time, and
-            its linear part has to be stable (E94).
+            its linear part has to be stable (E37).
     """
     alpha, beta, gamma = gains.alpha, gains.beta, gains.gamma
     sampled = step != "explicit"
@@ -159,7 +159,7 @@ def gain_conditions(
     factor = "(1 + lambda_V dt) " if sampled else ""
     name = f"beta > delta2 + {factor}delta3 / max(1, alpha - gamma)"
     if sampled and intervals.longest > intervals.shortest:
-        name = "beta > least beta of unequal intervals (E151)"
+        name = "beta > least beta of unequal intervals (E35)"
     conditions = (
         Condition("alpha > 1", alpha, 1.0, alpha > 1.0),
         Condition("gamma > 0", gamma, 0.0, gamma > 0.0),
@@ -179,7 +179,7 @@ def gain_conditions(
 def with_quadrature(
     bounds: DisturbanceBounds, quadrature: float, period: float
 ) -> DisturbanceBounds:
-    """Returns bounds of a disturbance whose measured means are off a little (E97).
+    """Returns bounds of a disturbance whose measured means are off a little (E42).
 
     Args:
         bounds: Bounds of the disturbance.
@@ -203,7 +203,7 @@ def error_bound(
     noise: float,
     num_disturbances: int,
 ) -> ErrorBound:
-    """Returns the bound of the error at the ticks: (E50), (E51), (E52), or (E36).
+    """Returns the bound of the error at the ticks: (E33), (E38), (E39), or (E27).
 
     Args:
         gains: The gains.
@@ -232,7 +232,7 @@ def error_bound(
 def _layer_floor(
     gains: RiseGains, bounds: DisturbanceBounds, period: float, layer: float
 ) -> float:
-    """Returns what a boundary layer adds to the bound (E51)."""
+    """Returns what a boundary layer adds to the bound (E38)."""
     alpha, kappa = gains.alpha, gains.decay_rate
     if layer == 0.0 or kappa == 0.0:  # Without decay nothing is certified anyway.
         return 0.0
@@ -244,7 +244,7 @@ def _layer_floor(
 def noise_response(
     gains: RiseGains, period: float, boundary_layer: float, noise: float
 ) -> tuple[float, float]:
-    """Returns what white noise does to the implicit or saturated step (E52).
+    """Returns what white noise does to the implicit or saturated step (E39).
 
     The step's s = clip(w / (C phi + dt^2 beta), -1, 1) is replaced by k w + r, with the
     gain k and the uncorrelated rest r that it has for a normal w, and r taken as white.
@@ -284,7 +284,7 @@ def _clip_of_normal(edge: float, spread: float) -> tuple[float, float]:
 def _stationary(
     gains: RiseGains, dt: float, noise: float, k: float, rest: float
 ) -> tuple[float, float]:
-    """Returns the standard deviations of w and of dhat with s = k w + r in (E40).
+    """Returns the standard deviations of w and of dhat with s = k w + r in (E24).
 
     The state is (xtil, I, noise of the last measurement), the input (noise, r).
     """

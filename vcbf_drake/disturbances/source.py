@@ -199,7 +199,7 @@ class DisturbanceSource(Diagram):
     | ``disturbance`` | q | d(t), on the disturbed channels [m/s^2] |
 
     Attributes:
-        bounds: Bounds of |d|, |d'| and |d''| over the horizon (E8), from above and
+        bounds: Bounds of |d|, |d'| and |d''| over the horizon (E16), from above and
             within 1 % unless a signal is a thousand times faster than the horizon.
     """
 

@@ -71,7 +71,7 @@ class CommandSender(LeafSystem):
     Args:
         bus: Where to.
         safety_filter: The filter whose ports are connected.
-        delta1: What is declared of the disturbance (E8).
+        delta1: What is declared of the disturbance (E16, bounds of the disturbance).
         period: The control period [s].
         receiver: Where states arrive, for the status.
         settings: How old a state may be, and what a finding of the audit leads to.

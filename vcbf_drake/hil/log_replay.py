@@ -264,7 +264,7 @@ class TickRecorder:
     def _disturbances(self, times: Array, states: Array, applied: Array) -> Array:
         """The disturbance at the ticks, (T, q): between the means of d over intervals.
 
-        A mean (E46) is what d is in the middle of its interval, but for its curvature.
+        A mean (E29) is what d is in the middle of its interval, but for its curvature.
         """
         means = [
             self._observer.mean_disturbance(

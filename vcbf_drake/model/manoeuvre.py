@@ -22,7 +22,7 @@ ANYWHERE = 1e6
 class Plan:
     """Where a plant can be while an input is held, and on a manoeuvre after it.
 
-    It holds for every disturbance within its bound, for ever (E120). The motion is cut
+    It holds for every disturbance within its bound, for ever (E89). The motion is cut
     into cells; the plan of the next tick has none that do not lie in one of these.
 
     Attributes:

@@ -21,7 +21,7 @@ _NUM_SAMPLES = 6
 
 
 class MultibodyModel(ControlAffineModel):
-    """The functions f, g and E of a MultibodyPlant of any size (E1).
+    """The functions f, g and E of a MultibodyPlant of any size (E1, the plant).
 
     Nothing is written out in symbols, which multiply out beyond two or three joints: f
     and g are the plant's own time derivatives at no input and at unit inputs, and their

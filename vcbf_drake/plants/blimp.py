@@ -79,7 +79,7 @@ def _blimp_state_rate(
     disturbance: Sequence[Any],
     parameters: Sequence[Any],
 ) -> list[Any]:
-    """The right-hand side of (E29), for unequal surge and sway too."""
+    """The right-hand side of (E76, the blimp), for unequal surge and sway too."""
     _, _, _, yaw, vx, vy, vz, r = state
     f_x, f_z, tau = force
     d_x, d_y, d_z = disturbance
@@ -87,7 +87,7 @@ def _blimp_state_rate(
     m_x, m_y, m_z = mass + added_x, mass + added_y, mass + added_z
     c, s = cos(yaw), sin(yaw)
 
-    # What unequal surge and sway add to (E29), in body axes: surge and sway
+    # What unequal surge and sway add to (E76), in body axes: surge and sway
     # accelerations and the Munk moment. Equal ones make the factors exact zeros, so
     # that a symbolic f is then free of yaw and yaw rate.
     surge, sway = c * vx + s * vy, c * vy - s * vx
@@ -116,7 +116,7 @@ def Blimp_(T: type) -> type:
     """Makes the class Blimp_[T] for the scalar type T."""
 
     class Impl(LeafSystem_[T]):
-        """The blimp benchmark (E29): neutrally buoyant, upright, no roll or pitch.
+        """The blimp benchmark (E76): neutrally buoyant, upright, no roll or pitch.
 
         Ports:
             input (3): surge force [N], heave force [N], yaw moment [N m].

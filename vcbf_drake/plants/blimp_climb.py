@@ -23,7 +23,7 @@ _ROUNDING = 1e-12
 
 
 class BlimpClimb(Manoeuvre):
-    """Full heave and no surge (E128): a motion that no heading changes.
+    """Full heave and no surge (E94, a blimp's drift): a motion that no heading changes.
 
     Each coordinate then moves by itself, p'' = a - c p' + d, and what |d| <= delta1 can
     do to it is known exactly. Once it rises, it rises for ever: where nothing is above,

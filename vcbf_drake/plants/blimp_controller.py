@@ -23,7 +23,7 @@ from vcbf_drake.typed import check_fields, typed
 
 @dataclass
 class BlimpControllerParameters:
-    """Gains and caps of the blimp's controller (E30).
+    """Gains and caps of the blimp's controller (E81, the blimp's controller).
 
     Attributes:
         surge_gain: k_v, from surge speed error to surge force [N s/m].
@@ -61,7 +61,7 @@ class BlimpControllerParameters:
 
 
 class BlimpController(LeafSystem):
-    """Steers the blimp to a target and stops it there (E30).
+    """Steers the blimp to a target and stops it there (E81).
 
     With v_w = min(k_x, cap / e_d) (p_t - p) the horizontal velocity that is wanted, v
     the one there is, v_n its component across the line of sight to the target, and ψ_w
@@ -116,7 +116,7 @@ class BlimpController(LeafSystem):
         output.SetFromVector(self._reference(state, estimate))
 
     def _reference(self, state: list[float], estimate: list[float]) -> list[float]:
-        """The law (E30), with its caps and the compensation of the estimate."""
+        """The law (E81), with its caps and the compensation of the estimate."""
         p = self._parameters
         x, y, z, yaw, vx, vy, vz, yaw_rate = state
         dx, dy = self._target[0] - x, self._target[1] - y

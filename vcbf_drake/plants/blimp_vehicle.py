@@ -19,7 +19,7 @@ class BlimpVehicle(BlimpParameters, Vehicle):
     """A `Blimp` that a `BlimpController` flies: the parameters of both.
 
     Attributes:
-        controller: Gains and caps of the controller (E30).
+        controller: Gains and caps of the controller (E81, the blimp's controller).
     """
 
     controller: BlimpControllerParameters = field(

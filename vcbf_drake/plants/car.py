@@ -47,7 +47,7 @@ def Car_(T: type) -> type:
     """Makes the class Car_[T] for the scalar type T."""
 
     class Impl(LeafSystem_[T]):
-        """The car of the paper's experiments (E33).
+        """The car of the paper's experiments (E79, the car).
 
         Ports:
             input (2): force along the heading [N], turn rate [rad/s].

@@ -23,7 +23,7 @@ from vcbf_drake.typed import check_fields, typed
 
 @dataclass
 class CarControllerParameters:
-    """Gains of the car's controller (E34).
+    """Gains of the car's controller (E82, the car's controller).
 
     Attributes:
         turn_gain: k_ω, from heading error to turn rate [1/s].
@@ -42,7 +42,7 @@ class CarControllerParameters:
 
 
 class CarController(LeafSystem):
-    """Drives the car to a target and stops it there (E34).
+    """Drives the car to a target and stops it there (E82).
 
     With p_r - p and e_ψ the offset and the heading error to the target::
 

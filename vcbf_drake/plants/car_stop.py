@@ -20,7 +20,7 @@ _SLOW = 0.1
 
 
 class CarStop(Manoeuvre):
-    r"""Full brake on a straight line, and small corrections at rest (E124).
+    r"""Full brake on a straight line, and small corrections at rest (E91).
 
     On the line that the heading points along, the car is a point of speed v and
     acceleration a + d. With the weakest braking B = A - delta1 it comes to rest within
@@ -67,7 +67,7 @@ class CarStop(Manoeuvre):
         return weakest > delta and lower[1] <= 0.0 <= upper[1] and weakest < math.inf
 
     def _needed(self, brake: float, push: float) -> float:
-        """The length that leaves an input to a car at rest near both ends (E126)."""
+        """The length that leaves an input to a car at rest near both ends (E93)."""
         delta, T = self._delta, self._period
         most = (brake + delta) * T
         back = 0.5 * most * T + most**2 / (2.0 * (push - delta))
@@ -97,7 +97,7 @@ class CarStop(Manoeuvre):
         return [-self._mass * weakest * tanh(x[2] / _SLOW), 0.0]
 
     def _reach(self, v: float, a: float) -> tuple[float, float]:
-        """How far ahead and back the car gets, holding a and stopping after (E125)."""
+        """How far ahead and back the car gets, holding a and stopping after (E92)."""
         T, delta = self._period, self._delta
         return (
             _farthest(v, a + delta, self._brake_least, T),
@@ -150,7 +150,7 @@ def _stopping(v: float, weakest: float) -> float:
 
 
 def _farthest(v: float, w: float, weakest: float, T: float) -> float:
-    """The farthest that v t + w t^2 / 2 + R(v + w t) gets in [0, T] (E125)."""
+    """The farthest that v t + w t^2 / 2 + R(v + w t) gets in [0, T] (E92)."""
     times = [0.0, T]
     if v * w < 0.0 and -v / w < T:
         times.append(-v / w)

@@ -38,7 +38,7 @@ class CarVehicle(CarParameters, Vehicle):
     """A `Car` that a `CarController` drives: the parameters of both.
 
     Attributes:
-        controller: Gains of the controller (E34).
+        controller: Gains of the controller (E82, the car's controller).
         turn_limit: The steering limit, if any.
     """
 

@@ -54,7 +54,7 @@ class MultibodyVehicle(Vehicle):
         controller: Drake's own, towards a posture whose point is at the target.
         posture: Which of several such postures: one near these positions, (nq,); empty
             for 0.1 each.
-        range_gains: K of (E4) for the joints' ranges.
+        range_gains: K of (E4, gains and decay rates) for the joints' ranges.
         speed_gain: k_1 of (E4) for their speeds [1/s].
         mass: Masses and inertias over those of the file.
         drag: Dampings of the joints over those of the file.

@@ -149,10 +149,10 @@ def gain_assumptions(observer: DisturbanceObserver) -> Iterator[Assumption]:
     for condition in observer.gain_conditions():
         yield Assumption(
             f"observer gain: {condition.name}",
-            "Lemma 2 (E13) in sampled time",
+            "Lemma 2 (E20) in sampled time",
             condition.holds,
             {"left": condition.left, "right": condition.right},
-            "the error bound is the worst case, 2 delta1 (E94): the volume row is not"
+            "the error bound is the worst case, 2 delta1 (E37): the volume row is not"
             " certified; leave the gains out to have them computed",
         )
 
@@ -216,7 +216,7 @@ def _standing(
         "U = {u : A_m u <= b_m} is bounded and has an interior, fixed inputs apart",
         True if is_body else False if method.has_volume_row else None,
         {"smallest half-width": float(np.min(half_widths, initial=np.inf))},
-        "the largest inscribed ellipsoid (E20) would not exist",
+        "the largest inscribed ellipsoid (E48) would not exist",
     )
     if method.disturbance == "ignored":
         yield Assumption(
@@ -231,7 +231,7 @@ def _standing(
         if observer.basis == "calibrated":
             yield Assumption(
                 "proven error bound",
-                "the error bound is proven, not calibrated by simulations (E39)",
+                "the error bound is proven, not calibrated by simulations (E28)",
                 False,
                 consequence="an estimate may be off by more than its bound says",
             )
@@ -245,14 +245,14 @@ def _standing(
         if not applied.error_floor:
             yield Assumption(
                 "floor of the error bound",
-                "the error bound contains what sampling costs (E39), (R49)",
+                "the error bound contains what sampling costs (E28), (R49)",
                 False,
-                consequence="no sampled observer meets the published bound (E13)",
+                consequence="no sampled observer meets the published bound (E20)",
             )
         if method.has_volume_row and not applied.total_derivative:
             yield Assumption(
                 "total derivative of the volume",
-                "the volume row counts that the estimate moves (E28), (R30)",
+                "the volume row counts that the estimate moves (E62), (R30)",
                 False,
                 consequence="Theorem 2 is false for the published row",
             )
@@ -323,7 +323,7 @@ def _sampling(safety_filter: SafetyFilter, context: Context) -> Assumption:
         u, model = safety_filter.input_set.center, safety_filter.model
         return Assumption(
             "sampled input",
-            "inputs are chosen to keep the rows until the next tick (Theorem 4, E77),"
+            "inputs are chosen to keep the rows until the next tick (Theorem 4, E88),"
             " which takes a motion that can be enclosed: T abs(df/dx) below about 1",
             safety_filter.row_holder.can_enclose(x, u),
             {"period": period, "T abs(df/dx)": period * _slope(model, x, u)},
@@ -333,7 +333,7 @@ def _sampling(safety_filter: SafetyFilter, context: Context) -> Assumption:
     return Assumption(
         "sampled input",
         "the theorems are for continuous time, the input is held over a period: a run"
-        " says what that can have cost (E76), between_ticks: certified prevents it",
+        " says what that can have cost (E87), between_ticks: certified prevents it",
         None,
         {"period": period},
         "barriers may dip between ticks by an amount of the order of the period",

@@ -29,7 +29,7 @@ _AT_REST = 1e-3
 
 
 class BackupRows:
-    r"""A row for each barrier and each of K instants of a backup law's flow (E130).
+    r"""A row for each barrier and each of K instants of a backup law's flow (E68).
 
     With phi_tau(x) the state to which the law leads from x in a time tau, and Phi its
     derivative by x, the row of barrier i and instant tau_j is

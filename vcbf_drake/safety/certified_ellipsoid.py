@@ -1,6 +1,6 @@
 """A proposed ellipsoid made exact and certified.
 
-Newton's method on the optimality conditions (E42), in the ellipsoid's own coordinates,
+Newton's method on the optimality conditions (E56), in the ellipsoid's own coordinates,
 makes it and its multipliers exact. Weak duality bounds what is left of the error.
 """
 
@@ -39,7 +39,7 @@ def polish(
     frame: Array,
     multipliers: Array,
 ) -> CertifiedEllipsoid | None:
-    """Semismooth Newton's method on the optimality conditions (E42).
+    """Semismooth Newton's method on the optimality conditions (E56).
 
     In the coordinates in which the ellipsoid is the unit ball, with the rows' unit
     normals n_i, their excess distance e_i = (b_i - a_i c) / |B a_i| - 1 and their

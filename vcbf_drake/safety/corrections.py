@@ -15,12 +15,12 @@ class Corrections:
     """The errata of the published method, each on or off.
 
     Attributes:
-        exact_slack: The volume row gives way only where it must (E25); off, it has the
-            printed penalty M delta^2 (E24).
-        total_derivative: The volume row counts that the estimate moves (E28); off, it
-            is the printed derivative (E23).
-        error_floor: The error bound is the certified one of sampled time (E39), with
-            the margin of the hold; off, it is the printed one (E13), which tends to 0.
+        exact_slack: The volume row gives way only where it must (E55); off, it has the
+            printed penalty M delta^2 (E54, the DOB-VCBF-QP).
+        total_derivative: The volume row counts that the estimate moves (E62); off, it
+            is the printed derivative (E53, the printed volume term).
+        error_floor: The error bound is the certified one of sampled time (E28), with
+            the margin of the hold; off, it is the printed one (E20), which tends to 0.
     """
 
     exact_slack: bool = False

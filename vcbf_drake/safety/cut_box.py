@@ -1,8 +1,8 @@
 """The largest ellipsoid of a box that one row cuts, in closed form but for one root.
 
 Of the box |v_j| <= 1 and the row a v <= b, with |a| = 1 and every a_j > 0 (an input is
-turned round where it is not), let r = |B a|. The conditions (E42) make B^-2 a diagonal
-matrix but for a a', and then the half-widths s_j of the ellipsoid are (E145)
+turned round where it is not), let r = |B a|. The conditions (E56) make B^-2 a diagonal
+matrix but for a a', and then the half-widths s_j of the ellipsoid are (E74)
 
     s_j = min(1, r / a_j),   where   r + sum_j (min(r, a_j) - a_j) = b.
 

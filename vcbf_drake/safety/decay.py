@@ -1,4 +1,4 @@
-"""DecayRates: barriers that may fall faster than their gains say (E99)."""
+"""DecayRates: barriers that may fall faster than their gains say (E69)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DEFAULT_PENALTY = 100.0
 
 @dataclass(frozen=True)
 class DecayRates:
-    """How much each barrier's last decay rate may grow (E99).
+    """How much each barrier's last decay rate may grow (E69).
 
     A row asks for phi' >= -lambda phi, with phi = phi_(r-1) and lambda = lambda_r of
     (E3), or for phi' >= -class_k(phi). With a factor omega on the right its right-hand
@@ -80,7 +80,7 @@ class DecayRates:
         return self.slopes * (self.most - 1.0)
 
     def grown(self, qp: QP, feasible: FeasibleSet) -> QP:
-        """Returns a QP with the factors omega as variables (E99).
+        """Returns a QP with the factors omega as variables (E69).
 
         In the variables (z, root of the penalty times (omega - 1), slacks) the cost is
         a distance again.

@@ -1,6 +1,6 @@
 """The largest ellipsoid inside a polytope, its multipliers, gradient and certificate.
 
-    max log det B   subject to   |B a_i| + a_i c <= b_i,   B = B' > 0        (E20)
+    max log det B   subject to   |B a_i| + a_i c <= b_i,   B = B' > 0        (E48)
 
 A cone program proposes the ellipsoid, Newton's method makes it exact and weak duality
 certifies it; nothing leaves here without that certificate.
@@ -59,7 +59,7 @@ class Ellipsoid:
         center: c, shape (m,).
         shape: B, symmetric and positive definite, shape (m, m).
         log_det: log det B.
-        multipliers: lambda >= 0 of (E42), d(log det B)/db, in the units of the rows
+        multipliers: lambda >= 0 of (E56), d(log det B)/db, in the units of the rows
             as given and exactly 0 for rows that do not touch, shape (n,).
         certified_gap: No ellipsoid inside has a log det larger by more than this.
         rows: A as given, shape (n, m).
@@ -80,7 +80,7 @@ class Ellipsoid:
 
     @property
     def contact_points(self) -> Array:
-        """The points p_i = c + B^2 a_i / |B a_i| furthest along each row, (n, m) (E43).
+        """The points p_i = c + B^2 a_i / |B a_i| furthest along each row, (n, m) (E57).
 
         Rows with a positive multiplier touch the ellipsoid there. A row of zeros has no
         such point and gets the centre.
@@ -90,7 +90,7 @@ class Ellipsoid:
         return self.center + reach / np.where(length > 0.0, length, 1.0) @ self.shape
 
     def volume_gradient(self) -> tuple[Array, Array]:
-        """Returns dV/dA (n, m) and dV/db (n,) of the volume V (E43).
+        """Returns dV/dA (n, m) and dV/db (n,) of the volume V (E57).
 
         dV = V sum_i lambda_i (db_i - da_i p_i), p_i the contact points. Where more rows
         touch than determine the ellipsoid, as with a row given twice, V has one-sided

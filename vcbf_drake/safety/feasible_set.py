@@ -62,7 +62,7 @@ class DisturbanceKnowledge:
 
 @dataclass(frozen=True)
 class FeasibleSet:
-    """The polytope ``{u : A u <= b}`` of (E18), with the barrier rows it came from.
+    """The polytope ``{u : A u <= b}`` of (E46), with the barrier rows it came from.
 
     The first rows are the input set's, then follows one row per barrier. The same set
     in normalised inputs v, u = center + scale * v, is ``{v : A_v v <= b_v}``.
@@ -111,7 +111,7 @@ class FeasibleSet:
         return len(self.input_set.b)
 
     def tightened(self, reserve: Array) -> FeasibleSet:
-        """Returns the inputs of this set that leave every barrier row a reserve (E77).
+        """Returns the inputs of this set that leave every barrier row a reserve (E88).
 
         Args:
             reserve: Shape (N,), not negative.
@@ -143,7 +143,7 @@ class FeasibleSet:
 
 
 def disturbance_margin(rows: BarrierRows, known: DisturbanceKnowledge) -> Array:
-    """Returns Lambda, the certified lower bound of w'd per row (E16), shape (N,)."""
+    """Returns Lambda, the certified lower bound of w'd per row (E44), shape (N,)."""
     w_norm = np.sqrt(np.vecdot(rows.w, rows.w))
     return rows.w @ known.estimate - w_norm * known.bound
 
@@ -156,7 +156,7 @@ def feasible_set(
     penalties: Array | None = None,
     linear_penalties: Array | None = None,
 ) -> FeasibleSet:
-    """Returns the feasible set of (E18): A u <= b + Delta b.
+    """Returns the feasible set of (E46): A u <= b + Delta b.
 
     Args:
         input_set: The inputs the actuators can produce.

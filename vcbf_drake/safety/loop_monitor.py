@@ -191,7 +191,7 @@ class LoopMonitor(LeafSystem):
         return bool(is_relaxed and self._read(context, "volume")[0] < 0.0)
 
     def _refuses_most(self, context: Context) -> bool:
-        """Whether the observer refused most of the intervals so far (E96)."""
+        """Whether the observer refused most of the intervals so far (E43)."""
         if "estimate" not in self._ports:
             return False
         estimate = DisturbanceEstimate.unpack(self._read(context, "estimate"))

@@ -211,7 +211,7 @@ class NearestPointProgram(FixedProgram):
 
 
 class EllipsoidProgram(FixedProgram):
-    """max (det L)^(1/P) subject to |L'a_i| + a_i d <= b_i, L lower triangular (E20).
+    """max (det L)^(1/P) subject to |L'a_i| + a_i d <= b_i, L lower triangular (E48).
 
     The variables are L's entries, row by row, and then d. Of a box, whose first rows
     are v_j <= 1 and then -v_j <= 1, the rows of L have half the cones, and small ones:

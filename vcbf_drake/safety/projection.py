@@ -151,7 +151,7 @@ def minimise_linear(
         _raise_if_empty(nearest, rows, bounds)
         point, multipliers = nearest.point, nearest.multipliers / step
         slack = bounds - rows.A @ point
-        # No point's cost is lower by more than weak duality allows (E88).
+        # No point's cost is lower by more than weak duality allows (E75, weak duality).
         pull = np.abs(cost + multipliers @ rows.A) @ (reach + np.abs(point))
         gap = float(multipliers @ np.abs(slack) + pull)
         size = 1.0 + abs(float(cost @ point))
@@ -218,7 +218,7 @@ def _is_optimal(
 ) -> bool:
     """Whether a point meets the opened rows, and no point of the set is much nearer.
 
-    No point z with ``A z <= b`` is nearer than (E78) allows.
+    No point z with ``A z <= b`` is nearer than (E70, optimality by multipliers) allows.
     """
     v, y = found.point, found.multipliers
     product, pull = A @ v, reference - v

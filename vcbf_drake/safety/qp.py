@@ -57,14 +57,14 @@ class FilterDecision:
     Attributes:
         input: Shape (m,).
         status: How it was found.
-        slack: delta of (E24): how far the volume row gave way, 0 when it did not; of
+        slack: delta of (E54): how far the volume row gave way, 0 when it did not; of
             several rows, the one that gave way most.
         conflict: When infeasible, rows of the feasible set that exclude each other.
-        row_margin: What every barrier row's chi is at least until the next tick (E77);
+        row_margin: What every barrier row's chi is at least until the next tick (E88);
             nan where no such input was sought.
         soft_slacks: How far each soft barrier row gave way, at most 0, where the input
             is a QP's solution.
-        decay: The largest factor omega on a barrier's last decay rate (E99), 1 where
+        decay: The largest factor omega on a barrier's last decay rate (E69), 1 where
             the rows hold at their own rates.
         backup: How far the input gave way to a backup manoeuvre's, from 0 to 1.
         is_certified: Whether a certified way to safety follows on it (Theorem 5); None
@@ -96,11 +96,11 @@ def choose_input(
     frame: Frame | None = None,
     decay_rates: DecayRates | None = None,
 ) -> FilterDecision:
-    """Returns the feasible input nearest to the reference, (E19) or (E24), (E25).
+    """Returns the feasible input nearest to the reference, (E47) or (E54), (E55).
 
     With the exact slack volume rows are hard and give way, by as little as possible,
     only when no input satisfies them together with the other rows; without, they have
-    the printed penalty M delta^2. Soft barrier rows always have theirs (E85).
+    the printed penalty M delta^2. Soft barrier rows always have theirs (E71).
 
     Args:
         feasible: Input limits and barrier rows.
@@ -186,7 +186,7 @@ def _decayed(
     held_input: Array,
     solver: str,
 ) -> tuple[Array, float]:
-    """The input nearest to the reference with faster decay (E99), and omega.
+    """The input nearest to the reference with faster decay (E69), and omega.
 
     Where no rate helps omega is 1, and the input that of the least violation.
     """

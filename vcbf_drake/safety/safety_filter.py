@@ -77,7 +77,7 @@ class SafetyFilter(CachedSystem):
         - status
         - feasible_set
 
-    At every evaluation it solves (E19), or (E24) when the method has a volume row:
+    At every evaluation it solves (E47), or (E54) when the method has a volume row:
 
     .. math:: \min_u |u - u_{ref}|^2 \quad \text{s.t.} \quad A u \le b + \Delta b,
               \quad \dot V_v \ge -\lambda_{Vv} V_v
@@ -97,13 +97,13 @@ class SafetyFilter(CachedSystem):
     | ``command`` | m | the chosen input: finite and inside the input set, always |
     | ``fallback`` | m | the command where no solver's answer can be verified |
     | ``volume`` | 1 | V_v, what the volume row keeps positive; nan on failure |
-    | ``slack`` | 1 | delta of (E24), at most 0; 0 unless the volume row gave way |
+    | ``slack`` | 1 | delta of (E54), at most 0; 0 unless the volume row gave way |
     | ``soft_slacks`` | | how far each soft row gave way, at most 0; nan without a QP |
     | ``barriers`` | N | h_i; nan for a state-dependent input limit or an empty slot |
     | ``levels`` | | phi_0, ..., phi_(r-1) of every barrier, one after the other (E3) |
     | ``authority`` | N | how far the inputs move each row; 0 when not at all (R33) |
-    | ``row_margin`` | 1 | the rows' least until the next tick (E77); nan unless asked |
-    | ``decay`` | 1 | the largest factor on a decay rate (E99); 1 where none grew |
+    | ``row_margin`` | 1 | the rows' least until the next tick (E88); nan unless asked |
+    | ``decay`` | 1 | the largest factor on a decay rate (E69); 1 where none grew |
     | ``backup`` | 2 | the share of a backup manoeuvre; 1 if its plan is certified |
     | ``status`` | 1 | a `FilterStatus` |
     | ``feasible_set`` | | A, b, ellipsoid: see `unpack_feasible_set` |
@@ -138,7 +138,7 @@ class SafetyFilter(CachedSystem):
             settings: The method and its choices; `FilterSettings()` by default.
             bounds: delta1 and delta2 of the disturbance; none by default. delta2 times
                 the hold is how far the disturbance can move while one input is held;
-                it is added to the error bound (E39).
+                it is added to the error bound (E28, the certified error bound).
             estimate_gain: The observer's `estimate_gain` [1/s].
             longest_hold: How long an input may be held, where that can be longer than
                 the control period [s].

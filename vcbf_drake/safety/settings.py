@@ -49,16 +49,16 @@ class FilterSettings:
             to apply.
         infeasible: What to do when no input satisfies the barrier rows: apply the input
             of "least_violation", "hold" the last one, "stop" the simulation, let the
-            barriers "decay" faster than their gains say, by as little as helps (E99),
+            barriers "decay" faster than their gains say, by as little as helps (E69),
             or follow a "backup" manoeuvre of the plant, a certified one of which is
             kept at every tick (Theorem 5).
         volume: The volume barrier, for the methods that have one.
         decay_penalty: What a decay rate's growth (omega - 1)^2 costs beside the squared
-            distance to the reference (E99), with optimal-decay or infeasible: decay.
+            distance to the reference (E69), with optimal-decay or infeasible: decay.
         backup_margin: How far the way of the backup law keeps clear of every barrier,
-            in units of the position, with method backup (E130).
+            in units of the position, with method backup (E68, a backup barrier's row).
         between_ticks: "none" asks the rows to hold at the ticks alone, "certified" asks
-            for inputs under which they hold until the next tick (E77), where there are
+            for inputs under which they hold until the next tick (E88), where there are
             such.
         violation_weights: How much a violation of each barrier counts when not all can
             hold, (N,); empty for 1 each.
@@ -185,7 +185,7 @@ class FilterSettings:
 
     @property
     def covers_hold(self) -> bool:
-        """Whether the error bound holds until the next tick too (E39)."""
+        """Whether the error bound holds until the next tick too (E28)."""
         is_estimated = METHODS[self.method].disturbance == "estimated"
         return self.corrections.error_floor or not is_estimated
 

@@ -41,8 +41,8 @@ class VolumeRow:
     Attributes:
         a: Shape (m,).
         c: The right-hand side.
-        slack_penalty: M of (E24), for the inexact slack.
-        linear_penalty: N of (E85): what the slack itself costs, beside M times its
+        slack_penalty: M of (E54, the DOB-VCBF-QP), for the inexact slack.
+        linear_penalty: N of (E71): what the slack itself costs, beside M times its
             square.
         name: For whoever reads the program.
         unit: What the row was divided by; its slack is multiplied by it.
@@ -149,7 +149,7 @@ class QP:
         num_volume: How many of those, the last, are volume rows.
         rows: Which of the feasible set's rows are the first.
         further_rows: Those that follow: volume rows by name, others by index.
-        num_decays: How many variables, after the inputs, are growths (E99).
+        num_decays: How many variables, after the inputs, are growths (E69).
     """
 
     frame: Frame
@@ -249,7 +249,7 @@ def state_qp(
 
 
 def _with_slacks(qp: QP, yielding: Sequence[VolumeRow]) -> QP:
-    """Gives the last rows slacks delta <= 0 at M delta^2 - N delta (E24), (E85).
+    """Gives the last rows slacks delta <= 0 at M delta^2 - N delta (E54), (E71).
 
     In the variables (z, w = sqrt(M) delta) the cost is a distance again, from
     w = N / (2 sqrt(M)); where that is not 0, a row more keeps w from being positive.
@@ -299,7 +299,7 @@ def solve_qp(qp: QP, solver: str) -> tuple[NearestPoint, QP]:
     """Returns a QP's minimiser; where its volume rows leave none, that of one they do.
 
     With several volume rows, each in its turn gives way by the least that those before
-    it allow (E25).
+    it allow (E55, the exact penalty).
 
     Args:
         qp: The QP.

@@ -26,18 +26,18 @@ _LEAST_RADIUS, _MOST_THRESHOLD = 1e-4, 0.02
 
 @dataclass
 class VolumeBarrier:
-    """The barrier V_v = det B - xi on the room that rows leave the inputs (E21).
+    """The barrier V_v = det B - xi on the room that rows leave the inputs (E49).
 
     B is the shape of the largest ellipsoid of inputs, in normalised inputs, so that
     det B = 1 for a box that no barrier cuts, whatever the units of the inputs.
 
     Attributes:
         threshold: xi, the part of the free volume that must remain; null for a tenth
-            of what the set has at the first tick, at most 0.02 (E90).
+            of what the set has at the first tick, at most 0.02 (E50).
         gain: lambda_Vv, how fast V_v may decrease towards zero [1/s].
         slack_penalty: M, the weight of the squared slack; unused with the exact slack.
         widening: kappa >= 1: the input set is taken this many times as wide, so that
-            rows are felt before they cut it (E58).
+            rows are felt before they cut it (E64, widening).
     """
 
     threshold: float | None = None
@@ -65,19 +65,19 @@ class VolumeBarrier:
 
 
 def threshold_of(determinant: float, num_inputs: int) -> float:
-    """Returns xi of a barrier that has none, from det B at its start (E90)."""
+    """Returns xi of a barrier that has none, from det B at its start (E50)."""
     least = least_threshold(num_inputs)
     return float(np.clip(determinant / 10.0, least, _MOST_THRESHOLD))
 
 
 def least_threshold(num_inputs: int) -> float:
-    """Returns the least xi that a start can lead to (E90)."""
+    """Returns the least xi that a start can lead to (E50)."""
     return _LEAST_RADIUS**num_inputs
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """V_v of one polytope {v : A v <= b} and its derivative (E54).
+    """V_v of one polytope {v : A v <= b} and its derivative (E63).
 
     dV_v = sum_i mu_i (db_i - da_i p_i).
 
@@ -96,10 +96,10 @@ class Measurement:
 
 
 class VolumeMeasure:
-    """det B - xi of the largest ellipsoid of an input set under barrier rows (E21).
+    """det B - xi of the largest ellipsoid of an input set under barrier rows (E49).
 
     All in normalised inputs v (see `InputSet`). With a widening kappa > 1 the input
-    set is replaced by kappa times itself (E58): in the coordinates v / kappa, the same
+    set is replaced by kappa times itself (E64): in the coordinates v / kappa, the same
     input set under the rows A v <= b / kappa. An empty set counts as a ball that is too
     small to be told from one.
 
@@ -163,7 +163,7 @@ class VolumeMeasure:
 
 @dataclass(frozen=True)
 class Volume:
-    """V_v at one tick and its partial derivatives (E44), in normalised inputs.
+    """V_v at one tick and its partial derivatives (E58), in normalised inputs.
 
     Attributes:
         value: V_v.
@@ -206,7 +206,7 @@ class Volume:
     def rate(
         self, state_rate: Array, known: DisturbanceKnowledge, disturbance: Array
     ) -> float:
-        """Returns dV_v/dt when the disturbance is known (E26) [1/s].
+        """Returns dV_v/dt when the disturbance is known (E60) [1/s].
 
         Args:
             state_rate: dx/dt under the input and the disturbance, shape (n,).
@@ -223,7 +223,7 @@ class Volume:
 
 
 def volume(measured: Measurement, feasible: FeasibleSet, input_set: InputSet) -> Volume:
-    """Returns a measure and its partial derivatives by the envelope theorem (E44).
+    """Returns a measure and its partial derivatives by the envelope theorem (E58).
 
     Args:
         measured: The measure of the feasible set, in normalised inputs.
@@ -268,8 +268,8 @@ def volume_row(
 ) -> tuple[Array, float]:
     """Returns the row a and the number c of the volume barrier's condition a u <= c.
 
-    The total derivative is (E28); without it the row leaves out that the estimate
-    moves, as printed (E23), (E24).
+    The total derivative is (E62); without it the row leaves out that the estimate
+    moves, as printed (E53, the printed volume term), (E54).
 
     Args:
         volume: V_v and its derivatives.

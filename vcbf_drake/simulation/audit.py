@@ -23,10 +23,10 @@ from vcbf_drake.simulation.collision_monitor import TOUCH
 
 # What `audit_margins` has a margin of, in its order.
 PROMISES = {
-    "estimate": "|d - dhat| <= error bound (E39)",
-    "disturbance term": "Lambda <= w'd in every row (E16)",
+    "estimate": "|d - dhat| <= error bound (E28)",
+    "disturbance term": "Lambda <= w'd in every row (E44)",
     "row": "chi >= 0: the true rows hold under the chosen input",
-    "row between ticks": "chi >= 0 until the next tick, by its bound (E77)",
+    "row between ticks": "chi >= 0 until the next tick, by its bound (E88)",
     "barrier": "h >= 0 at the ticks",
     "chain": "phi_1, ..., phi_(r-1) >= 0 at the ticks (E3)",
     "volume": "V_v >= 0 (Theorem 2)",
@@ -179,12 +179,12 @@ def _of_measurements(
     ]
     return {
         MEASUREMENT: _finding(
-            "no interval's mean disturbance was refused as impossible (E96)",
+            "no interval's mean disturbance was refused as impossible (E43)",
             log["time"],
             _yes_or_no(refused <= 0.0),
         ),
         QUADRATURE: _finding(
-            "the observer's gains allow for the error of the means (E97)",
+            "the observer's gains allow for the error of the means (E42)",
             log["time"],
             np.array(spare)[which],
         ),

@@ -143,7 +143,7 @@ def fault_assumptions(faults: Faults) -> Iterator[Assumption]:
         (
             faults.changes_disturbance,
             "disturbance as declared",
-            "|d|, |d'|, |d''| within their bounds (E8)",
+            "|d|, |d'|, |d''| within their bounds (E16)",
             {"ratio": faults.disturbance, "step gusts": float(len(faults.gusts))},
         ),
         (

@@ -136,7 +136,7 @@ def _certified_least(
     log: dict[str, Array],
     ending: Ending,
 ) -> float | None:
-    """What h was nowhere below (E76); None where that cannot be certified."""
+    """What h was nowhere below (E87); None where that cannot be certified."""
     source = diagram.GetSubsystemByName("disturbance")
     if not is_certifiable(scenario, found):
         return None

@@ -111,12 +111,12 @@ class BarrierGains:
     """The barrier of each obstacle: its function and its gains.
 
     Attributes:
-        form: h: "distance" to the surface (E31), or "squared" distance difference
-            (E35).
+        form: h: "distance" to the surface (E77), or "squared" distance difference
+            (E80, the car's barrier).
         gains: K = (k1, k2) of (E4), one a derivative of h until the input appears; the
             roots of s^2 + k1 s + k2 are real and negative.
         robust: Whether the worst of a disturbance that reaches h before the input does
-            is taken off at every level of its chain (E70).
+            is taken off at every level of its chain (E8, the robust chain).
     """
 
     form: SphereForm = "distance"

@@ -32,7 +32,7 @@ class FeasibleSet:
         input: The chosen input, shape (m,).
         corners: The corners of the set between low and high, shape (k, m).
         volume: The volume barrier V_v; nan when the filter did not know it.
-        decay: By how much barriers decay faster than A and b say (E99); 1: they do not.
+        decay: By how much barriers decay faster than A and b say (E69); 1: they do not.
     """
 
     A: Array

@@ -130,18 +130,18 @@ def _steps(safety_filter: SafetyFilter) -> dict[str, tuple[str, ...]]:
     method, settings = safety_filter.method, safety_filter.settings
     steps: dict[str, tuple[str, ...]] = {
         "barrier rows": ("1  barrier rows (E7)",),
-        "feasible set": ("2  feasible polytope (E18)",),
-        "determinants": ("3  inscribed ellipsoid (E20)", "4  its gradient (E44)"),
+        "feasible set": ("2  feasible polytope (E46)",),
+        "determinants": ("3  inscribed ellipsoid (E48)", "4  its gradient (E58)"),
         "volumes": ("5  V_v, above the threshold",),
     }
     if not method.has_volume_row:
-        label = "E99" if method.feasibility == "decay" else "E19"
+        label = "E69" if method.feasibility == "decay" else "E47"
         return steps | {
-            "determinants": ("inscribed ellipsoid (E20)", "for the log only"),
+            "determinants": ("inscribed ellipsoid (E48)", "for the log only"),
             "volumes": (),
             "decision": (f"3  nearest input, QP ({label})",),
         }
-    label = "E28" if settings.corrections.total_derivative else "E24"
-    label = label if method.disturbance == "estimated" else "E22"
-    decision = (f"6  volume row ({label})", "7  nearest input, QP (E24)")
+    label = "E62" if settings.corrections.total_derivative else "E54"
+    label = label if method.disturbance == "estimated" else "E52"
+    decision = (f"6  volume row ({label})", "7  nearest input, QP (E54)")
     return steps | {"decision": decision}
