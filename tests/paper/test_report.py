@@ -55,6 +55,7 @@ def made_up(scenario, step_time):
         "ticks": 1000,
         "relaxed_ticks": 0,
         "infeasible_ticks": 0,
+        "decayed_ticks": 0,
         "failed_ticks": 0,
         "final_status": 1,
         "reasons_against": [],

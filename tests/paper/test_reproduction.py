@@ -358,6 +358,7 @@ def summary(outcome="reached", **numbers):
         "ticks": 1001,
         "relaxed_ticks": 0,
         "infeasible_ticks": 0,
+        "decayed_ticks": 0,
         "failed_ticks": 0,
         "final_status": 1,
         "reasons_against": [],

@@ -193,7 +193,7 @@ def test_an_obstacle_has_no_row_until_it_is_near():
     assert result.summary["rows_without_authority"] == []
     # The audit and the summary know of it all the same.
     assert result.summary["min_barrier"] > 0.0
-    squared = np.sum(away**2, axis=1) - obstacle.radius**2
+    squared = np.sum(away**2, axis=1) - (obstacle.radius + obstacle.margin) ** 2
     assert result.summary["audit"]["barrier"]["worst"] == pytest.approx(squared.min())
 
 

@@ -209,6 +209,7 @@ class ObstaclesInSight(LeafSystem):
         zero = [0.0] * spheres.dimensions
         self._centers = np.array([each.center for each in obstacles])
         self._velocities = np.array([each.velocity or zero for each in obstacles])
+        self._surfaces = np.array([each.radius for each in obstacles])
         self._radii = np.array([each.radius + each.margin for each in obstacles])
         self._spheres, self._positions, self._sight = spheres, positions, sight
         self._state = self.DeclareVectorInputPort("state", num_states)
@@ -217,7 +218,7 @@ class ObstaclesInSight(LeafSystem):
     def _calc(self, context: Context, output: BasicVector) -> None:
         centers = self._centers + context.get_time() * self._velocities
         away = self._positions(self._state.Eval(context)[None]) - centers
-        seen = np.linalg.norm(away, axis=1) - self._radii <= self._sight
+        seen = np.linalg.norm(away, axis=1) - self._surfaces <= self._sight
         slots = self._spheres.pack(centers, self._velocities, self._radii)
         slots = slots.reshape(-1, self._spheres.slot_size)
         slots[:, -1] = seen
