@@ -178,7 +178,8 @@ def test_a_collision_ends_with_status_3_and_every_change_is_told(start) -> None:
     assert plant.returncode == 3, err
     assert json.loads(out)["ending"] == "collision"
     said = [line for line in err.splitlines() if line.startswith("vehicle: ")]
-    told = [line.split(": ")[-1] for line in said]
+    # A busy machine may miss periods, and says so beside the changes.
+    told = [line.split(": ")[-1] for line in said if "missed" not in line]
     assert told == ["waiting", "following", "fallback"]
 
 
