@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from examples.adaptive_cruise_control import AHEAD, HEADWAY, MASS, MOST, resistance
 from examples.paper.blimp_courses import blimp_course
 from examples.paper.car_courses import APPROACH_GAINS, car_course
 from vcbf_drake.simulation.loading import merge_overrides
 from vcbf_drake.studies import Record, Trial
-
-from .cruise import HEADWAY, can_stop
 
 DURATION, SOON = 40.0, 20.0  # [s]
 # Courses below this number have chosen settings, once or in earlier studies.
@@ -141,6 +140,17 @@ class Population:
         return bool(drawn < self.sample)
 
 
+def can_stop(speed: float, distance: float) -> bool:
+    """Returns whether full braking keeps the headway from a start of the cruise."""
+    h = distance - HEADWAY * speed
+    while speed > AHEAD and h >= 0.0:
+        step = 0.01
+        distance += step * (AHEAD - speed)
+        speed -= step * (MOST + resistance(speed)) / MASS
+        h = distance - HEADWAY * speed
+    return h >= 0.0
+
+
 def cruise_start(index: int) -> dict[str, Any]:
     """Returns a start of the cruise from which full braking keeps the headway."""
     return {"initial_state": list(STARTS[index])}
@@ -177,7 +187,7 @@ CAR = Population(
 )
 CRUISE = Population(
     "cruise",
-    "examples/feasibility/cruise.py",
+    "examples/adaptive_cruise_control.py",
     cruise_start,
     len(STARTS),
     0,

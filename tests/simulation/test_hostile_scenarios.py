@@ -27,7 +27,7 @@ def complaint(text, overrides=None):
         parse_scenario(text, "hostile.yaml", overrides)
     line = str(error.value)
     assert line.isprintable()
-    assert len(line) < 500
+    assert len(line) < 400
     return line
 
 

@@ -16,6 +16,7 @@ import inspect
 import math
 from pathlib import Path
 import re
+from textwrap import shorten
 import types
 from typing import (
     Any,
@@ -147,12 +148,13 @@ def merge_overrides(*overrides: str | Mapping[str, Any]) -> str:
 
 
 def did_you_mean(word: str, allowed: Iterable[str]) -> str:
-    """Returns the close matches of a word, or everything that is allowed."""
+    """Returns the close matches of a word, or what is allowed, on one line."""
     allowed = list(allowed)
     matches = difflib.get_close_matches(word, allowed, n=2)
     if matches:
         return f"did you mean {' or '.join(matches)}?"
-    return f"allowed: {', '.join(allowed) or 'none'}"
+    known = shorten(", ".join(allowed) or "none", 300, placeholder=" and more")
+    return f"allowed: {known}"
 
 
 # Nodes -----------------------------------------------------------------------------
