@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from statistics import median
 
-from vcbf_drake.studies import Record, Trial
+from vcbf_drake.studies import Record
 from vcbf_drake.studies.statistics import share_interval
 
 from .study import (
@@ -93,18 +93,25 @@ def section(
     """
     everything = range(population.first, population.first + population.count)
     pairs = population.pairs(everything)
-    found: dict[str, dict[Pair, Record]] = {}
-    for name, contender in population.contenders().items():
-        trials: dict[Pair, Trial] = {p: population.trial(contender, *p) for p in pairs}
+    contenders = population.contenders()
+
+    def of(name: str, among: Sequence[Pair]) -> dict[Pair, Record]:
+        trials = {p: population.trial(contenders[name], *p) for p in among}
         keys = {pair: key(trial.identity) for pair, trial in trials.items()}
-        found[name] = {p: records[k] for p, k in keys.items() if k in records}
+        return {p: records[k] for p, k in keys.items() if k in records}
+
+    base = of(BASE, pairs)
+    lost = [pair for pair, record in base.items() if is_lost(record)]
+    sampled = [p for p in base if p not in set(lost) and population.is_sampled(*p)]
+    found = {BASE: base}
+    for name, contender in contenders.items():
+        if name == BASE:
+            continue
+        found[name] = of(name, [*lost, *sampled])
         if contender.acts_on:
             known = found[contender.acts_on].items()
             same = {pair: record for pair, record in known if not is_lost(record)}
             found[name] = same | found[name]
-    base = found[BASE]
-    lost = [pair for pair, record in base.items() if is_lost(record)]
-    sampled = [p for p in base if p not in set(lost) and population.is_sampled(*p)]
     harmless = len(base) - len(lost)
     lines = [
         f"## {population.name.capitalize()}",

@@ -39,6 +39,11 @@ class Contender:
     is_slow: bool = False
     acts_on: str = ""
 
+    @property
+    def needs_manoeuvre(self) -> bool:
+        """Whether only a vehicle with a backup manoeuvre can take it."""
+        return "backup" in (self.method, self.overrides.get("infeasible"))
+
 
 BASE, THE_PAPERS, WIDE = "dob-cbf-qp", "the paper's form", "widened"
 CONTENDERS = {
@@ -51,6 +56,7 @@ CONTENDERS = {
     "infeasible: backup": Contender("dob-cbf-qp", BACKUP),
     "widened and backup": Contender("dob-vcbf-qp", WIDENED | BACKUP),
     "smaller gains": Contender("dob-cbf-qp", is_slow=True),
+    "backup": Contender("backup"),
 }
 
 
@@ -131,7 +137,7 @@ class Population:
             name: each
             for name, each in CONTENDERS.items()
             if (self.slow or not each.is_slow)
-            and (self.has_backup or each.overrides.get("infeasible") != "backup")
+            and (self.has_backup or not each.needs_manoeuvre)
         }
 
     def is_sampled(self, course: int, variant: int) -> bool:
