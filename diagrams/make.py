@@ -6,12 +6,12 @@ python diagrams/make.py [DIRECTORY]
 from pathlib import Path
 import sys
 
-from two_processes import write_hardware_diagram
+from two_processes import hardware_dot
 
 from vcbf_drake import load_scenario, make_loop
 from vcbf_drake.hil import InProcess
+from vcbf_drake.viz.block_graph import write_dot
 from vcbf_drake.viz.diagram import write_diagram
-from vcbf_drake.viz.filter_diagram import write_filter_diagram
 
 
 def make(directory: Path) -> None:
@@ -20,8 +20,8 @@ def make(directory: Path) -> None:
         loop = make_loop(load_scenario(name))
         write_diagram(loop, directory, name)
     both = InProcess(load_scenario("blimp-multiple-obstacles"))
-    write_hardware_diagram(both, directory, "two-processes")
-    write_filter_diagram(loop.GetSubsystemByName("filter"), directory, "safety-filter")
+    write_dot(hardware_dot(both, "two-processes"), directory, "two-processes")
+    write_diagram(loop.GetSubsystemByName("filter"), directory, "safety-filter")
 
 
 if __name__ == "__main__":

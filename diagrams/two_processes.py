@@ -2,30 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pydrake.systems.framework import Diagram
 from pydrake.systems.primitives import VectorLogSink
 
-from vcbf_drake.viz.block_graph import Block, Pin, Wire, graph_dot, write_dot
+from vcbf_drake.viz.block_graph import Block, Pin, Wire, graph_dot
 
 if TYPE_CHECKING:
     from vcbf_drake.hil import Bus, InProcess
-
-
-def write_hardware_diagram(run: InProcess, directory: Path, name: str) -> list[Path]:
-    """Writes the picture of both processes as DOT and, with Graphviz, as SVG.
-
-    Args:
-        run: Both of them, at their start.
-        directory: Where to write; it is made.
-        name: The file name without its ending.
-
-    Returns:
-        The paths written.
-    """
-    return write_dot(hardware_dot(run, name), directory, name)
 
 
 def hardware_dot(run: InProcess, title: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from vcbf_drake.studies import Record, Trial
-from vcbf_drake.viz.path_figure import path_figure
+from vcbf_drake.viz.figures import path_figure
 from vcbf_drake.viz.series_figures import barrier_figure, draw_volume
 
 from .archive import Archive, in_drawing_order

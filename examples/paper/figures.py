@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from vcbf_drake.checks import Array
-from vcbf_drake.viz.path_figure import draw_plane, path_extent
+from vcbf_drake.viz.figures import draw_plane, path_extent
 from vcbf_drake.viz.runs import Run
 from vcbf_drake.viz.series_figures import draw_estimate_error
 from vcbf_drake.viz.style import (

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from vcbf_drake.checks import Array
 from vcbf_drake.simulation.result import Result
 from vcbf_drake.studies import Record
-from vcbf_drake.viz.feasible_set_figure import feasible_set_figure
-from vcbf_drake.viz.path_figure import path_figure
+from vcbf_drake.viz.feasible_set import feasible_set_figure
+from vcbf_drake.viz.figures import path_figure
 from vcbf_drake.viz.series_figures import input_figure, slack_figure, volume_figure
 
 from .archive import Archive, in_drawing_order

@@ -14,7 +14,7 @@ from vcbf_drake.safety import METHODS
 from vcbf_drake.simulation.loop import make_loop
 from vcbf_drake.simulation.result import Result
 from vcbf_drake.studies import Record
-from vcbf_drake.viz.path_figure import path_figure
+from vcbf_drake.viz.figures import path_figure
 from vcbf_drake.viz.series_figures import (
     barrier_figure,
     disturbance_figure,

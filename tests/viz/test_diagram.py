@@ -25,8 +25,7 @@ import pytest
 
 from vcbf_drake import Blimp, load_scenario, make_loop
 from vcbf_drake.simulation.audit import Audit
-from vcbf_drake.viz.diagram import diagram_dot, write_diagram
-from vcbf_drake.viz.filter_diagram import filter_dot
+from vcbf_drake.viz.diagram import diagram_dot, filter_dot, write_diagram
 
 # pydot's parser still calls pyparsing by its old names.
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:pydot")

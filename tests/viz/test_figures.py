@@ -15,11 +15,11 @@ from vcbf_drake.simulation import InputLimits, Obstacle, load_scenario, simulate
 from vcbf_drake.viz import write_figures, write_replay
 from vcbf_drake.viz.feasible_set import (
     feasible_set_at,
+    feasible_set_figure,
     polytope_vertices,
     shadow,
     telling_times,
 )
-from vcbf_drake.viz.feasible_set_figure import feasible_set_figure
 from vcbf_drake.viz.runs import label_runs
 from vcbf_drake.viz.series_figures import input_figure, volume_figure
 from vcbf_drake.viz.solids import hull

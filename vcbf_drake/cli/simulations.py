@@ -163,7 +163,6 @@ def diagram(
     """Draw the block diagrams of the loop and of its filter, as DOT and SVG."""
     from vcbf_drake.simulation.loop import make_loop
     from vcbf_drake.viz.diagram import write_diagram
-    from vcbf_drake.viz.filter_diagram import write_filter_diagram
 
     chosen = load(scenario, override, method, scenario_name)
     directory = out or Path("out") / f"{chosen.name}-diagram"
@@ -171,7 +170,7 @@ def diagram(
         loop = make_loop(chosen)
         write_diagram(loop, staging, chosen.name)
         safety_filter = loop.GetSubsystemByName("filter")
-        write_filter_diagram(safety_filter, staging, "safety-filter")
+        write_diagram(safety_filter, staging, "safety-filter")
     typer.echo(f"written to {directory}")
 
 

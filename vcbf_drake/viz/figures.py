@@ -1,4 +1,4 @@
-"""Every figure of one or several results, as PNG and SVG."""
+"""Every figure of one or several results, as PNG and SVG, and the paths' own."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vcbf_drake.viz.feasible_set import telling_times
-from vcbf_drake.viz.feasible_set_figure import feasible_set_figure
-from vcbf_drake.viz.path_figure import draw_plane, path_figure
+import numpy as np
+
+from vcbf_drake.checks import Array
+from vcbf_drake.viz.feasible_set import feasible_set_figure, telling_times
 from vcbf_drake.viz.runs import Run, label_runs
 from vcbf_drake.viz.series_figures import (
     barrier_figure,
@@ -19,11 +20,28 @@ from vcbf_drake.viz.series_figures import (
     slack_figure,
     volume_figure,
 )
+from vcbf_drake.viz.solids import Solid, hull, solids_of, walls_of
 from vcbf_drake.viz.space_figure import draw_space
-from vcbf_drake.viz.style import PAGE_WIDTH, figure_style, new_figure, save_figure
+from vcbf_drake.viz.style import (
+    MUTED,
+    OBSTACLE,
+    PAGE_WIDTH,
+    START,
+    TARGET,
+    Axes,
+    Figure,
+    Style,
+    figure_style,
+    legend_above,
+    legend_in_a_row,
+    new_figure,
+    save_figure,
+)
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.result import Result
+
+NAMES = ("x [m]", "y [m]", "z [m]")
 
 
 def write_figures(
@@ -50,7 +68,7 @@ def write_figures(
     when = telling_times(runs) if times is None else times
     paths: list[Path] = []
 
-    def write(name: str, figure: Any) -> None:
+    def write(name: str, figure: Figure) -> None:
         paths.extend(save_figure(figure, directory, name))
 
     with figure_style():
@@ -66,15 +84,8 @@ def write_figures(
     return paths
 
 
-def overview_figure(runs: Sequence[Run]) -> Any:
-    """The paths, the volume barrier and the least barrier of every run.
-
-    Args:
-        runs: The runs, the one to bring out last.
-
-    Returns:
-        The ``matplotlib.figure.Figure``.
-    """
+def overview_figure(runs: Sequence[Run]) -> Figure:
+    """The paths, the volume barrier and the least barrier of every run."""
     figure = new_figure(1.25 * PAGE_WIDTH, 5.4)
     grid = figure.add_gridspec(2, 2, height_ratios=[1.35, 1.0])
     if runs[-1].is_flat:
@@ -94,7 +105,7 @@ def overview_figure(runs: Sequence[Run]) -> Any:
     return figure
 
 
-def _outcomes(axes: Any, runs: Sequence[Run]) -> tuple[list[Any], list[str]]:
+def _outcomes(axes: Axes, runs: Sequence[Run]) -> tuple[list[Any], list[str]]:
     """The legend: every run's line, its name and how it ended."""
     lines, _ = axes.get_legend_handles_labels()
     words = [
@@ -102,3 +113,93 @@ def _outcomes(axes: Any, runs: Sequence[Run]) -> tuple[list[Any], list[str]]:
         for run in runs
     ]
     return lines, words
+
+
+def path_figure(runs: Sequence[Run]) -> Figure:
+    """The paths in space, from above and from the side; in the plane from above."""
+    low, high = path_extent(runs)
+    x, y, z = high - low
+    scale = 0.86 * PAGE_WIDTH / x
+    if runs[-1].is_flat:
+        figure = new_figure(PAGE_WIDTH, scale * y + 0.8)
+        axes = figure.subplots()
+        draw_plane(axes, runs, (0, 1))
+        legend_above(axes)
+    elif x > 1.8 * max(y, z):
+        heights = [0.36 * PAGE_WIDTH, scale * y + 0.6, scale * z + 0.6]
+        figure = new_figure(PAGE_WIDTH, sum(heights) + 0.4)
+        grid = figure.add_gridspec(3, 1, height_ratios=heights)
+        _draw_views(figure, runs, [grid[0], grid[1], grid[2]])
+    else:
+        figure = new_figure(PAGE_WIDTH, 0.62 * PAGE_WIDTH)
+        grid = figure.add_gridspec(2, 2, width_ratios=[1.35, 1.0])
+        _draw_views(figure, runs, [grid[:, 0], grid[0, 1], grid[1, 1]])
+    return figure
+
+
+def draw_plane(axes: Axes, runs: Sequence[Run], plane: tuple[int, int]) -> None:
+    """Draws paths and obstacles projected on two coordinates, across and up."""
+    pair = list(plane)
+    last = runs[-1]
+    end = max(float(run.time[-1]) for run in runs)
+    for solid in solids_of(last.scenario):
+        _draw_solid(axes, solid, pair, end)
+    for wall in walls_of(last.scenario):
+        across = wall.normal[pair]
+        if np.any(across):
+            along = np.array([-across[1], across[0]])
+            for offset, dashes in (
+                (wall.offset, "-"),
+                (wall.offset + wall.margin, (0, (3, 2))),
+            ):
+                foot = offset * across / (across @ across)
+                style: Style = dict(color=MUTED, lw=1.2, ls=dashes, zorder=2)
+                axes.axline(foot, foot + along, **style)
+    for run in runs:
+        axes.plot(*run.path[:, pair].T, **run.line(), zorder=3)
+        if run.failure_tick is not None:
+            style = dict(ms=8, mfc=run.color, mec="white", zorder=5)
+            axes.plot(*run.path[run.failure_tick, pair], "X", **style)
+    axes.plot(*last.path[0, pair], "o", ms=5, color=START, zorder=4)
+    axes.plot(*last.target[pair], "*", ms=11, mfc=TARGET, mec="white", zorder=4)
+    low, high = (corner[pair] for corner in path_extent(runs))
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    axes.set(xlabel=NAMES[plane[0]], ylabel=NAMES[plane[1]])
+
+
+def path_extent(runs: Sequence[Run]) -> tuple[Array, Array]:
+    """The corners of the space that holds paths and obstacles, shape (3,) each [m]."""
+    found = [runs[-1].target, *(run.path for run in runs)]
+    found += [solid.whole.surface for solid in solids_of(runs[-1].scenario)]
+    points = np.vstack(found)
+    low, high = points.min(axis=0), points.max(axis=0)
+    room = 0.03 * float((high - low).max())
+    return low - room, high + room
+
+
+def _draw_views(figure: Figure, runs: Sequence[Run], cells: list[Any]) -> None:
+    space, above, side = (figure.add_subplot(cell) for cell in cells)
+    draw_space(space, runs)
+    draw_plane(above, runs, (0, 1))
+    draw_plane(side, runs, (0, 2))
+    entries = above.get_legend_handles_labels()
+    options = legend_in_a_row(entries[1])
+    figure.legend(*entries, loc="outside upper left", **options)
+
+
+def _draw_solid(axes: Axes, solid: Solid, pair: list[int], end: float) -> None:
+    """An obstacle with its margin, and where it is in the end if it moves."""
+    body, whole = (hull(p.surface[:, pair]) for p in (solid.body, solid.whole))
+    if solid.moves:
+        middle = 0.5 * (body.min(axis=0) + body.max(axis=0))
+        times = solid.key_times(end)
+        way = np.array([middle + solid.offset_at(time)[pair] for time in times])
+        dashed: Style = dict(fill=False, ec=MUTED, lw=0.6, ls=(0, (3, 2)))
+        axes.fill(*(whole + way[-1] - middle).T, **dashed)
+        axes.plot(*way.T, color=MUTED, lw=0.8, zorder=2.5)
+        arrow = dict(arrowstyle="-|>", color=MUTED, lw=0.8)
+        axes.annotate("", way[-1], way[-2], arrowprops=arrow, zorder=2.5)
+    if solid.keep_out is not None:
+        axes.fill(*whole.T, fc=OBSTACLE, alpha=0.3, lw=0)
+    style: Style = dict(fc=OBSTACLE, alpha=0.75, ec=MUTED, lw=0.6, zorder=2)
+    axes.fill(*body.T, **style)

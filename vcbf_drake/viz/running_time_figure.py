@@ -11,6 +11,9 @@ from vcbf_drake.viz.style import (
     INK,
     METHOD_STYLES,
     PAGE_WIDTH,
+    Axes,
+    Figure,
+    Style,
     figure_style,
     new_figure,
     save_figure,
@@ -50,17 +53,10 @@ def write_running_times(
         return save_figure(figure, directory, "running_times")
 
 
-def running_time_figure(records: Sequence[Record], summary: Record) -> Any:
+def running_time_figure(records: Sequence[Record], summary: Record) -> Figure:
     """Every pair as one column, in the order of the first method's running times.
 
     The mean of each method and its confidence interval stand at the right.
-
-    Args:
-        records: The records of the trials.
-        summary: What `summarise_study` says of them.
-
-    Returns:
-        The ``matplotlib.figure.Figure``.
     """
     figure = new_figure(PAGE_WIDTH, 3.0)
     pairs, means = figure.subplots(1, 2, sharey=True, width_ratios=[8, 1])
@@ -96,16 +92,16 @@ def _columns(
         if record["error"] is None:
             columns.setdefault(record["index"], {})[record["method"]] = record
 
-    def times(index: int) -> tuple[float, ...]:
-        ended = [columns[index].get(method) for method in methods]
+    def times(column: dict[str, Record]) -> list[float]:
         # A trial that crashed has no place in the order: last.
-        return *(r["running_time"] if r else float("inf") for r in ended), index
+        ended = [column.get(method) for method in methods]
+        return [r["running_time"] if r else math.inf for r in ended]
 
-    return [columns[index] for index in sorted(columns, key=times)]
+    return sorted((columns[index] for index in sorted(columns)), key=times)
 
 
 def _draw_method(
-    axes: Any, method: str, columns: Sequence[Mapping[str, Record]]
+    axes: Axes, method: str, columns: Sequence[Mapping[str, Record]]
 ) -> None:
     style, size = METHOD_STYLES[method], 5.0 if len(columns) <= _MANY else 3.0
     axes.plot([], [], color=style.color, lw=4, label=style.label)
@@ -116,17 +112,11 @@ def _draw_method(
             if method in column and column[method]["outcome"] == outcome
         ]
         if points:
-            axes.plot(
-                *zip(*points, strict=True),
-                ls="",
-                marker=marker,
-                ms=size,
-                color=style.color,
-                clip_on=False,
-            )
+            look: Style = dict(ls="", marker=marker, ms=size, color=style.color)
+            axes.plot(*zip(*points, strict=True), **look, clip_on=False)
 
 
-def _draw_mean(axes: Any, position: int, method: str, numbers: Record) -> None:
+def _draw_mean(axes: Axes, position: int, method: str, numbers: Record) -> None:
     mean, color = numbers["mean_running_time"], METHOD_STYLES[method].color
     if mean is None:
         return
@@ -135,7 +125,7 @@ def _draw_mean(axes: Any, position: int, method: str, numbers: Record) -> None:
     axes.plot([position], [mean], ls="", marker="D", ms=4, color=color)
 
 
-def _legend(axes: Any, records: Sequence[Record]) -> tuple[list[Any], list[str]]:
+def _legend(axes: Axes, records: Sequence[Record]) -> tuple[list[Any], list[str]]:
     """The methods' colours, and a grey marker for each outcome there is."""
     from matplotlib.lines import Line2D
 

@@ -15,6 +15,8 @@ from vcbf_drake.viz.style import (
     INK,
     MUTED,
     PAGE_WIDTH,
+    Axes,
+    Figure,
     Style,
     legend_above,
     new_figure,
@@ -24,30 +26,23 @@ BAND = "#c9d5e3"
 MOST_BARRIERS = 12  # More curves than this tell nothing.
 
 
-def barrier_figure(runs: Sequence[Run]) -> Any:
+def barrier_figure(runs: Sequence[Run]) -> Figure:
     """Every barrier of the last run, and the least one of every run."""
     return _over_time(2.7, lambda axes: draw_barriers(axes, runs, every=True))
 
 
-def volume_figure(runs: Sequence[Run]) -> Any:
+def volume_figure(runs: Sequence[Run]) -> Figure:
     """The volume barrier of every run."""
     return _over_time(2.5, lambda axes: draw_volume(axes, runs))
 
 
-def slack_figure(runs: Sequence[Run]) -> Any:
+def slack_figure(runs: Sequence[Run]) -> Figure:
     """The slack of the volume row of every run."""
     return _over_time(2.2, lambda axes: _draw_slack(axes, runs))
 
 
-def disturbance_figure(runs: Sequence[Run]) -> Any:
-    """The last run's disturbance with its estimate, and the error under its bound.
-
-    Args:
-        runs: The runs.
-
-    Returns:
-        The ``matplotlib.figure.Figure``.
-    """
+def disturbance_figure(runs: Sequence[Run]) -> Figure:
+    """The last run's disturbance with its estimate, and the error under its bound."""
     run = runs[-1]
     log, names = run.result.log, run.channels.disturbance_labels
     figure = new_figure(PAGE_WIDTH, 0.6 + 1.15 * (len(names) + 1))
@@ -76,15 +71,8 @@ def disturbance_figure(runs: Sequence[Run]) -> Any:
     return figure
 
 
-def input_figure(runs: Sequence[Run]) -> Any:
-    """The applied inputs of every run, the last run's reference, and the limits.
-
-    Args:
-        runs: The runs.
-
-    Returns:
-        The ``matplotlib.figure.Figure``.
-    """
+def input_figure(runs: Sequence[Run]) -> Figure:
+    """The applied inputs of every run, the last run's reference, and the limits."""
     last = runs[-1].result
     names, limits = runs[-1].channels.input_labels, last.scenario.input_set
     lower, upper = shown_inputs(last.log, limits)
@@ -111,7 +99,7 @@ def input_figure(runs: Sequence[Run]) -> Any:
     return figure
 
 
-def draw_barriers(axes: Any, runs: Sequence[Run], every: bool = False) -> None:
+def draw_barriers(axes: Axes, runs: Sequence[Run], every: bool = False) -> None:
     """Draws the least barrier of every run, and thinly every barrier of the last."""
     if every:
         style: Style = dict(color=runs[-1].color, lw=0.6, alpha=0.45)
@@ -128,7 +116,7 @@ def draw_barriers(axes: Any, runs: Sequence[Run], every: bool = False) -> None:
     axes.set(xlabel="time [s]", ylabel="barrier $h$" + f" [{unit}]" * bool(unit))
 
 
-def _over_time(height: float, draw: Callable[[Any], None]) -> Any:
+def _over_time(height: float, draw: Callable[[Axes], None]) -> Figure:
     """A figure of one quantity, its legend above."""
     figure = new_figure(PAGE_WIDTH, height)
     axes = figure.subplots()
@@ -137,7 +125,7 @@ def _over_time(height: float, draw: Callable[[Any], None]) -> Any:
     return figure
 
 
-def _draw_slack(axes: Any, runs: Sequence[Run]) -> None:
+def _draw_slack(axes: Axes, runs: Sequence[Run]) -> None:
     series = [run.result.log["slack"] for run in runs]
     for run, values in zip(runs, series, strict=True):
         axes.plot(run.time, values, **run.line(label=run.caption))
@@ -155,7 +143,7 @@ def _lowest(barriers: Array) -> Array:
     return barriers[:, np.sort(np.argsort(least, kind="stable")[:MOST_BARRIERS])]
 
 
-def draw_estimate_error(axes: Any, run: Run) -> None:
+def draw_estimate_error(axes: Axes, run: Run) -> None:
     """Draws a run's error of the disturbance estimate and its bound, in decades."""
     log = run.result.log
     error = np.linalg.norm(log["disturbance"] - log["disturbance_estimate"], axis=1)
@@ -171,7 +159,7 @@ def draw_estimate_error(axes: Any, run: Run) -> None:
     axes.set(xlabel="time [s]", ylabel=r"$\Vert d - \hat d \Vert$, $\varepsilon$")
 
 
-def draw_volume(axes: Any, runs: Sequence[Run]) -> None:
+def draw_volume(axes: Axes, runs: Sequence[Run]) -> None:
     """Draws the volume barrier of every run."""
     for run in runs:
         axes.plot(run.time, run.result.log["volume"], **run.line(label=run.caption))
@@ -184,7 +172,7 @@ def draw_volume(axes: Any, runs: Sequence[Run]) -> None:
     axes.set(xlabel="time [s]", ylabel=f"{what} $V_v$ [-]")
 
 
-def _mark_failures(axes: Any, runs: Sequence[Run], series: Sequence[Any]) -> None:
+def _mark_failures(axes: Axes, runs: Sequence[Run], series: Sequence[Any]) -> None:
     """A cross where a run failed, on the last value its curve has until then.
 
     When and how it failed stands in the legend, where no curve crosses the words.
@@ -198,7 +186,7 @@ def _mark_failures(axes: Any, runs: Sequence[Run], series: Sequence[Any]) -> Non
             axes.plot(run.failure.time, values[until][-1], "X", **style)
 
 
-def _shade_below_zero(axes: Any, words: str) -> None:
+def _shade_below_zero(axes: Axes, words: str) -> None:
     low, high = axes.get_ylim()
     low = min(low, -0.13 * (high - low))
     axes.axhspan(low, 0.0, color=ALARM, alpha=0.07, lw=0)
@@ -217,7 +205,7 @@ def _shade_below_zero(axes: Any, words: str) -> None:
     )
 
 
-def _time_axis(axes: Any) -> None:
+def _time_axis(axes: Axes) -> None:
     from matplotlib.ticker import MaxNLocator
 
     axes.margins(x=0.01)

@@ -189,16 +189,6 @@ def walls_of(scenario: Scenario) -> list[Wall]:
     return walls
 
 
-def outline(points: Array, pair: list[int]) -> Array:
-    """The corners of the shadow of points' hull on two axes, shape (c, 2) [m].
-
-    Args:
-        points: Shape (k, 3) [m].
-        pair: The axes.
-    """
-    return hull(points[:, pair])
-
-
 def hull(points: Array) -> Array:
     """The corners of points' convex hull in the plane, counter-clockwise, (c, 2)."""
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vcbf_drake.checks import Array
 from vcbf_drake.viz.runs import Run
-from vcbf_drake.viz.solids import hull, in_space, outline
+from vcbf_drake.viz.solids import hull, in_space
 from vcbf_drake.viz.stage import Stage, multiples, set_stage
 from vcbf_drake.viz.style import (
     GRID,
@@ -19,6 +19,7 @@ from vcbf_drake.viz.style import (
     OBSTACLE,
     START,
     TARGET,
+    Axes,
     Style,
 )
 
@@ -28,13 +29,8 @@ FLOOR, SHADOW = "#f7f8fa", "#d9dee5"
 LINES = 20  # Drawn after the balls, which hide lines by where they are.
 
 
-def draw_space(axes: Any, runs: Sequence[Run]) -> None:
-    """Draws paths in space, the obstacles and their shadows.
-
-    Args:
-        axes: Flat axes; they are framed to the picture and lose their lines.
-        runs: The runs, the one to bring out last.
-    """
+def draw_space(axes: Axes, runs: Sequence[Run]) -> None:
+    """Draws paths in space, the obstacles and their shadows, on axes without lines."""
     stage = set_stage([run.result for run in runs])
     way = stage.target - stage.start
     azimuth = float(np.rad2deg(np.arctan2(way[1], way[0]))) - FROM_THE_WAY
@@ -57,7 +53,7 @@ def draw_space(axes: Any, runs: Sequence[Run]) -> None:
 
 
 def _draw_path(
-    axes: Any, view: ParallelView, run: Run, bodies: Sequence[ConvexBody], floor: float
+    axes: Axes, view: ParallelView, run: Run, bodies: Sequence[ConvexBody], floor: float
 ) -> None:
     """A path with its shadow; it is faint where an obstacle hides it."""
     below = run.path * [1.0, 1.0, 0.0] + [0.0, 0.0, floor]
@@ -73,7 +69,7 @@ def _draw_path(
         _draw_mark(axes, view, place, marker="X", ms=9, mfc=run.color, mec="white")
 
 
-def _draw_floor(axes: Any, view: ParallelView, stage: Stage) -> None:
+def _draw_floor(axes: Axes, view: ParallelView, stage: Stage) -> None:
     """The floor with lines at round coordinates and their numbers at two edges."""
     (x0, y0, z), (x1, y1) = stage.low, stage.high[:2]
     corners = np.array([[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]])
@@ -98,7 +94,7 @@ def _draw_floor(axes: Any, view: ParallelView, stage: Stage) -> None:
         _write(axes, view, middle, name, offset, **style)
 
 
-def _draw_height(axes: Any, view: ParallelView, stage: Stage) -> None:
+def _draw_height(axes: Axes, view: ParallelView, stage: Stage) -> None:
     """A ruler for the height at the floor's leftmost corner."""
     x, y, _ = np.where(view.right > 0.0, stage.low, stage.high)
     marks = multiples(stage.low[2], stage.high[2], 2.0 * stage.cell)
@@ -111,26 +107,26 @@ def _draw_height(axes: Any, view: ParallelView, stage: Stage) -> None:
     _write(axes, view, pole[1], "z [m]", (0, 4), ha="center", va="bottom")
 
 
-def _draw_shadows(axes: Any, view: ParallelView, stage: Stage) -> None:
+def _draw_shadows(axes: Axes, view: ParallelView, stage: Stage) -> None:
     """The shadows of the obstacles."""
     for solid in stage.solids:
-        shadow = in_space(outline(solid.body.surface, [0, 1]))
+        shadow = in_space(hull(solid.body.surface[:, :2]))
         shadow[:, 2] = stage.low[2]
         view.draw_face(axes, shadow, fc=SHADOW, lw=0, zorder=1.5)
 
 
-def _draw_shell(axes: Any, view: ParallelView, surface: Array) -> None:
+def _draw_shell(axes: Axes, view: ParallelView, surface: Array) -> None:
     """The distance that has to be kept, as a pale sheet over the obstacle."""
     style: Style = dict(alpha=0.25, ec=MUTED, lw=0.6, zorder=view.order(surface))
     axes.fill(*hull(view.flat(surface)).T, fc=OBSTACLE, **style)
 
 
-def _draw_mark(axes: Any, view: ParallelView, place: Array, **style: Any) -> None:
+def _draw_mark(axes: Axes, view: ParallelView, place: Array, **style: Any) -> None:
     axes.plot(*view.flat(place), ls="none", zorder=LINES + 1, **style)
 
 
 def _write(
-    axes: Any, view: ParallelView, place: Array, words: str, offset: Any, **style: Any
+    axes: Axes, view: ParallelView, place: Array, words: str, offset: Any, **style: Any
 ) -> None:
     """Words near a place, moved by an offset [points]."""
     style = dict(xytext=offset, textcoords="offset points", fontsize=8) | style
@@ -169,11 +165,11 @@ class ParallelView:
         """The drawing order of something around points, shape (..., 3)."""
         return 10.0 + float(np.mean(points @ self.toward)) / 1e3
 
-    def draw_line(self, axes: Any, points: Array, **style: Any) -> None:
+    def draw_line(self, axes: Axes, points: Array, **style: Any) -> None:
         """Draws a line through points, shape (n, 3)."""
         axes.plot(*self.flat(points).T, **style)
 
-    def draw_face(self, axes: Any, corners: Array, **style: Any) -> None:
+    def draw_face(self, axes: Axes, corners: Array, **style: Any) -> None:
         """Draws a plane face with corners in order, shape (n, 3)."""
         from matplotlib.patches import Polygon
 
@@ -194,7 +190,7 @@ class ParallelView:
         hidden[hidden] = (first < last) & along
         return hidden
 
-    def draw_body(self, axes: Any, body: ConvexBody, color: str) -> None:
+    def draw_body(self, axes: Axes, body: ConvexBody, color: str) -> None:
         """Draws a convex body with light from above."""
         from matplotlib.collections import PolyCollection
         from matplotlib.colors import to_rgb

@@ -6,9 +6,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 Style = dict[str, Any]  # The keyword arguments of something drawn.
+# Of matplotlib, whose import takes time that most programs need not spend.
+Figure: TypeAlias = Any
+Axes: TypeAlias = Any
 
 DPI = 160
 PAGE_WIDTH = 7.0  # Two columns of a paper [inch].
@@ -100,31 +103,18 @@ def figure_style() -> Iterator[None]:
         yield
 
 
-def new_figure(width: float, height: float, **options: Any) -> Any:
-    """A figure without a window, so that no display or backend is touched.
-
-    Args:
-        width: The width [inch].
-        height: The height [inch].
-        **options: Passed to ``matplotlib.figure.Figure``.
-
-    Returns:
-        The ``matplotlib.figure.Figure``.
-    """
+def new_figure(width: float, height: float) -> Figure:
+    """A figure of a size [inch] without a window: no display or backend is touched."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), **{"layout": "constrained", **options})
+    figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
 def legend_in_a_row(labels: Sequence[str]) -> Style:
-    """The options of a legend that lies above a figure as wide as the page.
-
-    Args:
-        labels: Its entries' words; long ones share their row with fewer.
-    """
+    """The options of a legend as wide as the page; long labels share fewer columns."""
     longest = max(map(len, labels), default=0)
     ncols = max(min(len(labels), 100 // (longest + 8)), 1)
     if ncols == len(labels) <= 4:
@@ -133,23 +123,14 @@ def legend_in_a_row(labels: Sequence[str]) -> Style:
     return {"ncols": ncols, "fontsize": 7.5, "columnspacing": 1.1, "handlelength": 2.2}
 
 
-def legend_above(axes: Any) -> None:
+def legend_above(axes: Axes) -> None:
     """Puts a legend above axes that are as wide as the page."""
     options = legend_in_a_row(axes.get_legend_handles_labels()[1])
     axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), borderpad=0.1, **options)
 
 
-def save_figure(figure: Any, directory: Path, name: str) -> list[Path]:
-    """Write a figure as PNG and SVG, the same bytes every time.
-
-    Args:
-        figure: The figure.
-        directory: Where to write; it exists.
-        name: The file name without its ending.
-
-    Returns:
-        The two paths.
-    """
+def save_figure(figure: Figure, directory: Path, name: str) -> list[Path]:
+    """Writes a figure as NAME.png and NAME.svg, the same bytes every time."""
     png, svg = directory / f"{name}.png", directory / f"{name}.svg"
     figure.savefig(png, metadata={"Software": None})
     figure.set_layout_engine("none")  # Everything has its place; finding it is slow.

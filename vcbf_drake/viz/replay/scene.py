@@ -12,7 +12,7 @@ from vcbf_drake.checks import Array
 from vcbf_drake.plants.shapes import Part
 from vcbf_drake.viz.replay.tubes import Mesh, merge, ring, tube
 from vcbf_drake.viz.scene_graph import rgba
-from vcbf_drake.viz.solids import Piece, in_space, outline, walls_of
+from vcbf_drake.viz.solids import Piece, hull, in_space, walls_of
 from vcbf_drake.viz.stage import Stage, multiples
 from vcbf_drake.viz.style import OBSTACLE, START, TARGET
 
@@ -101,7 +101,7 @@ def add_obstacles(meshcat: Meshcat, stage: Stage) -> None:
             continue
         _add_piece(meshcat, f"{path}/keep_out", solid.keep_out, SHELL, 0.2)
         if stage.run.is_flat:
-            edge = in_space(outline(solid.keep_out.surface, [0, 1]))
+            edge = in_space(hull(solid.keep_out.surface[:, :2]))
             loop = np.vstack([edge, edge[:1]]) + thin * up
             add_mesh(meshcat, f"{path}/edge", tube(loop, thin, 9), SHELL)
 
