@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, TypeAlias
+from pathlib import Path as FilePath
+import site
+import sysconfig
+import traceback
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -117,6 +121,53 @@ def written(path: Path) -> str:
     """Returns a path as one writes it, for example ``obstacles[1].radius``."""
     parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
     return "".join(parts).removeprefix(".")
+
+
+class UserCodeError(VcbfError):
+    """A user's own code raised while a system was evaluated: which, when and where."""
+
+
+@contextmanager
+def naming_user_code(time: Callable[[], float]) -> Iterator[None]:
+    """Says which system raised an error, when, and at which line of a user's own.
+
+    Args:
+        time: Returns the time of the context that was evaluated [s].
+
+    Raises:
+        UserCodeError: From what a line raised that is of no library.
+        InvalidValueError: From a value that was refused.
+    """
+    try:
+        yield
+    except Exception as error:
+        name, place = "", ""
+        for frame, line in traceback.walk_tb(error.__traceback__):
+            system: Any = frame.f_locals.get("self")
+            if hasattr(system, "num_input_ports"):
+                name = str(system.get_name())
+            if _is_own(frame.f_code.co_filename):
+                place = f"{frame.f_code.co_filename}:{line}"
+        at = f"{name or 'a system'} at t = {time():g} s"
+        if isinstance(error, InvalidValueError):
+            raise InvalidValueError(at, str(error)) from error
+        if not place:
+            raise
+        kind = type(error).__name__
+        raise UserCodeError(f"{at}, {place}: {kind}: {error}") from error
+
+
+_LIBRARIES = [
+    FilePath(__file__).resolve().parent,
+    *map(FilePath, sysconfig.get_paths().values()),
+    *map(FilePath, site.getsitepackages()),
+]
+
+
+def _is_own(file: str) -> bool:
+    """Whether a file is a user's: of no library, and no code made at run time."""
+    path = FilePath(file).resolve()
+    return path.is_file() and not any(path.is_relative_to(each) for each in _LIBRARIES)
 
 
 class ScenarioError(VcbfError):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.helpers.multibody_plants import SEVEN, load as load_plant
+from tests.helpers.multibody_plants import PLANAR, SEVEN, load as load_plant
 from vcbf_drake import Blimp, Car, ControlAffineModel, InputSet, load_scenario
 from vcbf_drake.hil import (
     Bus,
@@ -101,6 +101,17 @@ def test_an_arm_brakes_and_does_not_fall() -> None:
     f, g = arm.drift_and_input_matrix(x)
     rate = f + g @ fallback_input("brake", arm, limits, x, 2.0)
     np.testing.assert_allclose(rate[7:], -2.0 * x[7:], atol=1e-9)
+
+
+def test_an_arm_read_in_symbols_brakes_too() -> None:
+    """As the scenario of a certified arm has it; nothing disturbs it."""
+    arm = ControlAffineModel.from_system(load_plant(PLANAR), symbolic=True)
+    n = arm.num_inputs
+    x = np.concatenate([np.linspace(0.2, 0.4, n), np.linspace(-0.5, 0.5, n)])
+    f, g = arm.drift_and_input_matrix(x)
+    limits = InputSet.box([-1e3] * n, [1e3] * n)
+    rate = f + g @ fallback_input("brake", arm, limits, x, 2.0)
+    np.testing.assert_allclose(rate[n:], -2.0 * x[n:], atol=1e-9)
 
 
 def test_zero_is_inside_the_limits() -> None:

@@ -57,6 +57,20 @@ class LongTrolley(Trolley):
     length_of_bed: float = 2.0
 
 
+@dataclass
+class HeavyTrolley(Trolley):
+    """A vehicle that its own parameters can make impossible."""
+
+    mass: float = 1.0
+    inertia: float = 1.0
+    drag: float = 0.0
+
+    def make_plant(self) -> Any:
+        zeros, one = np.zeros((2, 2)), np.eye(2)
+        with np.errstate(all="ignore"):
+            return LinearSystem(zeros, one / np.float64(self.inertia), one, zeros)
+
+
 def scenario_with(vehicle: Vehicle) -> Scenario:
     return Scenario(
         name="trolley",
@@ -190,3 +204,21 @@ def test_a_law_returns_one_number_an_input(
         InvalidValueError, match=r"law returns: .*; it must be 2 numbers"
     ):
         simulate(scenario, step_time=False)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"mass": 0.0}, "vehicle.mass: 0; it must be finite and above 0"),
+        ({"mass": -1.0}, "vehicle.mass: -1; it must be finite and above 0"),
+        ({"drag": -1.0}, "vehicle.drag: -1; it must be finite and not below 0"),
+        ({"gain": float("nan")}, "vehicle.gain: nan; it must be a number"),
+        ({"sides": (1.0, float("nan"))}, "vehicle.sides: (1.0, nan); it must be"),
+        ({"inertia": 0.0}, "dx/dt at initial_state is at most 1e+15, not nan"),
+        ({"inertia": 1e-300}, "dx/dt at initial_state is at most 1e+15, not 1e+300"),
+    ],
+)
+def test_impossible_parameters_are_refused(
+    parameters: dict[str, Any], message: str
+) -> None:
+    assert message in refusal(HeavyTrolley(**parameters))

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import BasicVector, DiagramBuilder, LeafSystem
@@ -7,9 +9,11 @@ import pytest
 from vcbf_drake import ScenarioError, load_scenario, make_loop, simulate
 from vcbf_drake.safety import FilterStatus
 from vcbf_drake.safety.assumptions import assumptions
+from vcbf_drake.simulation import check_assumptions
 from vcbf_drake.simulation.sensors import DelayedMeasurement, LostMeasurements
 
 BLIMP, CAR = "blimp-multiple-obstacles", "car-avoidance"
+ARM = Path(__file__).parents[2] / "examples" / "arm.yaml"
 PERIOD = 0.02
 FAULTS = {
     "bias": "measurement_bias: [0.05, -0.05, 0.05, 0.02, 0, 0, 0, 0]",
@@ -263,3 +267,21 @@ def test_an_empty_slot_starts_nowhere():
     }
     assert not any(name.startswith("start inside: seen obstacle") for name in found)
     assert found["input authority"].holds is not False
+
+
+@pytest.mark.parametrize("method", ["cbf-qp", "dob-vcbf-qp"])
+@pytest.mark.parametrize("scenario", [CAR, ARM])
+def test_a_noisy_measurement_is_not_the_state(method, scenario):
+    base = load_scenario(scenario, {"method": method})
+    base.noise.std = [1e-3] * len(base.initial_state)
+    broken = [each.name for each in check_assumptions(base) if each.holds is False]
+    assert "true measurement" in broken
+
+
+@pytest.mark.parametrize(
+    "fault",
+    ["disturbance: 2.0", "gusts: [{amplitude: [], start: 0.0, duration: 0.1}]"],
+)
+def test_a_robot_that_nothing_disturbs_has_no_faulty_disturbance(fault):
+    result = run(fault, ARM, duration=0.1)
+    assert result.log["disturbance"].shape[1] == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+import re
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from pydrake.multibody.plant import MultibodyPlant
 import pytest
 
 from vcbf_drake import InputLimits, Scenario, ScenarioError, load_scenario, simulate
-from vcbf_drake.errors import InvalidValueError
+from vcbf_drake.errors import InvalidValueError, UserCodeError
 from vcbf_drake.plants import BlimpVehicle, CarVehicle, StateFeedback, Vehicle
 from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.simulation import check_assumptions, dump_scenario
@@ -204,3 +205,38 @@ def test_a_multibody_plant_knows_its_channels() -> None:
     assert set(channels.inputs.values()) == {"N m"}
     assert channels.angles == tuple(range(plant.num_positions()))
     assert channels.input_labels[0].endswith(" [N m]")
+
+
+def test_a_law_that_raises_is_named_with_time_and_line(tmp_path: Path) -> None:
+    text = OWN.read_text().replace(
+        "lambda x: target - x[:2] - x[2:]", "lambda x: LAWS[int(x[0] > 0.2)](x, target)"
+    )
+    text += "\n\nLAWS = [lambda x, target: target - x[:2] - x[2:]]\n"
+    path = tmp_path / "robot.py"
+    path.write_text(text)
+    (number,) = (i for i, line in enumerate(text.splitlines(), 1) if "LAWS[" in line)
+    with pytest.raises(UserCodeError) as caught:
+        simulate(load_scenario(path), step_time=False)
+    message = str(caught.value)
+    assert re.fullmatch(
+        rf"controller at t = [\d.]+ s, {path}:{number}: IndexError: list index.*",
+        message,
+    )
+    assert isinstance(caught.value.__cause__, IndexError)
+
+
+@pytest.mark.parametrize("found", [None, [1.0], "text"])
+def test_a_law_that_returns_no_input_is_named_with_the_time(found: Any) -> None:
+    scenario = load_scenario(OWN)
+    law = StateFeedback(lambda x: found, 4, 2)
+    with pytest.raises(InvalidValueError, match="controller at t = 0 s: what the law"):
+        simulate(scenario, controller=law, step_time=False)
+
+
+def test_arrival_is_a_tenth_of_a_short_way() -> None:
+    near = load_scenario(OWN, "{target: [0.4, 0.0], obstacles: []}")
+    assert near.arrival_distance == pytest.approx(0.04)
+    assert load_scenario(OWN, "{target: [9.0, 0.0]}").arrival_distance == 0.3
+    there = load_scenario(OWN, "{target: [0.0, 0.0], obstacles: []}")
+    assert there.arrival_distance == 0.3
+    assert load_scenario(OWN, "{arrival_tolerance: 0.7}").arrival_distance == 0.7

@@ -11,7 +11,7 @@ import numpy as np
 from pydrake.lcm import DrakeLcm
 from pydrake.systems.framework import Context, Diagram
 
-from vcbf_drake.errors import ModelError
+from vcbf_drake.errors import ModelError, naming_user_code
 from vcbf_drake.hil.bus import Bus, LinkFaults, Neighbours, SimulatedClock, Tap
 from vcbf_drake.hil.command_sender import (
     CommandSender,
@@ -172,7 +172,8 @@ class ControllerProcess(HardwareProcess):
         """Acts on the newest state; in a long silence, sends what the watchdog says."""
         self.bus.poll()
         if self._is_due():
-            self._tick()
+            with naming_user_code(lambda: self.time):
+                self._tick()
         elif self._sender.states_are_old() and self._has_been_silent():
             self._send()
 

@@ -12,6 +12,7 @@ from pydrake.systems.analysis import SimulatorStatus
 from pydrake.systems.framework import Context
 
 from vcbf_drake.checks import Array
+from vcbf_drake.errors import naming_user_code
 from vcbf_drake.hil.bus import Bus, Neighbours
 from vcbf_drake.hil.decoding import ModeChange, VehicleMode
 from vcbf_drake.hil.mailbox import Inbox
@@ -197,7 +198,8 @@ class PlantProcess(HardwareProcess):
         """
         if self.collided or time <= self.time:
             return
-        status = self._simulator.AdvanceTo(time)
+        with naming_user_code(lambda: self.time):
+            status = self._simulator.AdvanceTo(time)
         self._receiver.catch_up()
         self.collided = (
             status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition
@@ -210,7 +212,7 @@ class PlantProcess(HardwareProcess):
         times, path = self._log("path")
         positions = scenario.vehicle.positions(path)
         distance = np.linalg.norm(positions - np.array(scenario.target), axis=1)
-        arrived = distance <= scenario.arrival_tolerance
+        arrived = distance <= scenario.arrival_distance
         reached_at = float(times[np.argmax(arrived)]) if arrived.any() else None
         heights = monitor.barrier_set.values_along(path, times)
         report: dict[str, Any] = {

@@ -33,7 +33,6 @@ from vcbf_drake.hil.mailbox import Inbox, Outbox
 from vcbf_drake.hil.messages import vcbf_obstacles, vcbf_state
 from vcbf_drake.hil.timing import RoundTrip, Timeline, check_timing
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.model.multibody_model import MultibodyModel
 from vcbf_drake.model.ports import state_port_of
 from vcbf_drake.safety import InputSet
 from vcbf_drake.simulation.loop import (
@@ -55,9 +54,8 @@ def fallback_input(
     """Returns the input of a vehicle that is left alone, inside its limits.
 
     ``zero`` is no input. ``brake`` takes off the speed v = S x by S (f + g u) =
-    -brake_rate v, or comes nearest to it in the sense of least squares; v is the
-    velocities of a MultibodyPlant, of another plant the states that a disturbance acts
-    on (S = E⁺), and without any it is no input. Source: ours.
+    -brake_rate v, or comes nearest to it in the sense of least squares. A vehicle
+    without a speed (`ControlAffineModel.speed_matrix`) has no input. Source: ours.
 
     Args:
         kind: "zero" or "brake".
@@ -66,9 +64,7 @@ def fallback_input(
         x: Its state, shape (n,).
         brake_rate: How fast the speed decays [1/s].
     """
-    speed_of = np.linalg.pinv(model.disturbance_matrix)
-    if isinstance(model, MultibodyModel):
-        speed_of = np.eye(model.num_states)[model.num_positions :]
+    speed_of = model.speed_matrix
     if kind == "zero" or not len(speed_of):
         return input_set.project(np.zeros(model.num_inputs))
     f, g = model.drift_and_input_matrix(x)

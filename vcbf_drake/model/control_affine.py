@@ -103,6 +103,9 @@ class ControlAffineModel:
             for most.
         position: Which states are the position, or a function from x to it; None where
             the plant does not say.
+        speed_matrix: S of the speed v = S x that a brake takes off, shape (k, n): the
+            velocities of a MultibodyPlant; of others E⁺, for the states that a
+            disturbance acts on, and where none does Drake's generalized velocities.
         make_manoeuvres: Makes the plant's backup manoeuvres; None where it has none.
 
     Raises:
@@ -179,6 +182,7 @@ class ControlAffineModel:
         self.position = (
             named_position(self.state_names) if position is None else position
         )
+        self.speed_matrix = np.asarray(np.linalg.pinv(disturbance_matrix), dtype=float)
         self.make_manoeuvres: MakeManoeuvres | None = None
 
     @classmethod
@@ -237,6 +241,8 @@ class ControlAffineModel:
             wrapped_states=said.periods,
             position=said.position,
         )
+        if has_plant_state(system) or not model.num_disturbances:
+            model.speed_matrix = np.eye(model.num_states)[[*said.velocities]]
         _require_same_rates(model, dynamics)
         model.make_manoeuvres = getattr(system, "make_manoeuvres", None)
         return model

@@ -19,11 +19,13 @@ class DeclaredStates:
         periods: ``wrapped_states``: after how much each of these is the same again.
         position: ``position_indices``: which states are the position; None where the
             System does not say.
+        velocities: Which of the states Drake has as generalized velocities v.
     """
 
     names: tuple[str, ...]
     periods: Mapping[str, Any]
     position: tuple[int, ...] | None
+    velocities: tuple[int, ...]
 
 
 def declared_states(system: System) -> DeclaredStates:
@@ -38,16 +40,21 @@ def declared_states(system: System) -> DeclaredStates:
             return found[0]
         names: list[str] = []
         periods: dict[str, Any] = {}
+        velocities: list[int] = []
         for part, states in zip(parts, found, strict=True):
             prefix = f"{part.get_name()}_"
+            velocities += [len(names) + i for i in states.velocities]
             names += [prefix + name for name in states.names]
             periods |= {prefix + name: p for name, p in states.periods.items()}
-        return DeclaredStates(tuple(names), periods, None)
+        return DeclaredStates(tuple(names), periods, None, tuple(velocities))
     position = getattr(system, "position_indices", None)
+    kinds = system.AllocateTimeDerivatives()
+    first, size = kinds.num_q(), kinds.num_v()
     return DeclaredStates(
         _names(system),
         wrapping(getattr(system, "wrapped_states", ())),
         None if position is None else tuple(position),
+        tuple(range(first, first + size)),
     )
 
 

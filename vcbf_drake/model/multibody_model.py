@@ -56,6 +56,7 @@ class MultibodyModel(ControlAffineModel):
             wrapped_states=dynamics.wrapped_states,
             position=getattr(dynamics.system, "position_indices", None),
         )
+        self.speed_matrix = np.eye(len(names))[self.num_positions :]
         self.state = np.array([Variable(name) for name in names])
         x = tuple(variable(f"x{i}") for i in range(len(names)))
         E = tuple(map(tuple, self.disturbance_matrix.tolist()))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
+import math
 from numbers import Integral
 from pathlib import Path
 import re
@@ -17,7 +18,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import System
 
 from vcbf_drake.barriers import Barrier, StateInputLimit
-from vcbf_drake.checks import Array, require
+from vcbf_drake.checks import Array, check_parameter, require
 from vcbf_drake.errors import InvalidValueError, below
 from vcbf_drake.model.ports import input_port_of, state_port_of
 from vcbf_drake.plants.shapes import Part
@@ -25,6 +26,7 @@ from vcbf_drake.plants.vehicle import Vehicle, tag
 from vcbf_drake.typed import check_fields
 
 _SCALARS = (float, int, bool, str, types.NoneType)
+_LARGEST = 1e15  # Of a scenario's numbers, and of what its plant makes of them.
 _COLOR = re.compile("#[0-9a-fA-F]{6}")
 
 
@@ -70,17 +72,21 @@ def num_coordinates(vehicle: Vehicle, state: Sequence[float]) -> int:
     return place.size
 
 
-def check_returns(vehicle: Vehicle, state: Array, target: Sequence[float]) -> None:
+def check_returns(
+    vehicle: Vehicle, state: Array, target: Sequence[float], inputs: Sequence[Array]
+) -> None:
     """Checks what a vehicle's other members return at the start of a run.
 
     Args:
         vehicle: The vehicle.
         state: The initial state, shape (n,).
         target: The position to reach, shape (k,).
+        inputs: The least and the greatest inputs, shape (m,) each.
 
     Raises:
         InvalidValueError: One returns something else.
     """
+    _check_motion(vehicle, state, inputs)
     _check_controller(vehicle.make_controller(target), vehicle.make_plant())
     limits = vehicle.barriers()
     _require(isinstance(limits, list | tuple), "barriers()", limits, "a list")
@@ -124,6 +130,7 @@ def _check_parameters(vehicle: Vehicle) -> None:
             )
     with below("vehicle"):
         check_fields(vehicle)
+        _check_numbers(vehicle)
 
 
 def _is_parameter(hint: Any) -> bool:
@@ -164,6 +171,44 @@ def _check_names(plant: Any) -> None:
             known = known and (what == "units" or len({*found}) == len(found))
             rule = f"{size} {'different ' * (what == 'names')}texts, or none"
             _require(known, f"make_plant().{kind}_{what}", found, rule)
+
+
+def _check_motion(vehicle: Vehicle, state: Array, inputs: Sequence[Array]) -> None:
+    """Checks that the plant's derivatives are numbers: that no mass is 0, say."""
+    plant = vehicle.make_plant()
+    context = plant.CreateDefaultContext()
+    if context.num_continuous_states() != len(state):
+        return  # Whoever derives its model says so.
+    context.SetContinuousState(state)
+    if plant.HasInputPort("disturbance"):
+        port = plant.GetInputPort("disturbance")
+        port.FixValue(context, np.zeros(port.size()))
+    for u in [np.zeros_like(inputs[0]), *inputs]:
+        input_port_of(plant).FixValue(context, np.where(np.isfinite(u), u, 0.0))
+        try:
+            with np.errstate(all="ignore"):
+                rate = plant.EvalTimeDerivatives(context).CopyToVector()
+        except (ArithmeticError, ValueError):  # Divided by 0; the root of -1.
+            rate = np.array([np.nan])
+        most = float(np.abs(rate).max())
+        rule = f"one whose dx/dt at initial_state is at most {_LARGEST:g}, not {most:g}"
+        require(most <= _LARGEST, "vehicle", repr(vehicle)[:200], rule)
+
+
+def _check_numbers(made: Any) -> None:
+    """Checks that no field is nan, and what `Vehicle.altered` scales."""
+    for each in fields(made):
+        value = getattr(made, each.name)
+        if is_dataclass(value):
+            with below(each.name):
+                _check_numbers(value)
+        elif isinstance(value, float) or (isinstance(value, list | tuple) and value):
+            numbers = np.ravel(np.array(value, dtype=object))
+            is_nan = any(isinstance(v, float) and math.isnan(v) for v in numbers)
+            require(not is_nan, each.name, value, "a number")
+    for name, zero_allowed in (("mass", False), ("drag", True)):
+        if isinstance(found := getattr(made, name, None), float | int):
+            check_parameter(name, found, zero_allowed=zero_allowed)
 
 
 def _check_controller(controller: Any, plant: System) -> None:

@@ -186,18 +186,16 @@ class StateFeedback(LeafSystem):
         self, law: Callable[[Array], ArrayLike], num_states: int, num_inputs: int
     ) -> None:
         super().__init__()
-        state = self.DeclareVectorInputPort("state", num_states)
-
-        def calc(context: Context, output: BasicVector) -> None:
-            found = law(state.Eval(context))
-            rule = f"{num_inputs} numbers"
-            require(
-                _are_numbers(found, num_inputs), "what the law returns", found, rule
-            )
-            output.SetFromVector(np.asarray(found, dtype=float))
-
-        needs = {state.ticket()}
+        self._law, self._size = law, num_inputs
+        self._state = self.DeclareVectorInputPort("state", num_states)
+        needs = {self._state.ticket()}
+        calc = self._calc_reference
         self.DeclareVectorOutputPort("reference", num_inputs, calc, needs)
+
+    def _calc_reference(self, context: Context, output: BasicVector) -> None:
+        found, rule = self._law(self._state.Eval(context)), f"{self._size} numbers"
+        require(_are_numbers(found, self._size), "what the law returns", found, rule)
+        output.SetFromVector(np.asarray(found, dtype=float))
 
 
 def _are_numbers(value: Any, size: int) -> bool:

@@ -105,6 +105,8 @@ def true_disturbance(
         declared: The source's port.
     """
     acting = declared
+    if not declared.size():
+        return acting  # Nothing disturbs such a robot.
     if faults.disturbance != 1.0:
         gain = Gain(faults.disturbance, declared.size())
         acting = _behind(builder, acting, "scaled_disturbance", gain)

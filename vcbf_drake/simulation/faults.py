@@ -2,7 +2,7 @@
 
 # No `from __future__ import annotations`: pydrake.common.yaml needs evaluated types.
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from vcbf_drake.checks import check_finite, check_parameter
@@ -101,16 +101,24 @@ class Faults:
         return self.disturbance != 1.0 or bool(self.gusts)
 
 
-def fault_assumptions(faults: Faults) -> Iterator[Assumption]:
-    """Yields the hypotheses that the faults break; none without a fault."""
+def fault_assumptions(faults: Faults, noise: Sequence[float]) -> Iterator[Assumption]:
+    """Yields the hypotheses that faults and noise break; none without.
+
+    Args:
+        faults: What is wrong with the loop.
+        noise: Standard deviations of the measured states; empty for none.
+    """
     found: list[tuple[bool, str, str, dict[str, float]]] = [
         (
-            any(faults.measurement_bias) or faults.measurement_delay > 0.0,
+            any(faults.measurement_bias)
+            or faults.measurement_delay > 0.0
+            or any(noise),
             "true measurement",
             "the measured state is the state, now",
             {
                 "largest bias": max(map(abs, faults.measurement_bias), default=0.0),
                 "delay": faults.measurement_delay,
+                "largest deviation": max(noise, default=0.0),
             },
         ),
         (

@@ -22,7 +22,7 @@ from vcbf_drake.between_ticks.certified_heights import (
 )
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceEstimate
-from vcbf_drake.errors import ModelError
+from vcbf_drake.errors import ModelError, naming_user_code
 from vcbf_drake.model.ports import state_port_of
 from vcbf_drake.safety import (
     Assumption,
@@ -89,7 +89,8 @@ def simulate(
     found = loop_assumptions(scenario, diagram, simulator.get_context())
     record = RunLog(diagram, log_directory)
     started = time.process_time()
-    ending = _advance(simulator, scenario, record, progress, watch)
+    with naming_user_code(simulator.get_context().get_time):
+        ending = _advance(simulator, scenario, record, progress, watch)
     log, path = record.ticks.arrays(), record.path.arrays()
     cpu_time = time.process_time() - started
     safety_filter: SafetyFilter = diagram.GetSubsystemByName("filter")
@@ -116,7 +117,9 @@ def simulate(
         summary["reasons_against"].append(f"not certified: {BETWEEN_TICKS}")
     summary["guaranteed"] = not summary["reasons_against"]
     if safety_filter.gate is not None:
-        faults = {each.name for each in fault_assumptions(scenario.faults)}
+        faults = {
+            each.name for each in fault_assumptions(scenario.faults, scenario.noise.std)
+        }
         summary["reasons_against_feasible"] = reasons_against_feasibility(
             [each for each in found if each.name in {*FEASIBILITY_HYPOTHESES, *faults}],
             summary["audit"],
@@ -193,13 +196,14 @@ def loop_assumptions(
 ) -> tuple[Assumption, ...]:
     """Returns the hypotheses with the numbers of a loop, at what its context holds."""
     safety_filter: SafetyFilter = diagram.GetSubsystemByName("filter")
-    found = assumptions(
-        safety_filter,
-        safety_filter.GetMyContextFromRoot(context),
-        diagram.GetSubsystemByName("filter_observer"),
-        measurement_noise(scenario, safety_filter.model),
-    )
-    return (*found, *fault_assumptions(scenario.faults))
+    with naming_user_code(context.get_time):
+        found = assumptions(
+            safety_filter,
+            safety_filter.GetMyContextFromRoot(context),
+            diagram.GetSubsystemByName("filter_observer"),
+            measurement_noise(scenario, safety_filter.model),
+        )
+    return (*found, *fault_assumptions(scenario.faults, scenario.noise.std))
 
 
 def _advance(
@@ -234,7 +238,7 @@ def _ends_at_target(
     plant = simulator.get_system().GetSubsystemByName("plant")
     state = state_port_of(plant).Eval(plant.GetMyContextFromRoot(context))
     (place,) = scenario.vehicle.positions(state[None])
-    if math.dist(place, scenario.target) > scenario.arrival_tolerance:
+    if math.dist(place, scenario.target) > scenario.arrival_distance:
         return EventStatus.DidNothing()
     return EventStatus.ReachedTermination(plant, "arrived")
 

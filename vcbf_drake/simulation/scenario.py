@@ -225,6 +225,8 @@ _NAME = re.compile(r"\w[\w .+-]{0,99}")
 _MOST_TICKS = 1e7
 # Velocities of a MultibodyPlant whose barriers are derived in symbols within seconds.
 _MOST_SYMBOLIC = 3
+# The arrival tolerance of a long way [m].
+_ARRIVAL = 0.3
 # A run that is longer than this is blamed for its ticks; of a shorter one, the period.
 _LONG = 3600.0
 
@@ -246,7 +248,8 @@ class Scenario(FilterSettings):
         initial_state: State at time zero, in the plant's units, (n,).
         target: Position to reach [m].
         duration: Length of the run [s].
-        arrival_tolerance: Distance from the target that counts as arrival [m].
+        arrival_tolerance: Distance from the target that counts as arrival [m]; null for
+            a tenth of the way there, at most 0.3.
         ends_at_target: Whether a simulation ends where it arrives.
         integrator: The integrator.
         noise: Noise on the measured state.
@@ -277,7 +280,7 @@ class Scenario(FilterSettings):
     initial_state: list[float]
     target: list[float]
     duration: float = 20.0
-    arrival_tolerance: float = 0.3
+    arrival_tolerance: float | None = None
     ends_at_target: bool = False
     integrator: Integrator = field(default_factory=Integrator)
     noise: MeasurementNoise = field(default_factory=MeasurementNoise)
@@ -311,7 +314,8 @@ class Scenario(FilterSettings):
 
     def _check_times(self) -> None:
         for name in ("duration", "period", "arrival_tolerance"):
-            check_parameter(name, getattr(self, name))
+            if getattr(self, name) is not None:
+                check_parameter(name, getattr(self, name))
         duration, period = self.duration, self.period
         most = _MOST_TICKS * period
         rule = f"at most {most:g} s, {_MOST_TICKS:g} ticks of {period:g} s"
@@ -395,11 +399,20 @@ class Scenario(FilterSettings):
         states = np.array([self.initial_state])
         return [*map(float, self.vehicle.positions(states)[0])]
 
+    @property
+    def arrival_distance(self) -> float:
+        """How far from the target the vehicle has arrived [m]."""
+        if self.arrival_tolerance is not None:
+            return self.arrival_tolerance
+        way = math.dist(self.start, self.target)
+        return min(0.1 * way, _ARRIVAL) if way > 0.0 else _ARRIVAL
+
     def _check_places(self, numbered: Sequence[tuple[int, AnyObstacle]]) -> None:
         with below("faults"):
             self.vehicle.altered(self.faults.mass, self.faults.drag)
         state = np.array(self.initial_state)
-        check_returns(self.vehicle, state, self.target)
+        limits = np.array(self.input_set.lower), np.array(self.input_set.upper)
+        check_returns(self.vehicle, state, self.target, limits)
         places = [(each.radius, each.place(state)) for each in body(self)]
         for i, obstacle in numbered:
             what = f"obstacles[{i}]"

@@ -55,7 +55,7 @@ def summarise(
     if ending.monitor == COLLISION_MONITOR:
         collided_at = _crossing(path_time, heights)
     reached_at = _first(
-        path_time, _distance(scenario, path) <= scenario.arrival_tolerance
+        path_time, _distance(scenario, path) <= scenario.arrival_distance
     )
     stopped = ending.monitor.endswith(LOOP_MONITOR)
     backup = log.get("backup", np.zeros((1, 2)))

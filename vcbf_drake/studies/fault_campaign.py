@@ -76,7 +76,10 @@ def _plant(scenario: Scenario, generator: Generator) -> dict[str, Any]:
 
 def _gust(scenario: Scenario, generator: Generator) -> dict[str, Any]:
     source = scenario.make_source()
-    direction = generator.standard_normal(source.get_output_port().size())
+    size = source.get_output_port().size()
+    if not size:
+        return {}  # Nothing disturbs such a robot.
+    direction = generator.standard_normal(size)
     amplitude = source.bounds.delta1 * direction / np.linalg.norm(direction)
     start = float(generator.uniform(0.1, 0.6)) * scenario.duration
     gust = {"amplitude": amplitude.tolist(), "start": start, "duration": 2.0}

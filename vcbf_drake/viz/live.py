@@ -119,7 +119,7 @@ class LiveView:
         for kind, holds, words in (
             ("infeasible", values["status"] >= FilterStatus.INFEASIBLE, "since"),
             ("collision", np.nanmin(values["barriers"], initial=0.0) < 0.0, "at"),
-            ("reached", away <= self._scenario.arrival_tolerance, "at"),
+            ("reached", away <= self._scenario.arrival_distance, "at"),
         ):
             if holds and kind not in self._events:
                 event = Event(now, kind, f"{kind} {words} {now:.1f} s")

@@ -22,6 +22,7 @@ from pydrake.systems.analysis import Simulator, SimulatorStatus
 from pydrake.systems.framework import Context, Diagram
 
 from vcbf_drake.checks import Array
+from vcbf_drake.errors import naming_user_code
 from vcbf_drake.plants.shapes import Part, bounding_box
 from vcbf_drake.safety import SafetyFilter, unpack_feasible_set
 from vcbf_drake.simulation.scenario import InputLimits
@@ -137,7 +138,8 @@ def _record(
     begin = context.get_time()
     count = int(np.clip(np.ceil(30.0 * duration), 1, MAX_FRAMES))
     for time in np.linspace(0.0, duration, count + 1):
-        status = simulator.AdvanceTo(begin + time)
+        with naming_user_code(context.get_time):
+            status = simulator.AdvanceTo(begin + time)
         recording.time.append(context.get_time() - begin)
         port = scene_graph.get_query_output_port()
         query = port.Eval(scene_graph.GetMyContextFromRoot(context))

@@ -124,7 +124,7 @@ def add_walls(meshcat: Meshcat, stage: Stage) -> None:
 def add_markers(meshcat: Meshcat, stage: Stage) -> None:
     """The start, the target with the distance that counts as arrival, and the way."""
     size, ground = stage.mark, stage.low[2]
-    tolerance = float(stage.run.scenario.arrival_tolerance)
+    tolerance = stage.run.scenario.arrival_distance
     radius = max(tolerance, 2.0 * size)
     for name, place, color, reach in (
         ("start", stage.start, START, 2.0 * size),
