@@ -194,27 +194,27 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("kind", WRONG)
 @pytest.mark.parametrize(("make", "right", "name"), CASES)
 def test_what_does_not_belong_is_refused_in_one_line(
-    make, right, name, kind, tmp_path, monkeypatch
+    make, right, name, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
-    try:
-        make(**(right | {name: WRONG[kind]}))
-    except (v.VcbfError, ValueError) as error:
-        message = str(error)
-        assert traceback.extract_tb(error.__traceback__)[-1].filename.startswith(
-            PACKAGE
-        )
-        assert "\n" not in message and len(message) < 400
-        # A file's error says which file; one in a matrix, what belongs to it.
-        says = name in message or "input port" in message
-        assert says or make in (v.load_scenario, v.simulate) or name in MATRICES
-    else:
-        # A number, None or a text belongs where the others of its kind do.
-        belongs = ("None", "number", "text", "mapping")
-        assert kind in belongs or (kind == "nested" and name in MATRICES)
+    for kind, wrong in WRONG.items():
+        try:
+            make(**(right | {name: wrong}))
+        except (v.VcbfError, ValueError) as error:
+            message = str(error)
+            raised_in = traceback.extract_tb(error.__traceback__)[-1].filename
+            assert raised_in.startswith(PACKAGE), (kind, message)
+            assert "\n" not in message and len(message) < 400, kind
+            # A file's error says which file; one in a matrix, what belongs to it.
+            says = name in message or "input port" in message
+            elsewhere = make in (v.load_scenario, v.simulate) or name in MATRICES
+            assert says or elsewhere, (kind, message)
+        else:
+            # A number, None or a text belongs where the others of its kind do.
+            belongs = ("None", "number", "text", "mapping")
+            assert kind in belongs or (kind == "nested" and name in MATRICES), kind
 
 
 def test_an_argument_that_does_not_exist_is_said_of_whom():

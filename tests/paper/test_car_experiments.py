@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from examples.paper.car_courses import APPROACH_GAINS
+from tests.helpers.runs import shipped_run
 from vcbf_drake.plants.shapes import bounding_box
 from vcbf_drake.simulation import load_scenario, simulate
 
@@ -16,7 +17,9 @@ AVOIDANCE, SENSITIVITY = "car-avoidance", "car-sensitivity"
 
 
 def run(name: str, overrides: dict[str, Any]) -> dict[str, Any]:
-    return simulate(load_scenario(name, overrides)).summary
+    if set(overrides) == {"method"}:
+        return shipped_run(name, overrides["method"]).summary
+    return simulate(load_scenario(name, overrides), step_time=False).summary
 
 
 def moved_start(index: int) -> list[float]:
@@ -33,18 +36,13 @@ def clearance(summary: dict[str, Any]) -> float:
 
 
 @pytest.mark.parametrize(
-    "start",
-    [
-        load_scenario(AVOIDANCE).initial_state,
-        pytest.param(moved_start(0), marks=pytest.mark.slow),
-        pytest.param(moved_start(5), marks=pytest.mark.slow),
-    ],
+    "start", [{}, *({"initial_state": moved_start(index)} for index in (0, 5))]
 )
 def test_nominal_collides_robust_goes_wide_and_the_proposed_passes_close(
-    start: list[float],
+    start: dict[str, Any],
 ) -> None:
     nominal, robust, proposed = (
-        run(AVOIDANCE, {"method": method, "initial_state": start})
+        run(AVOIDANCE, {"method": method} | start)
         for method in ("cbf-qp", "robust-cbf-qp", "dob-vcbf-qp")
     )
     (disc,) = load_scenario(AVOIDANCE).obstacles
@@ -61,10 +59,10 @@ def test_nominal_collides_robust_goes_wide_and_the_proposed_passes_close(
 @pytest.mark.parametrize("method", ["dob-vcbf-qp", "robust-cbf-qp"])
 def test_the_body_that_is_drawn_keeps_off_the_disc(method: str) -> None:
     """The rectangle around the picture, turned and placed by hand at every tick."""
-    scenario = load_scenario(AVOIDANCE, {"method": method})
-    (disc,) = scenario.obstacles
-    low, high = bounding_box(scenario.vehicle.geometry("#000000"))
-    x, y, _, heading = simulate(scenario, step_time=False).log["state"].T
+    result = shipped_run(AVOIDANCE, method)
+    (disc,) = result.scenario.obstacles
+    low, high = bounding_box(result.scenario.vehicle.geometry("#000000"))
+    x, y, _, heading = result.log["state"].T
     away = np.array([disc.center[0] - x, disc.center[1] - y])
     c, s = np.cos(heading), np.sin(heading)
     ahead, left = c * away[0] + s * away[1], c * away[1] - s * away[0]
@@ -89,15 +87,14 @@ def test_a_slow_car_needs_the_volume_barrier() -> None:
     assert arrives["min_volume"] > 0.0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("gain", APPROACH_GAINS[1:])
 @pytest.mark.parametrize("method", ["dob-cbf-qp", "dob-vcbf-qp"])
 def test_a_faster_car_arrives_either_way(method: str, gain: float) -> None:
-    faster = {"method": method, "vehicle": {"controller": {"approach_gain": gain}}}
+    controller = {"controller": {"approach_gain": gain}}
+    faster = {"method": method, "vehicle": controller, "ends_at_target": True}
     assert run(SENSITIVITY, faster)["outcome"] == "reached"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("index", range(3))
 def test_the_sensitivity_does_not_hang_on_the_exact_start(index: int) -> None:
     def outcome(method: str, gain: float) -> str:
@@ -105,6 +102,7 @@ def test_the_sensitivity_does_not_hang_on_the_exact_start(index: int) -> None:
             "method": method,
             "vehicle": {"controller": {"approach_gain": gain}},
             "initial_state": moved_start(index),
+            "ends_at_target": True,
         }
         return str(run(SENSITIVITY, overrides)["outcome"])
 

@@ -1,15 +1,19 @@
 """The sweep over control rates and its page."""
 
+from functools import cache
+
 import pytest
 
 from examples.paper.moving_wall import press_against_wall
 from examples.paper.rates import MOVING_WALL, sweep
 from vcbf_drake.viz.terminal import rounded_down
 
+pressed = cache(press_against_wall)
+
 
 def test_what_sampling_costs_shrinks_like_the_period():
     slow, slow_certified, fast, fast_certified = (
-        press_against_wall(rate, between_ticks)
+        pressed(rate, between_ticks)
         for rate in (20.0, 40.0)
         for between_ticks in ("none", "certified")
     )
@@ -28,7 +32,7 @@ def test_the_page_has_a_row_a_run():
     assert next(parts) == f"## {MOVING_WALL}\n"
     rows = [line for line in next(parts).splitlines() if line.startswith("| 20 |")]
     assert [row.split(" | ")[1] for row in rows] == ["none", "certified"]
-    certified = press_against_wall(20.0, "certified")["certified_min_barrier"]
+    certified = pressed(20.0, "certified")["certified_min_barrier"]
     assert f" {rounded_down(certified)} " in rows[1]
 
 

@@ -6,6 +6,7 @@ import json
 import os
 from pathlib import Path
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -33,6 +34,7 @@ from examples.paper.experiment import (
     verdicts,
 )
 from examples.paper.one_obstacle import clearance, estimation
+from tests.helpers.runs import shipped_run
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.simulation import load_scenario, simulate
 from vcbf_drake.studies import Trial
@@ -78,6 +80,20 @@ def results(directory: Path) -> bytes:
     return (directory / "reproduction.json").read_bytes()
 
 
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tiny reproduction's directory, to be looked at, only."""
+    path = tmp_path_factory.mktemp("undisturbed")
+    run_tiny(path)
+    return path
+
+
+@pytest.fixture
+def done(undisturbed: Path, tmp_path: Path) -> Path:
+    """A copy of it."""
+    return Path(shutil.copytree(undisturbed, tmp_path / "done"))
+
+
 def test_what_is_there_is_not_run_again(tmp_path, monkeypatch):
     seen = []
     data = run_tiny(tmp_path, progress=lambda name, done: seen.append((name, done)))
@@ -95,11 +111,10 @@ def test_what_is_there_is_not_run_again(tmp_path, monkeypatch):
     assert results(tmp_path) == before
 
 
-def test_results_hold_no_timings_and_no_nan(tmp_path):
-    run_tiny(tmp_path)
-    text = results(tmp_path).decode()
+def test_results_hold_no_timings_and_no_nan(undisturbed):
+    text = results(undisturbed).decode()
     assert "step_cpu_ms" not in text and "real_time_factor" not in text
-    assert str(tmp_path) not in text
+    assert str(undisturbed) not in text
 
     def refuse(constant: str) -> None:
         raise AssertionError(constant)
@@ -107,29 +122,27 @@ def test_results_hold_no_timings_and_no_nan(tmp_path):
     json.loads(text, parse_constant=refuse)
 
 
-def test_a_run_cut_short_or_changed_is_run_again(tmp_path):
-    run_tiny(tmp_path)
-    before = results(tmp_path)
-    run = tmp_path / "runs" / "tiny" / "dob-cbf-qp"
+def test_a_run_cut_short_or_changed_is_run_again(done):
+    before = results(done)
+    run = done / "runs" / "tiny" / "dob-cbf-qp"
     (run / "summary.json").unlink()
     (run / "log.npz").write_bytes(b"cut short")
-    other = tmp_path / "runs" / "tiny" / "dob-vcbf-qp" / "scenario.yaml"
+    other = done / "runs" / "tiny" / "dob-vcbf-qp" / "scenario.yaml"
     other.write_text(other.read_text().replace("duration: 0.3", "duration: 0.4"))
-    run_tiny(tmp_path)
-    assert results(tmp_path) == before
+    run_tiny(done)
+    assert results(done) == before
 
 
-def test_a_directory_is_for_one_reproduction(tmp_path):
-    run_tiny(tmp_path)
-    before = results(tmp_path)
+def test_a_directory_is_for_one_reproduction(done):
+    before = results(done)
     with pytest.raises(ScenarioError, match="other settings, versions or code"):
-        reproduce(tmp_path, [TINY], Settings(trials=3))
-    settings = tmp_path / "settings.json"
+        reproduce(done, [TINY], Settings(trials=3))
+    settings = done / "settings.json"
     other_code = json.loads(settings.read_text()) | {"code": "0123456789abcdef"}
     settings.write_text(json.dumps(other_code))
     with pytest.raises(ScenarioError, match="other settings, versions or code"):
-        run_tiny(tmp_path)
-    assert results(tmp_path) == before
+        run_tiny(done)
+    assert results(done) == before
 
 
 KILLED = """
@@ -142,16 +155,18 @@ if __name__ == "__main__":
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_killed_reproduction_ends_with_the_same_numbers(tmp_path, workers):
+def test_a_killed_reproduction_ends_with_the_same_numbers(
+    tmp_path, workers, undisturbed
+):
     script = tmp_path / "tiny.py"
     script.write_text(KILLED.format(workers=workers))
-    command = [sys.executable, str(script)]
-    undisturbed, killed = tmp_path / "undisturbed", tmp_path / "killed"
-    options: Any = {"cwd": ROOT, "env": os.environ | {"PYTHONPATH": str(ROOT)}}
-    subprocess.run([*command, str(undisturbed)], check=True, timeout=900, **options)
-
+    killed = tmp_path / "killed"
     records = killed / "studies" / "tiny.jsonl"
-    process = subprocess.Popen([*command, str(killed)], **options)
+    process = subprocess.Popen(
+        [sys.executable, str(script), str(killed)],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
     deadline = time.monotonic() + 900.0
     while not (records.exists() and records.read_bytes().count(b"\n") >= 3):
         assert process.poll() is None and time.monotonic() < deadline
@@ -161,7 +176,7 @@ def test_a_killed_reproduction_ends_with_the_same_numbers(tmp_path, workers):
     assert not (killed / "reproduction.json").exists()
     assert records.read_bytes().count(b"\n") < 12
 
-    subprocess.run([*command, str(killed)], check=True, timeout=900, **options)
+    run_tiny(killed)
     assert results(killed) == results(undisturbed)
 
 
@@ -310,8 +325,7 @@ def test_describe_leaves_crashed_trials_out_of_the_extremes():
 def test_clearance_is_what_the_linear_equation_gives():
     """The simulated least h against the equation of the closed form, by method."""
     for method in ("robust-cbf-qp", "cbf-qp"):
-        result = simulate(load_scenario("blimp-single-obstacle", {"method": method}))
-        row = clearance(result)
+        row = clearance(shipped_run("blimp-single-obstacle", method))
         assert row["integrated"] == pytest.approx(row["measured"], abs=2e-3)
         assert row["least"] <= row["integrated"] <= row["greatest"]
 

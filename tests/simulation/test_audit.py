@@ -2,6 +2,7 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 import pytest
 
+from tests.helpers.runs import shipped_run
 from vcbf_drake import load_scenario, make_loop, simulate
 from vcbf_drake.barriers import SphereObstacle
 from vcbf_drake.barriers.barrier_set import BarrierSet
@@ -19,12 +20,12 @@ LIMIT = np.array([3.0, 4.5])
 
 @pytest.fixture(scope="module")
 def car():
-    return simulate(load_scenario(CAR, {"method": "dob-vcbf-qp"}), step_time=False)
+    return shipped_run(CAR, "dob-vcbf-qp")
 
 
 @pytest.fixture(scope="module")
 def blind_car():
-    return simulate(load_scenario(CAR, {"method": "cbf-qp"}), step_time=False)
+    return shipped_run(CAR, "cbf-qp")
 
 
 def margins_by_hand(x, u, d, estimate, bound):

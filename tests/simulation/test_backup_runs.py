@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.helpers.runs import shipped_run
 from vcbf_drake import load_scenario, simulate
 from vcbf_drake.errors import VcbfError
 from vcbf_drake.simulation import check_assumptions
@@ -46,7 +47,7 @@ def test_where_the_rows_have_no_input_the_backup_has_one():
 
 
 def test_a_run_that_needs_no_backup_is_as_it_was():
-    plain = simulate(load_scenario("car-avoidance"), step_time=False)
+    plain = shipped_run("car-avoidance", "dob-vcbf-qp")
     gated = simulate(
         load_scenario("car-avoidance", {"infeasible": "backup"}), step_time=False
     )
