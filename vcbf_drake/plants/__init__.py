@@ -3,18 +3,24 @@
 from vcbf_drake.plants.blimp import (
     Blimp,
     Blimp_,
+    BlimpController,
+    BlimpControllerParameters,
     BlimpInput,
     BlimpParameters,
     BlimpState,
+    BlimpVehicle,
 )
-from vcbf_drake.plants.blimp_controller import (
-    BlimpController,
-    BlimpControllerParameters,
+from vcbf_drake.plants.car import (
+    Car,
+    Car_,
+    CarController,
+    CarControllerParameters,
+    CarInput,
+    CarParameters,
+    CarState,
+    CarVehicle,
+    TurnLimit,
 )
-from vcbf_drake.plants.blimp_vehicle import BlimpVehicle
-from vcbf_drake.plants.car import Car, Car_, CarInput, CarParameters, CarState
-from vcbf_drake.plants.car_controller import CarController, CarControllerParameters
-from vcbf_drake.plants.car_vehicle import CarVehicle, TurnLimit
 from vcbf_drake.plants.multibody_vehicle import MultibodyVehicle
 from vcbf_drake.plants.shapes import Part
 from vcbf_drake.plants.vehicle import StateFeedback, Vehicle

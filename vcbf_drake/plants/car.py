@@ -2,21 +2,33 @@
 
 # No `from __future__ import annotations`: pydrake.common.yaml needs evaluated types.
 
+from collections.abc import Sequence
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+import math
 import sys
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydrake.common.containers import namedview
 from pydrake.math import cos, sin
-from pydrake.systems.framework import BasicVector_, LeafSystem_
+from pydrake.systems.framework import BasicVector_, LeafSystem_, System
 from pydrake.systems.scalar_conversion import TemplateSystem
 
+from vcbf_drake.barriers import Barrier, StateInputLimit, ackermann_limit
 from vcbf_drake.checks import Array, check_parameter
 from vcbf_drake.model.manoeuvre import Manoeuvre
 from vcbf_drake.plants.car_stop import CarStop
-from vcbf_drake.typed import check_fields, check_type
+from vcbf_drake.plants.shapes import Part, painted_model
+from vcbf_drake.plants.target import (
+    NEAR,
+    TargetController,
+    forward_component,
+    heading_error,
+)
+from vcbf_drake.plants.vehicle import Vehicle
+from vcbf_drake.typed import check_fields, check_type, typed
 
 # Position [m], signed forward speed [m/s], heading [rad].
 CarState = namedview("CarState", ["x", "y", "speed", "heading"])
@@ -103,3 +115,122 @@ def Car_(T: type) -> type:
 
 
 Car = Car_[None]
+
+
+@dataclass
+class CarControllerParameters:
+    """Gains of the car's controller (E82, the car's controller).
+
+    Attributes:
+        turn_gain: k_ω, from heading error to turn rate [1/s].
+        speed_gain: k_v, from speed error to force [N s/m].
+        approach_gain: k_p, from distance to speed [1/s].
+    """
+
+    turn_gain: float = 2.0
+    speed_gain: float = 4.0
+    approach_gain: float = 0.6
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        for name, value in vars(self).items():
+            check_parameter(name, value, zero_allowed=True)
+
+
+class CarController(TargetController):
+    """Drives the car to a target and stops it there (E82).
+
+    With p_r - p and e_ψ the offset and the heading error to the target::
+
+        a = -k_v (v - k_p |p_r - p| cos e_ψ) - m dhat
+        ω = -k_ω e_ψ
+
+    e_ψ is taken as 0 within 5 cm of the target (R39).
+
+    Ports:
+        state (4): the car's state.
+        disturbance_estimate (1), optional: dhat [m/s^2]; 0 if not connected.
+        reference (2), output: force [N], turn rate [rad/s].
+
+    Args:
+        target: Where to go, (x, y) [m].
+        parameters: Gains; the defaults if None.
+        plant_parameters: The car's parameters; the defaults if None.
+
+    Raises:
+        ValueError: A number is not finite, or out of range.
+    """
+
+    @typed
+    def __init__(
+        self,
+        target: ArrayLike,
+        parameters: CarControllerParameters | None = None,
+        plant_parameters: CarParameters | None = None,
+    ) -> None:
+        super().__init__(target, 2, num_states=4, num_disturbances=1, num_inputs=2)
+        self._parameters = copy.copy(parameters) or CarControllerParameters()
+        self._mass = (plant_parameters or CarParameters()).mass
+
+    def _law(self, state: list[float], estimate: list[float]) -> list[float]:
+        p, (x, y, speed, heading) = self._parameters, state
+        dx, dy = self._target[0] - x, self._target[1] - y
+        wanted_speed = p.approach_gain * forward_component(dx, dy, heading)
+        force = -p.speed_gain * (speed - wanted_speed) - self._mass * estimate[0]
+        near = math.hypot(dx, dy) < NEAR
+        turn_rate = 0.0 if near else -p.turn_gain * heading_error(dx, dy, heading)
+        return [force, turn_rate]
+
+
+@dataclass
+class TurnLimit:
+    """A car's steering: ``|omega| <= curvature sqrt(v^2 + smoothing_speed^2)``.
+
+    Attributes:
+        curvature: Greatest curvature of the path [1/m].
+        smoothing_speed: Speed below which the limit stops shrinking [m/s]; makes it
+            smooth at rest.
+    """
+
+    curvature: float = 2.0
+    smoothing_speed: float = 0.1
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        check_parameter("curvature", self.curvature)
+        check_parameter("smoothing_speed", self.smoothing_speed)
+
+
+@dataclass
+class CarVehicle(CarParameters, Vehicle):
+    """A `Car` that a `CarController` drives: the parameters of both.
+
+    Attributes:
+        controller: Gains of the controller (E82, the car's controller).
+        turn_limit: The steering limit, if any.
+    """
+
+    controller: CarControllerParameters = field(default_factory=CarControllerParameters)
+    turn_limit: TurnLimit | None = None
+
+    position = Car.position_indices
+    heading = 3
+
+    def make_plant(self) -> System:
+        """Returns the car."""
+        return Car(self)
+
+    def geometry(self, color: str) -> list[Part]:
+        """Returns a car on its wheels with its body in a colour."""
+        return [Part("car", painted_model("car", color))]
+
+    def make_controller(self, target: Sequence[float]) -> CarController:
+        """Returns the controller that drives the car to a target."""
+        return CarController(target, self.controller, self)
+
+    def barriers(self) -> list[Barrier | StateInputLimit]:
+        """Returns the limits of the turn rate; none where there are none."""
+        limit = self.turn_limit
+        if limit is None:
+            return []
+        return [*ackermann_limit(limit.curvature, limit.smoothing_speed)]

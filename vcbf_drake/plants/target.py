@@ -1,10 +1,11 @@
-"""A target point, as seen from a vehicle with a heading."""
+"""A controller that steers a vehicle with a heading to a target point."""
 
 from __future__ import annotations
 
 import math
 
 from numpy.typing import ArrayLike
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from vcbf_drake.checks import finite_array, require
 
@@ -13,16 +14,55 @@ from vcbf_drake.checks import finite_array, require
 NEAR = 0.05
 
 
-def check_target(target: ArrayLike, size: int) -> tuple[float, ...]:
-    """Checks that a target has the given number of finite coordinates [m].
+class TargetController(LeafSystem):
+    """A law from the state and the disturbance's estimate to the input it wants.
+
+    Ports:
+        state (n): the vehicle's state.
+        disturbance_estimate (q), optional: dhat [m/s^2]; 0 if not connected.
+        reference (m), output: the input.
+
+    Args:
+        target: Where to go, shape (k,) [m].
+        size: k.
+        num_states: n.
+        num_disturbances: q.
+        num_inputs: m.
 
     Raises:
-        ValueError: It does not.
+        ValueError: The target is not k finite numbers.
     """
-    rule = f"{size} finite numbers"
-    array = finite_array(target, "target", 1, rule)
-    require(array.shape == (size,), "target", target, rule)
-    return tuple(array.tolist())
+
+    def __init__(
+        self,
+        target: ArrayLike,
+        size: int,
+        num_states: int,
+        num_disturbances: int,
+        num_inputs: int,
+    ) -> None:
+        super().__init__()
+        rule = f"{size} finite numbers"
+        place = finite_array(target, "target", 1, rule)
+        require(place.shape == (size,), "target", target, rule)
+        self._target: list[float] = place.tolist()
+        self._state = self.DeclareVectorInputPort("state", num_states)
+        self._estimate = self.DeclareVectorInputPort(
+            "disturbance_estimate", num_disturbances
+        )
+        needs = {self._state.ticket(), self._estimate.ticket()}
+        self.DeclareVectorOutputPort("reference", num_inputs, self._calc, needs)
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        port, state = self._estimate, self._state.Eval(context).tolist()
+        estimate = (
+            port.Eval(context).tolist() if port.HasValue(context) else port.size() * [0]
+        )
+        output.SetFromVector(self._law(state, estimate))
+
+    def _law(self, state: list[float], estimate: list[float]) -> list[float]:
+        """Returns the input that is wanted, m numbers."""
+        raise NotImplementedError
 
 
 def forward_component(x: float, y: float, heading: float) -> float:
