@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from vcbf_drake import InputLimits, Obstacle, Scenario, StateFeedback, Vehicle
+from vcbf_drake import InputLimits, Scenario, SphereObstacle, StateFeedback, Vehicle
 from vcbf_drake.disturbances import Sinusoid
 
 
@@ -54,7 +54,7 @@ def scenario():  # noqa: D103
         vehicle=Puck(),
         input_set=InputLimits([-1.0, -1.0], [1.0, 1.0]),
         disturbance=[Sinusoid([0.1, 0.2], frequency=2.0)],
-        obstacles=[Obstacle([1.0, 0.1], 0.2), Obstacle([2.0, -0.3], 0.3)],
+        obstacles=[SphereObstacle([1.0, 0.1], 0.2), SphereObstacle([2.0, -0.3], 0.3)],
         initial_state=[0.0, 0.0, 0.0, 0.0],
         target=[3.0, 0.0],
     )

@@ -23,7 +23,7 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem_
 from pydrake.systems.primitives import Demultiplexer, LinearSystem, Multiplexer
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from vcbf_drake import InputLimits, Obstacle, Scenario, StateFeedback, Vehicle
+from vcbf_drake import InputLimits, Scenario, SphereObstacle, StateFeedback, Vehicle
 from vcbf_drake.barriers import StateLimit
 from vcbf_drake.disturbances import Sinusoid
 from vcbf_drake.plants import Part
@@ -167,7 +167,7 @@ def scenario():
         ],
         # The margin is what the quadrotor itself needs.
         obstacles=[
-            Obstacle([x, y, 1.0], 0.5, margin=0.25)
+            SphereObstacle([x, y, 1.0], 0.5, margin=0.25)
             for x, y in ((2.0, 0.3), (4.0, -0.3), (6.0, 0.3))
         ],
         # Squares have short derivatives; four decay rates for four derivatives.

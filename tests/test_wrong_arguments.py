@@ -12,15 +12,13 @@ from pydrake.trajectories import PiecewisePolynomial
 import pytest
 
 import vcbf_drake as v
-from vcbf_drake.barriers import PolygonObstacle, all_of
+from vcbf_drake.barriers import MovingObstacle, PolygonObstacle, all_of
 from vcbf_drake.plants import MultibodyVehicle
 from vcbf_drake.plants.robot_controllers import InverseDynamics, JointStiffness, Lqr
 from vcbf_drake.simulation import (
     BodyPoint,
-    MovingObstacle,
     PolygonMap,
     SpheresFile,
-    StateRange,
     scenario_schema,
 )
 from vcbf_drake.simulation.faults import Faults, StepGust
@@ -128,8 +126,6 @@ MADE = [
     (v.SafetyFilter, {"model": CAR, "barriers": [BARRIER], "input_set": BOX}),
     (add_filter, {}),
     (v.InputLimits, {"lower": [-1.0], "upper": [1.0]}),
-    (v.Obstacle, {"center": [0.0, 0.0], "radius": 1.0}),
-    (StateRange, {"state": "speed", "lower": 0.0}),
     (
         MovingObstacle,
         {

@@ -71,7 +71,6 @@ from .safety import (
 )
 from .simulation import (
     InputLimits as InputLimits,
-    Obstacle as Obstacle,
     Scenario as Scenario,
     load_scenario as load_scenario,
     make_loop as make_loop,

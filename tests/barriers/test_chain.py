@@ -60,7 +60,9 @@ def blimp_case():
     barriers = [
         SphereObstacle([1.0, 0.5, 0.2], 0.3).barrier((3.0, 2.0)),
         SphereObstacle([1.0, 0.5, 0.2], 0.3, [-0.3, 0.2, 0.1]).barrier((3.0, 2.0)),
-        SphereObstacle([2.0, 0.5, 0.2], 0.3, [-0.3, 0, 0], "squared").barrier((5.0, 4)),
+        SphereObstacle([2.0, 0.5, 0.2], 0.3, [-0.3, 0, 0], 0.0, "squared").barrier(
+            (5.0, 4)
+        ),
     ]
     x = [0.0, 0.1, -0.1, 0.3, 0.5, 0.2, -0.3, 0.7]
     return Blimp(), x, [0.05, -0.02, 0.001], [0.1, -0.2, 0.15], barriers

@@ -97,11 +97,11 @@ def test_at_the_centre_the_row_is_nan(blimp) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"center": [1.0]}, "center must have 2 or 3 numbers, got 1"),
+        ({"center": [1.0]}, "center: .* 2 or 3 numbers"),
         ({"center": [1.0, np.inf]}, r"center: .*finite numbers"),
         ({"semi_axes": [1.0]}, r"semi_axes: \[1.0\]; it must be a list of 2"),
         ({"semi_axes": [1.0, 0.0]}, r"semi_axes\[1\]: .* finite and above 0"),
-        ({"velocity": [1.0]}, "velocity must have 2 numbers like center, got 1"),
+        ({"velocity": [1.0]}, "velocity: .* a list of 2 numbers"),
         ({"margin": -0.1}, "margin: -0.1"),
         ({"rotation": np.eye(3)}, r"rotation.*2 rows of 2"),
         ({"rotation": [[1.0, 0.1], [0.0, 1.0]]}, "rotation must have orthonormal"),

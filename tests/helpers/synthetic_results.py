@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from vcbf_drake.barriers import SphereObstacle
 from vcbf_drake.plants import BlimpVehicle, CarVehicle
-from vcbf_drake.simulation import InputLimits, Obstacle, Scenario
+from vcbf_drake.simulation import InputLimits, Scenario
 from vcbf_drake.simulation.result import Result
 
 OBSTACLES = [
@@ -108,7 +109,7 @@ def blimp_result(method="dob-vcbf-qp", end=19.5, infeasible=False, seed=0, sway=
         name="blimp-multiple-obstacles",
         description="A blimp among spheres\nIts brakes are weak and the air is gusty.",
         vehicle=BlimpVehicle(),
-        obstacles=[Obstacle(center, radius) for center, radius in OBSTACLES],
+        obstacles=[SphereObstacle(center, radius) for center, radius in OBSTACLES],
         input_set=InputLimits([-0.03, -0.11, -0.01], [0.11, 0.11, 0.01]),
         initial_state=state[0].tolist(),
         target=[14.0, 3.0, 2.5],
@@ -142,9 +143,9 @@ def car_result(
         vehicle=CarVehicle(),
         obstacles=obstacles
         or [
-            Obstacle([1.6, 0.05], 0.32, margin=0.12),
-            Obstacle([3.3, 0.1], 0.33, margin=0.12),
-            Obstacle([3.1, 1.6], 0.3, velocity=[0.05, -0.06], margin=0.1),
+            SphereObstacle([1.6, 0.05], 0.32, margin=0.12),
+            SphereObstacle([3.3, 0.1], 0.33, margin=0.12),
+            SphereObstacle([3.1, 1.6], 0.3, velocity=[0.05, -0.06], margin=0.1),
         ],
         input_set=InputLimits([-0.8, -0.7], [0.8, 0.7]),
         initial_state=state[0].tolist(),

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from vcbf_drake import InputLimits, Scenario, ScenarioError, load_scenario, simulate
-from vcbf_drake.barriers import HalfSpace
+from vcbf_drake.barriers import HalfSpace, StateLimit
 from vcbf_drake.plants import MultibodyVehicle
 from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.plants.robot_controllers import Lqr
-from vcbf_drake.simulation.obstacles import StateRange
 from vcbf_drake.simulation.scenario import BarrierGains
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -117,7 +116,7 @@ def test_the_regulator_holds_a_robot_with_fewer_motors_than_joints() -> None:
         input_set=InputLimits([-50.0], [50.0]),
         initial_state=[math.pi - 0.05, 0.02, 0.0, 0.0],
         target=[0.0, 0.25, 1.0],
-        obstacles=[StateRange("elbow_w", -3.0, 3.0, [5.0])],
+        obstacles=[StateLimit("elbow_w", -3.0, 3.0, [5.0])],
         arrival_tolerance=0.01,
         duration=5.0,
         method="cbf-qp",

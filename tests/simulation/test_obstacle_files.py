@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from vcbf_drake import BarrierSet, ControlAffineModel, ScenarioError, load_scenario
-from vcbf_drake.simulation import Obstacle, barriers, dump_scenario, simulate
+from vcbf_drake.barriers import SphereObstacle
+from vcbf_drake.simulation import barriers, dump_scenario, simulate
 from vcbf_drake.simulation.loading import parse_scenario
 
 CAR = """yard:
@@ -46,8 +47,8 @@ def test_spheres_come_from_a_table_beside_the_scenario(tmp_path, monkeypatch):
     monkeypatch.chdir(Path.cwd().root)
     scenario = load_scenario(path)
     assert scenario.obstacles == [
-        Obstacle([3.0, 0.1], 0.5, [], 0.2),
-        Obstacle([5.0, 2.0], 0.3, [0.0, -0.1], 0.2),
+        SphereObstacle([3.0, 0.1], 0.5, [], 0.2),
+        SphereObstacle([5.0, 2.0], 0.3, [0.0, -0.1], 0.2),
     ]
     assert scenario.spheres == scenario.obstacles
     (tmp_path / "discs.csv").unlink()  # What is written down needs it no more.

@@ -11,11 +11,11 @@ import numpy as np
 from pydrake.common.yaml import yaml_load
 import pytest
 
+from vcbf_drake.barriers import SphereObstacle
 from vcbf_drake.errors import InvalidValueError, ScenarioError
 from vcbf_drake.plants import BlimpVehicle, TurnLimit
 from vcbf_drake.simulation import (
     InputLimits,
-    Obstacle,
     Scenario,
     loading,
     simulate,
@@ -449,7 +449,7 @@ REFUSED = [
     (
         "{obstacles: [{center: [2, 2, 2], radius: -0.1}]}",
         "obstacles[0].radius",
-        "-0.1; it must be finite and above 0",
+        "-0.1; it must be finite and not below 0",
     ),
     (
         "{obstacles: [{center: [2, 2, 2], radius: 0.1, margin: -1}]}",
@@ -638,7 +638,7 @@ def test_garbled_scenarios_load_or_are_refused_in_one_line(everything: Path) -> 
 
 
 def test_validate_names_the_field() -> None:
-    scenario = blimp_scenario(obstacles=[Obstacle([3.0, 3.0, 3.0], 0.5)])
+    scenario = blimp_scenario(obstacles=[SphereObstacle([3.0, 3.0, 3.0], 0.5)])
     validate(scenario)
     scenario.obstacles[0].radius = float("nan")
     with pytest.raises(InvalidValueError, match="nan; it must be finite") as caught:
@@ -669,7 +669,7 @@ def test_start_and_target_are_outside(
     velocity: list[float],
     allowed: bool,
 ) -> None:
-    obstacles = [Obstacle(center, radius, velocity, margin)]
+    obstacles = [SphereObstacle(center, radius, velocity, margin)]
     if allowed:
         validate(blimp_scenario(obstacles=obstacles))
     else:

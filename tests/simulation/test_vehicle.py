@@ -16,12 +16,12 @@ from pydrake.multibody.plant import MultibodyPlant
 import pytest
 
 from vcbf_drake import InputLimits, Scenario, ScenarioError, load_scenario, simulate
+from vcbf_drake.barriers import StateLimit
 from vcbf_drake.errors import InvalidValueError, UserCodeError
 from vcbf_drake.plants import BlimpVehicle, CarVehicle, StateFeedback, Vehicle
 from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.simulation import check_assumptions, dump_scenario
 from vcbf_drake.simulation.loading import parse_scenario
-from vcbf_drake.simulation.obstacles import StateRange
 from vcbf_drake.viz import write_figures, write_replay
 from vcbf_drake.viz.runs import barrier_unit
 
@@ -54,7 +54,7 @@ def test_a_stock_plant_keeps_its_range(tmp_path: Path) -> None:
     scenario = Scenario(
         vehicle=Pendulum(),
         input_set=InputLimits([-8.0], [8.0]),
-        obstacles=[StateRange("x0", upper=0.2, gains=[4.0, 4.0])],
+        obstacles=[StateLimit("x0", upper=0.2, gains=[4.0, 4.0])],
         initial_state=[0.0, 0.0],
         target=[2.0],
         duration=3.0,
@@ -117,10 +117,10 @@ def test_messages_name_the_robots_states() -> None:
         ("def scenario(:\n", ":1", "SyntaxError"),
         ("\ndef scenario():\n    return [].pop()\n", ":3", "IndexError: pop from"),
         (
-            "from vcbf_drake import Obstacle\n\ndef scenario():\n"
-            "    return Obstacle([0.0, 0.0], -1.0)\n",
+            "from vcbf_drake import SphereObstacle\n\ndef scenario():\n"
+            "    return SphereObstacle([0.0, 0.0], -1.0)\n",
             ":4",
-            "radius: -1; it must be finite and above 0",
+            "radius: -1; it must be finite and not below 0",
         ),
     ],
 )

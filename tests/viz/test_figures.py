@@ -10,8 +10,9 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from tests.helpers.synthetic_results import blimp_result, blimp_results, car_result
+from vcbf_drake.barriers import SphereObstacle
 from vcbf_drake.safety.methods import METHODS
-from vcbf_drake.simulation import InputLimits, Obstacle, load_scenario, simulate
+from vcbf_drake.simulation import InputLimits, load_scenario, simulate
 from vcbf_drake.viz import write_figures, write_replay
 from vcbf_drake.viz.feasible_set import (
     feasible_set_at,
@@ -287,7 +288,7 @@ def crowd(count, dims=2):
     rng = np.random.default_rng(0)
     low, high = [[0.0, 1.0, 0.0][:dims], [60.0, 31.0, 9.0][:dims]]
     centers = rng.uniform(low, high, size=(count, dims))
-    return [Obstacle(center.tolist(), 0.2) for center in centers]
+    return [SphereObstacle(center.tolist(), 0.2) for center in centers]
 
 
 def test_infinite_limits_are_no_rows(tmp_path):

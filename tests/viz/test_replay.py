@@ -9,8 +9,8 @@ import pytest
 from tests.helpers.browser import browser, served
 from tests.helpers.pages import page_data
 from tests.helpers.synthetic_results import blimp_result, blimp_results, car_result
+from vcbf_drake.barriers import SphereObstacle
 from vcbf_drake.safety.methods import METHODS
-from vcbf_drake.simulation.obstacle_kinds import Obstacle
 from vcbf_drake.viz import write_replay
 from vcbf_drake.viz.replay.tubes import merge, ring, tube
 from vcbf_drake.viz.runs import label_runs
@@ -449,7 +449,7 @@ def test_the_feasible_set_is_shown_live_and_a_phone_shows_all_of_it(page_path):
 def test_a_minute_among_a_thousand_moving_discs_makes_a_small_page(tmp_path):
     rng = np.random.default_rng(0)
     discs = [
-        Obstacle(center.tolist(), 0.2, velocity=[0.01, -0.02])
+        SphereObstacle(center.tolist(), 0.2, velocity=[0.01, -0.02])
         for center in rng.uniform([0.0, 1.0], [60.0, 31.0], size=(1000, 2))
     ]
     result = car_result(end=60.0, obstacles=discs)

@@ -15,10 +15,11 @@ from vcbf_drake.barriers import (
     BoxObstacle,
     CapsuleObstacle,
     EllipsoidObstacle,
+    MovingObstacle,
     PolygonObstacle,
     SphereObstacle,
 )
-from vcbf_drake.simulation import MovingObstacle, simulate
+from vcbf_drake.simulation import simulate
 from vcbf_drake.viz import write_figures, write_replay
 from vcbf_drake.viz.solids import hull, solids, solids_of, walls_of
 

@@ -7,6 +7,7 @@ from vcbf_drake.barriers.obstacles import (
     BoxObstacle,
     CapsuleObstacle,
     EllipsoidObstacle,
+    MovingObstacle,
     SphereObstacle,
 )
 from vcbf_drake.barriers.perceived import PerceivedSpheres
@@ -24,6 +25,7 @@ __all__ = [
     "EllipsoidObstacle",
     "Geofence",
     "HalfSpace",
+    "MovingObstacle",
     "PairDistance",
     "PerceivedSpheres",
     "PolygonObstacle",

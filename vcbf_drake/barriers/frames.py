@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 from pydrake.symbolic import Expression
 
-from vcbf_drake.checks import Array, finite_array, finite_vector, require
+from vcbf_drake.checks import (
+    Array,
+    check_finite,
+    finite_array,
+    finite_vector,
+    require,
+)
 from vcbf_drake.model.compiled import Expressions
 
 _TOLERANCE = 1e-9
@@ -45,19 +51,12 @@ class MovingPoint:
                 that is not finite.
         """
         point = finite_vector(start, f"{name}: center")
-        if len(point) not in (2, 3):
-            raise ValueError(
-                f"{name}: center must have 2 or 3 numbers, got {len(point)}"
-            )
-        given = () if velocity is None else velocity
-        speed = finite_vector(
-            given if len(given) else np.zeros(len(point)), f"{name}: velocity"
-        )
-        if len(speed) != len(point):
-            raise ValueError(
-                f"{name}: velocity must have {len(point)} numbers like center,"
-                f" got {len(speed)}"
-            )
+        is_place = len(point) in (2, 3)
+        require(is_place, f"{name}: center", start, "2 or 3 numbers")
+        if velocity is None or not len(velocity):
+            return MovingPoint(point, np.zeros(len(point)))
+        check_finite(f"{name}: velocity", velocity, size=len(point))
+        speed = finite_vector(velocity, f"{name}: velocity")
         return MovingPoint(point, speed)
 
     @property

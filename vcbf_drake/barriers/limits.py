@@ -111,7 +111,7 @@ def _turn_rate_limit(
 
 @dataclass(frozen=True)
 class StateLimit:
-    """The range ``lower <= x_i <= upper`` of one state.
+    """The range ``lower <= x_i <= upper`` of one state, such as a speed or a height.
 
     One smooth barrier a side, in the state's unit::
 
@@ -121,21 +121,18 @@ class StateLimit:
     for a position or a joint angle. Source: ours.
 
     Attributes:
-        state: The index i.
-        lower: -inf: no lower limit.
-        upper: inf: no upper limit.
+        state: The state's name, in a scenario; its index i elsewhere.
+        lower: Least value, in the state's unit; -.inf for none.
+        upper: Greatest value; .inf for none.
+        gains: K of (E4), one a derivative of the state until the input appears.
     """
 
-    state: int
+    state: str | int
     lower: float = -np.inf
     upper: float = np.inf
+    gains: Sequence[float] | Array = (1.0,)
 
     def __post_init__(self) -> None:
-        """Checks the numbers.
-
-        Raises:
-            ValueError: No room between the limits, no limit at all, or nan.
-        """
         check_fields(self, "state limit: ")
         if not self.lower < self.upper:
             raise ValueError(
@@ -144,23 +141,31 @@ class StateLimit:
             )
         if not np.isfinite([self.lower, self.upper]).any():
             raise ValueError("state limit: give lower, upper or both")
+        check_parameter("state limit: gains", self.gains, size=len(self.gains))
 
     @typed
     def barriers(
-        self, gains: Sequence[float] | Array, name: str = "state limit"
+        self, gains: Sequence[float] | Array | None = None, name: str = "state limit"
     ) -> list[Barrier]:
         """Returns one barrier a side.
 
         Args:
-            gains: K of (E4); their number is the relative degree.
+            gains: K of (E4) in place of the limit's own.
             name: What error messages and logs call it; "low" or "high" is added.
 
         Raises:
-            ValueError: Bad gains.
+            ValueError: Bad gains, or the state is a name.
         """
+        rule = "an index; a scenario alone knows names"
+        require(isinstance(self.state, int), "state limit: state", self.state, rule)
         sides = (("low", 1.0, self.lower), ("high", -1.0, self.upper))
         return [
-            Barrier(_state_limit(self.state), gains, (sign, limit), f"{name} ({side})")
+            Barrier(
+                _state_limit(int(self.state)),
+                self.gains if gains is None else gains,
+                (sign, limit),
+                f"{name} ({side})",
+            )
             for side, sign, limit in sides
             if np.isfinite(limit)
         ]

@@ -119,7 +119,7 @@ class PerceivedSpheres:
     def _example(self) -> SphereObstacle:
         """A sphere in a slot; its velocity only says that they move."""
         zero, one = np.zeros(self.dimensions), np.ones(self.dimensions)
-        return SphereObstacle(zero, 1.0, one, self.form, self.margin)
+        return SphereObstacle(zero, 1.0, one, self.margin, self.form)
 
 
 class PerceivedBarrier(Barrier):

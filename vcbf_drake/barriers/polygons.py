@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import ClassVar
 
 import numpy as np
 from pydrake.symbolic import Expression
 
-from vcbf_drake.barriers.barrier import Barrier, arithmetic
-from vcbf_drake.barriers.shapes import Shape, ShapeFunction, barrier_of_position
+from vcbf_drake.barriers.barrier import arithmetic
+from vcbf_drake.barriers.shapes import ShapeFunction, SmoothShape
 from vcbf_drake.barriers.unions import in_pairs, smooth_maximum, smooth_minimum
 from vcbf_drake.checks import Array, check_parameter, finite_array, require
 from vcbf_drake.model.compiled import Expressions
-from vcbf_drake.model.position import Position
-from vcbf_drake.typed import check_fields, typed
+from vcbf_drake.typed import check_fields
 
 _Piece = list[int]  # Indices of vertices, anticlockwise.
 
 
 @dataclass(frozen=True)
-class PolygonObstacle(Shape):
+class PolygonObstacle(SmoothShape):
     """A polygon in the plane, or a pillar of that outline in space; convex or not.
 
     A convex one is left where the position is beyond one of its sides: with the outward
@@ -75,39 +74,20 @@ class PolygonObstacle(Shape):
     def pieces(self) -> list[Array]:
         """Convex polygons that make it up, anticlockwise, shapes (n_i, 2)."""
         corners = _anticlockwise(np.array(self.vertices, dtype=float))
+        if _is_convex(corners):
+            return [corners]
         return [corners[piece] for piece in _merged(corners, _triangles(corners))]
+
+    def parts(self) -> dict[str, PolygonObstacle]:
+        """Returns its convex pieces: each has its own barrier."""
+        pieces = [replace(self, vertices=piece.tolist()) for piece in self.pieces]
+        if len(pieces) == 1:
+            return {"": pieces[0]}
+        return {f".{i}": piece for i, piece in enumerate(pieces, start=1)}
 
     def formula(self) -> tuple[int, ShapeFunction, list[float]]:
         """Returns 2, h(position, t, p) with p = (sides, smoothing, margin), and p."""
         return _formula(self.pieces, self.smoothing, self.margin)
-
-    @typed
-    def barriers(
-        self,
-        gains: Sequence[float] | Array,
-        position: Position | None = None,
-        name: str | None = None,
-    ) -> list[Barrier]:
-        """Returns one barrier a convex piece.
-
-        Args:
-            gains: K of (E4); their number is the relative degree.
-            position: Which states are the position, or a function from the symbolic
-                state x to it; None where the plant says it.
-            name: What error messages and logs call it; None for "polygon".
-
-        Raises:
-            ValueError: `position` has not one index a dimension, or bad gains.
-        """
-        return [
-            barrier_of_position(
-                *_formula([piece], self.smoothing, self.margin),
-                gains,
-                position,
-                name or self.kind,
-            )
-            for piece in self.pieces
-        ]
 
 
 def _formula(

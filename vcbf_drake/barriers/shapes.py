@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import ClassVar, TypeAlias
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 from pydrake.symbolic import Expression
@@ -30,17 +30,81 @@ _AXES = "xyz"
 
 
 class Shape(ABC):
-    """A shape that a position keeps clear of, or inside: one barrier.
+    """What a position keeps clear of, or inside, by a margin.
 
     Attributes:
         kind: What its barriers are called.
+        margin: The distance to keep from its surface [m].
     """
 
     kind: ClassVar[str]
+    margin: float
+
+    @abstractmethod
+    def parts(self) -> Mapping[str, SmoothShape]:
+        """Returns its smooth parts, by what is put behind the shape's name."""
+
+    @property
+    def dimensions(self) -> int:
+        """In how many dimensions it is."""
+        return next(iter(self.parts().values())).formula()[0]
+
+    @property
+    def moves(self) -> bool:
+        """Whether it moves at all."""
+        return False
+
+    @typed
+    def barriers(
+        self,
+        gains: Sequence[float] | Array,
+        position: Position | None = None,
+        name: str | None = None,
+    ) -> list[Barrier]:
+        """Returns its barriers h >= 0, one each of its smooth parts.
+
+        Args:
+            gains: K of (E4); their number is the relative degree.
+            position: Which states are the position, or a function from the symbolic
+                state x to it; None where the plant says it (`Blimp`, `Car`, plants
+                whose states are called x, y and z).
+            name: What error messages and logs call it; None for the kind of shape. What
+                tells its parts apart is put behind it.
+
+        Raises:
+            ValueError: `position` has not one index a dimension, or bad gains.
+        """
+        return [
+            part.barrier(gains, position, f"{name or self.kind}{end}")
+            for end, part in self.parts().items()
+        ]
+
+    def height(self, position: Sequence[float] | Array, t: float = 0.0) -> float:
+        """Returns the least h of its barriers at a position (k,) and a time [s]."""
+        place, found = np.asarray(position, dtype=float), []
+        for part in self.parts().values():
+            _, function, parameters = part.formula()
+            h: Any = function(place, Expression(t), np.array(parameters))
+            found.append(float(h.Evaluate() if isinstance(h, Expression) else h))
+        return min(found)
+
+    def grown(self, distance: float) -> Self:
+        """Returns the same shape with a margin that is larger by a distance [m]."""
+        shape: Any = self
+        changed: Self = replace(shape, margin=self.margin + distance)
+        return changed
+
+
+class SmoothShape(Shape):
+    """A shape whose barrier is one smooth formula."""
 
     @abstractmethod
     def formula(self) -> tuple[int, ShapeFunction, list[float]]:
         """Returns the number k of dimensions, h(position, t, p), and p's values."""
+
+    def parts(self) -> Mapping[str, SmoothShape]:
+        """Returns the shape itself."""
+        return {"": self}
 
     @typed
     def barrier(
@@ -49,19 +113,22 @@ class Shape(ABC):
         position: Position | None = None,
         name: str | None = None,
     ) -> Barrier:
-        """Returns the barrier h >= 0 of the shape.
+        """Returns the barrier h >= 0 of the shape; see `Shape.barriers`.
 
         Args:
             gains: K of (E4); their number is the relative degree.
-            position: Which states are the position, or a function from the symbolic
-                state x to it; None where the plant says it (`Blimp`, `Car`, plants
-                whose states are called x, y and z).
+            position: Which states are the position, or a function to it.
             name: What error messages and logs call it; None for the kind of shape.
 
         Raises:
             ValueError: `position` has not one index a dimension, or bad gains.
         """
-        return barrier_of_position(*self.formula(), gains, position, name or self.kind)
+        size, formula, parameters = self.formula()
+        name = name or self.kind
+        if position is None:
+            return Barrier(formula, gains, parameters, name, of_position=size)
+        h = _of_state(formula, position, size, name)
+        return Barrier(h, gains, parameters, name)
 
     @typed
     def barrier_along(
@@ -95,52 +162,24 @@ class Shape(ABC):
         require(shape == (size, 1), f"{name}: shape of the trajectory", shape, rule)
         known = trajectory.has_derivative()
         require(known, f"{name}: trajectory", trajectory, "one that has derivatives")
-        h = carried(formula, size, len(gains) + 1)
-        if position is not None:
-            at = position_function(position, size, name)
-            return TrajectoryBarrier(
-                lambda x, t, p: h(at(x), t, p),
-                gains,
-                parameters,
-                trajectory,
-                name,
-                None,
-            )
-        return TrajectoryBarrier(h, gains, parameters, trajectory, name, size)
+        h, of_position = carried(formula, size, len(gains) + 1), None
+        if position is None:
+            of_position = size
+        else:
+            h = _of_state(h, position, size, name)
+        return TrajectoryBarrier(h, gains, parameters, trajectory, name, of_position)
 
 
-def barrier_of_position(
-    size: int,
-    formula: ShapeFunction,
-    parameters: Sequence[float],
-    gains: Sequence[float] | Array,
-    position: Position | None,
-    name: str,
-) -> Barrier:
-    """Returns the barrier of a formula of the position.
-
-    Args:
-        size: How many dimensions the position has.
-        formula: ``h(position, t, p)``.
-        parameters: The values of p.
-        gains: K of (E4); their number is the relative degree.
-        position: Which states are the position, or a function from the symbolic state x
-            to it; None where the plant says it.
-        name: What error messages and logs call it.
-
-    Raises:
-        ValueError: `position` has not one index a dimension, or bad gains.
-    """
-    if position is None:
-        return Barrier(formula, gains, parameters, name, of_position=size)
+def _of_state(
+    formula: ShapeFunction, position: Position, size: int, name: str
+) -> BarrierFunction:
+    """Returns a formula of the position as a barrier's function, of the state."""
     at = position_function(position, size, name)
 
     def h(x: Expressions, t: Expression, p: Expressions) -> Expression:
         return formula(at(x), t, p)
 
-    if is_arithmetic(formula) and not callable(position):
-        arithmetic(h)
-    return Barrier(h, gains, parameters, name)
+    return arithmetic(h) if is_arithmetic(formula) and not callable(position) else h
 
 
 def position_function(position: Position, size: int, name: str) -> PositionFunction:
@@ -177,7 +216,7 @@ def _checked(position: PositionFunction, size: int) -> PositionFunction:
 
 
 @dataclass(frozen=True)
-class HalfSpace(Shape):
+class HalfSpace(SmoothShape):
     """The half-space ``normal . p >= offset`` that the position p must stay in.
 
     With the unit normal n = normal / |normal| its barrier is the distance::
@@ -228,7 +267,7 @@ def _half_space(position: Expressions, t: Expression, p: Expressions) -> Express
 
 
 @dataclass(frozen=True)
-class Geofence:
+class Geofence(Shape):
     """The box ``lower <= p <= upper`` that the position p must stay in.
 
     One `HalfSpace` a side, so one smooth barrier a side::
@@ -243,6 +282,7 @@ class Geofence:
         margin: The distance to keep from every side [m].
     """
 
+    kind: ClassVar[str] = "geofence"
     lower: Sequence[float] | Array
     upper: Sequence[float] | Array
     margin: float = 0.0
@@ -284,28 +324,9 @@ class Geofence:
                 sides[f"{letter} high"] = HalfSpace(-axis, -high, self.margin)
         return sides
 
-    @typed
-    def barriers(
-        self,
-        gains: Sequence[float] | Array,
-        position: Position | None = None,
-        name: str = "geofence",
-    ) -> list[Barrier]:
-        """Returns one barrier a side.
-
-        Args:
-            gains: K of (E4); their number is the relative degree.
-            position: Which states are the position, or a function from the symbolic
-                state x to it; None where the plant says it.
-            name: What error messages and logs call it; the side is added.
-
-        Raises:
-            ValueError: `position` has not one index a dimension, or bad gains.
-        """
-        return [
-            half_space.barrier(gains, position, f"{name} ({side})")
-            for side, half_space in self.half_spaces.items()
-        ]
+    def parts(self) -> Mapping[str, HalfSpace]:
+        """Returns its sides."""
+        return {f" ({side})": each for side, each in self.half_spaces.items()}
 
 
 @dataclass(frozen=True)

@@ -142,10 +142,8 @@ class ObstacleWatch:
         for number, (obstacle, center, radius) in enumerate(
             zip(self._obstacles, centers, message.radius, strict=True), start=1
         ):
-            velocity = np.array(obstacle.velocity or np.zeros_like(center))
-            known = np.array(obstacle.center) + message.time * velocity
-            away = float(np.linalg.norm(center - known))
-            larger = radius - (obstacle.radius + obstacle.margin)
+            away = float(np.linalg.norm(center - obstacle.center_at(message.time)))
+            larger = radius - obstacle.safety_distance
             if away + abs(larger) > _TOLERANCE:
                 self._difference = (
                     f"the vehicle's obstacle {number} is {away:.3f} m away from the"

@@ -9,13 +9,7 @@ from vcbf_drake.simulation.loading import (
 from vcbf_drake.simulation.log import read_log_files
 from vcbf_drake.simulation.loop import make_loop
 from vcbf_drake.simulation.obstacle_files import PolygonMap, SpheresFile
-from vcbf_drake.simulation.obstacle_kinds import (
-    BodyPoint,
-    MovingObstacle,
-    Obstacle,
-    StateRange,
-)
-from vcbf_drake.simulation.obstacles import barriers
+from vcbf_drake.simulation.obstacles import BodyPoint, barriers
 from vcbf_drake.simulation.result import Result, load_result
 from vcbf_drake.simulation.run import check_assumptions, simulate, step_cpu_time
 from vcbf_drake.simulation.scenario import (
@@ -37,13 +31,10 @@ __all__ = [
     "InputLimits",
     "Integrator",
     "MeasurementNoise",
-    "MovingObstacle",
-    "Obstacle",
     "PolygonMap",
     "Result",
     "Scenario",
     "SpheresFile",
-    "StateRange",
     "barriers",
     "check_assumptions",
     "dump_scenario",

@@ -15,11 +15,10 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from vcbf_drake.barriers import PolygonObstacle
+from vcbf_drake.barriers import PolygonObstacle, SphereObstacle
 from vcbf_drake.checks import Array, check_parameter
 from vcbf_drake.errors import InvalidValueError
 from vcbf_drake.files import IS_FILE
-from vcbf_drake.simulation.obstacle_kinds import Obstacle
 from vcbf_drake.typed import check_fields
 
 _LOG = logging.getLogger("vcbf_drake")
@@ -48,7 +47,7 @@ class SpheresFile:
         check_fields(self)
         check_parameter("margin", self.margin, zero_allowed=True)
 
-    def obstacles(self) -> list[Obstacle]:
+    def obstacles(self) -> list[SphereObstacle]:
         """Returns the spheres.
 
         Raises:
@@ -61,7 +60,7 @@ class SpheresFile:
             velocity = [row.get(f"velocity_{axis}", 0.0) for axis in axes]
             try:
                 found.append(
-                    Obstacle(
+                    SphereObstacle(
                         [row[axis] for axis in axes],
                         row["radius"],
                         velocity if any(velocity) else [],
@@ -69,7 +68,8 @@ class SpheresFile:
                     )
                 )
             except ValueError as error:
-                raise _wrong(self.file, f"line {line}: {error}") from None
+                reason = str(error).removeprefix("obstacle: ")
+                raise _wrong(self.file, f"line {line}: {reason}") from None
         return found
 
 

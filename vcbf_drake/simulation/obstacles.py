@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
-import math
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,6 +16,7 @@ from vcbf_drake.barriers import (
     EllipsoidObstacle,
     Geofence,
     HalfSpace,
+    MovingObstacle,
     PerceivedSpheres,
     PolygonObstacle,
     SphereObstacle,
@@ -25,32 +25,57 @@ from vcbf_drake.barriers import (
 )
 from vcbf_drake.barriers.obstacles import SphereForm
 from vcbf_drake.barriers.shapes import Shape
-from vcbf_drake.checks import Array, check_finite, require, require_choice
+from vcbf_drake.checks import (
+    Array,
+    check_finite,
+    check_parameter,
+    require,
+    require_choice,
+)
 from vcbf_drake.errors import below
 from vcbf_drake.model.position import Position
 from vcbf_drake.simulation.obstacle_files import PolygonMap, SpheresFile
-from vcbf_drake.simulation.obstacle_kinds import (
-    MovingObstacle,
-    Obstacle,
-    StateRange,
-)
+from vcbf_drake.typed import check_fields
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.scenario import Scenario
 
 AnyObstacle: TypeAlias = (
-    Obstacle
+    SphereObstacle
     | EllipsoidObstacle
     | CapsuleObstacle
     | BoxObstacle
     | PolygonObstacle
     | HalfSpace
     | Geofence
-    | StateRange
+    | StateLimit
     | MovingObstacle
     | SpheresFile
     | PolygonMap
 )
+
+
+@dataclass
+class BodyPoint:
+    """A point of the robot that keeps clear of every obstacle, with a ball around it.
+
+    Attributes:
+        point: Where it is, from the vehicle's position, forwards and to the left where
+            it has a heading; or in the frame [m]. Empty for the position, or the
+            frame's origin.
+        frame: The frame of a robot from a file that it moves with; empty for that of
+            its position.
+        radius: How much of the body around it is meant [m].
+    """
+
+    point: list[float] = field(default_factory=list)
+    frame: str = ""
+    radius: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        check_finite("point", self.point, size=len(self.point))
+        check_parameter("radius", self.radius, zero_allowed=True)
 
 
 class Carrier(NamedTuple):
@@ -71,6 +96,11 @@ class Carrier(NamedTuple):
         at: Any = self.position
         found = at(state) if callable(at) else state[list(at)]
         return [*map(float, found)]
+
+    def position_in(self, dimensions: int) -> Position:
+        """Returns its first coordinates: a polygon is a pillar in space."""
+        at = self.position
+        return (lambda x: at(x)[:dimensions]) if callable(at) else at[:dimensions]
 
 
 def with_files_read(
@@ -93,33 +123,22 @@ def with_files_read(
 
 def barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
     """Returns the barriers of the obstacles, then the vehicle's own limits."""
-    found: list[Barrier] = []
-    points = body(scenario)
-    for i, obstacle in enumerate(scenario.obstacles):
-        found += _barriers(scenario, points, obstacle, i + 1)
-    return [*_robust(scenario, found), *scenario.vehicle.barriers()]
+    return _all_barriers(scenario, [*enumerate(scenario.obstacles, start=1)], [])
 
 
 def seen_barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
     """Returns the same barriers where spheres have to be seen first."""
-    found: list[Barrier] = []
-    points = body(scenario)
-    for point in points:
-        found += replace(perceived_spheres(scenario), margin=point.radius).barriers(
-            scenario.barrier.gains, point.position, f"seen obstacle{point.name}"
-        )
-    for i, obstacle in enumerate(scenario.obstacles):
-        if not isinstance(obstacle, Obstacle):
-            found += _barriers(scenario, points, obstacle, i + 1)
-    return [*_robust(scenario, found), *scenario.vehicle.barriers()]
-
-
-def _robust(scenario: Scenario, found: Sequence[Barrier]) -> Sequence[Barrier]:
-    """The barriers, made for a disturbance before the input where that is asked for."""
-    if not scenario.barrier.robust:
-        return found
-    bound = scenario.make_source().bounds.delta1
-    return [barrier.robust_to(bound) for barrier in found]
+    seen: list[Barrier] = []
+    for point in body(scenario):
+        spheres = replace(perceived_spheres(scenario), margin=point.radius)
+        name = f"seen obstacle{point.name}"
+        seen += spheres.barriers(scenario.barrier.gains, point.position, name)
+    known = [
+        (number, each)
+        for number, each in enumerate(scenario.obstacles, start=1)
+        if not isinstance(each, SphereObstacle)
+    ]
+    return _all_barriers(scenario, known, seen)
 
 
 def perceived_spheres(scenario: Scenario) -> PerceivedSpheres:
@@ -147,68 +166,41 @@ def body(scenario: Scenario) -> list[Carrier]:
     return found
 
 
-def _barriers(
-    scenario: Scenario, points: Sequence[Carrier], obstacle: AnyObstacle, number: int
-) -> list[Barrier]:
-    if isinstance(obstacle, StateRange):
-        index = scenario.state_names.index(obstacle.state)
-        limit = StateLimit(index, obstacle.lower, obstacle.upper)
-        return limit.barriers(obstacle.gains, obstacle.state)
-    gains, found = scenario.barrier.gains, list[Barrier]()
-    path = obstacle.trajectory() if isinstance(obstacle, MovingObstacle) else None
-    for point in points:
-        for title, shape in _shapes(obstacle, scenario.barrier.form, point.radius):
-            name, position = f"{title.format(number)}{point.name}", point.position
-            if isinstance(shape, PolygonObstacle):
-                position = _in_plane(position)
-            if path is None:
-                found.append(shape.barrier(gains, position, name))
-            else:
-                found.append(shape.barrier_along(path, gains, position, name))
-    return found
+def _all_barriers(
+    scenario: Scenario,
+    numbered: Sequence[tuple[int, AnyObstacle]],
+    found: list[Barrier],
+) -> list[Barrier | StateInputLimit]:
+    """What was found, with the barriers of some obstacles and the vehicle's limits."""
+    points, names, settings = body(scenario), scenario.state_names, scenario.barrier
+    for number, obstacle in numbered:
+        if isinstance(obstacle, StateLimit):
+            at = names.index(str(obstacle.state))
+            found += replace(obstacle, state=at).barriers(name=names[at])
+        if not isinstance(obstacle, Shape):
+            continue
+        shape = _in_form(obstacle, settings.form)
+        for point in points:
+            position = point.position_in(shape.dimensions)
+            name = f"{shape.kind} {number}"
+            made = shape.grown(point.radius).barriers(settings.gains, position, name)
+            for each in made:
+                each.name += point.name
+            found += made
+    if settings.robust:
+        bound = scenario.make_source().bounds.delta1
+        found = [barrier.robust_to(bound) for barrier in found]
+    return [*found, *scenario.vehicle.barriers()]
 
 
-def _in_plane(position: Position) -> Position:
-    """The first two coordinates of a position: a polygon is a pillar in space."""
-    if callable(position):
-        return lambda x: position(x)[:2]
-    return position[:2]
-
-
-def _shapes(
-    obstacle: AnyObstacle, form: SphereForm, radius: float = 0.0
-) -> list[tuple[str, Shape]]:
-    """The shapes of an obstacle, each for one barrier, and what they are called.
-
-    Args:
-        obstacle: The obstacle.
-        form: Of a sphere's barrier.
-        radius: What is added to the margins [m].
-    """
+def _in_form(obstacle: Shape, form: SphereForm) -> Shape:
+    """Returns an obstacle; a sphere that says no form of its own with this one."""
     if isinstance(obstacle, MovingObstacle):
-        return _shapes(obstacle.shape, form, radius)
-    if isinstance(obstacle, Obstacle):
-        sphere = SphereObstacle(
-            obstacle.center,
-            obstacle.radius,
-            velocity=obstacle.velocity or None,
-            form=form,
-            margin=obstacle.margin + radius,
-        )
-        return [("obstacle {}", sphere)]
-    given: Any = obstacle
-    grown = replace(given, margin=given.margin + radius)
-    if isinstance(grown, Geofence):
-        sides = grown.half_spaces.items()
-        return [(f"geofence {{}} ({side})", each) for side, each in sides]
-    if isinstance(grown, PolygonObstacle):
-        pieces = [replace(grown, vertices=piece.tolist()) for piece in grown.pieces]
-        several = len(pieces) > 1
-        return [
-            ("polygon {}" + f".{i}" * several, piece)
-            for i, piece in enumerate(pieces, start=1)
-        ]
-    return [(f"{grown.kind} {{}}", grown)]
+        shape: Any = _in_form(obstacle.shape, form)
+        return replace(obstacle, shape=shape)
+    if isinstance(obstacle, SphereObstacle) and obstacle.form is None:
+        return replace(obstacle, form=form)
+    return obstacle
 
 
 def check_place(
@@ -232,21 +224,10 @@ def check_place(
     Raises:
         InvalidValueError: It is not.
     """
-    if isinstance(obstacle, StateRange) or (target and moves(obstacle)):
-        return
-    if isinstance(obstacle, MovingObstacle):
-        place, offset = np.array(position, dtype=float), obstacle.offset_at(0.0)
-        place[: len(offset)] -= offset  # A polygon is a pillar in space.
-        check_place(obstacle.shape, at, place.tolist(), what, target, radius)
-        return
-    if isinstance(obstacle, Obstacle):
-        reach = obstacle.radius + obstacle.margin + radius
-        height = math.dist(position, obstacle.center) - reach
-    else:
-        shapes = _shapes(obstacle, "distance", radius)
-        height = min(_height(each, position) for _, each in shapes)
-    rule = f"outside {what}, margin included; its signed distance is {height:.3g} m"
-    require(height > 0.0, at, [*position], rule)
+    if isinstance(obstacle, Shape) and not (target and obstacle.moves):
+        height = obstacle.grown(radius).height(position)
+        rule = f"outside {what}, margin included; its signed distance is {height:.3g} m"
+        require(height > 0.0, at, [*position], rule)
 
 
 def check_limits(scenario: Scenario) -> None:
@@ -257,8 +238,8 @@ def check_limits(scenario: Scenario) -> None:
     """
     state = np.array(scenario.initial_state, dtype=float)
     for obstacle in scenario.obstacles:
-        if isinstance(obstacle, StateRange):
-            value = state[scenario.state_names.index(obstacle.state)]
+        if isinstance(obstacle, StateLimit):
+            value = state[scenario.state_names.index(str(obstacle.state))]
             rule = f"from {obstacle.lower:g} to {obstacle.upper:g} in {obstacle.state}"
             is_inside = obstacle.lower <= value <= obstacle.upper
             require(is_inside, "initial_state", float(value), rule)
@@ -272,14 +253,6 @@ def check_limits(scenario: Scenario) -> None:
                 continue
             rule = f"inside the robot's limit {barrier.name}; its h is {h:.3g}"
             require(h >= 0.0, "initial_state", state.tolist(), rule)
-
-
-def moves(obstacle: AnyObstacle) -> bool:
-    """Returns whether an obstacle moves at all."""
-    if isinstance(obstacle, MovingObstacle):
-        return True
-    velocity = getattr(obstacle, "velocity", None)
-    return velocity is not None and bool(np.any(velocity))
 
 
 def check_fits(
@@ -298,18 +271,11 @@ def check_fits(
     """
     if isinstance(obstacle, MovingObstacle):
         check_fits(obstacle.shape, (*path, "shape"), names, size)
-    elif isinstance(obstacle, StateRange):
+    elif isinstance(obstacle, StateLimit):
         require_choice((*path, "state"), obstacle.state, names)
-    elif isinstance(obstacle, Obstacle):
+    elif isinstance(obstacle, SphereObstacle):
         check_finite((*path, "center"), obstacle.center, size=size)
-    elif not isinstance(obstacle, PolygonObstacle):
-        found = _shapes(obstacle, "distance")[0][1].formula()[0]
+    elif isinstance(obstacle, Shape) and not isinstance(obstacle, PolygonObstacle):
+        found = obstacle.dimensions
         rule = f"of {size} dimensions, like the target"
         require(found == size, path, f"{found} dimensions", rule)
-
-
-def _height(shape: Shape, position: Sequence[float]) -> float:
-    """Returns a shape's h at a position, at time 0."""
-    _, h, parameters = shape.formula()
-    at_start: Any = h(np.array(position), Expression(0.0), np.array(parameters))
-    return float(at_start.Evaluate() if isinstance(at_start, Expression) else at_start)

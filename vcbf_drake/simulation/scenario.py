@@ -17,7 +17,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import GetIntegrationSchemes
 
 from vcbf_drake.barriers.barrier import decay_rates
-from vcbf_drake.barriers.obstacles import SphereForm
+from vcbf_drake.barriers.obstacles import SphereForm, SphereObstacle
 from vcbf_drake.checks import check_finite, check_parameter, require, require_choice
 from vcbf_drake.disturbances.source import (
     BandLimitedNoise,
@@ -37,9 +37,9 @@ from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.methods import METHODS
 from vcbf_drake.safety.settings import FilterSettings
 from vcbf_drake.simulation.faults import Faults
-from vcbf_drake.simulation.obstacle_kinds import BodyPoint, Obstacle
 from vcbf_drake.simulation.obstacles import (
     AnyObstacle,
+    BodyPoint,
     body,
     check_fits,
     check_limits,
@@ -422,9 +422,9 @@ class Scenario(FilterSettings):
         check_limits(self)
 
     @property
-    def spheres(self) -> list[Obstacle]:
+    def spheres(self) -> list[SphereObstacle]:
         """The obstacles that are spheres: those that can be seen and told of."""
-        return [each for each in self.obstacles if isinstance(each, Obstacle)]
+        return [each for each in self.obstacles if isinstance(each, SphereObstacle)]
 
     @property
     def state_names(self) -> list[str]:

@@ -14,7 +14,7 @@ from vcbf_drake.barriers import PerceivedSpheres
 from vcbf_drake.checks import Array
 
 if TYPE_CHECKING:
-    from vcbf_drake.simulation.obstacle_kinds import Obstacle
+    from vcbf_drake.barriers import SphereObstacle
 
 # Ticks are compared with this part of a period to spare.
 _TO_SPARE = 1e-6
@@ -190,7 +190,7 @@ class ObstaclesInSight(LeafSystem):
 
     def __init__(
         self,
-        obstacles: Sequence[Obstacle],
+        obstacles: Sequence[SphereObstacle],
         spheres: PerceivedSpheres,
         num_states: int,
         positions: Callable[[Array], Array],
@@ -206,11 +206,11 @@ class ObstaclesInSight(LeafSystem):
             sight: The distance from which a surface is seen [m].
         """
         super().__init__()
-        zero = [0.0] * spheres.dimensions
-        self._centers = np.array([each.center for each in obstacles])
-        self._velocities = np.array([each.velocity or zero for each in obstacles])
+        motions = [each.moving_center for each in obstacles]
+        self._centers = np.array([each.start for each in motions])
+        self._velocities = np.array([each.velocity for each in motions])
         self._surfaces = np.array([each.radius for each in obstacles])
-        self._radii = np.array([each.radius + each.margin for each in obstacles])
+        self._radii = np.array([each.safety_distance for each in obstacles])
         self._spheres, self._positions, self._sight = spheres, positions, sight
         self._state = self.DeclareVectorInputPort("state", num_states)
         self.DeclareVectorOutputPort("obstacles", spheres.size, self._calc)

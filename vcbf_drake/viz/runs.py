@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vcbf_drake.barriers import Barrier
+from vcbf_drake.barriers import Barrier, StateLimit
 from vcbf_drake.checks import Array
 from vcbf_drake.plants.channels import Channels, channels_of
-from vcbf_drake.simulation.obstacle_kinds import StateRange
 from vcbf_drake.viz.solids import in_space
 from vcbf_drake.viz.style import METHOD_STYLES
 
@@ -140,7 +139,7 @@ def barrier_unit(scenario: Scenario) -> str:
     length = "m²" if scenario.barrier.form == "squared" else "m"
     states = channels_of(scenario.vehicle.make_plant()).states
     units = {
-        states[each.state] if isinstance(each, StateRange) else length
+        states[str(each.state)] if isinstance(each, StateLimit) else length
         for each in scenario.obstacles
     }
     if any(isinstance(each, Barrier) for each in scenario.vehicle.barriers()):

@@ -19,7 +19,7 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, OutputPort
 
-from vcbf_drake.barriers.obstacles import Obstacle as MovingObstacle
+from vcbf_drake.barriers.obstacles import MovingObstacle, Obstacle
 from vcbf_drake.barriers.shapes import Shape
 from vcbf_drake.model.ports import state_port_of
 from vcbf_drake.plants.shapes import Part, of_body
@@ -226,6 +226,8 @@ class ObstacleGeometry(PosedGeometry):
 def _pose(obstacle: Shape, time: float) -> RigidTransform:
     """Where the frame of an obstacle is: at its centre, if it has one."""
     if isinstance(obstacle, MovingObstacle):
+        return RigidTransform(in_space(obstacle.offset_at(time)))
+    if isinstance(obstacle, Obstacle):
         return RigidTransform(in_space(obstacle.center_at(time)))
     return RigidTransform()
 

@@ -18,11 +18,11 @@ from vcbf_drake.barriers import (
     EllipsoidObstacle,
     Geofence,
     HalfSpace,
+    MovingObstacle,
     PolygonObstacle,
     SphereObstacle,
 )
 from vcbf_drake.checks import Array
-from vcbf_drake.simulation.obstacle_kinds import MovingObstacle, Obstacle
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.scenario import Scenario
@@ -149,13 +149,9 @@ def solids(obstacle: object, height: float) -> Iterator[Solid]:
     """The convex solids that make up an obstacle; none where it is none of these.
 
     Args:
-        obstacle: An obstacle of `vcbf_drake.barriers`, or a scenario's.
+        obstacle: An obstacle of `vcbf_drake.barriers`.
         height: How high it is in the plane [m].
     """
-    if isinstance(obstacle, Obstacle):
-        given = obstacle
-        obstacle = SphereObstacle(given.center, given.radius, given.velocity)
-        obstacle.margin = given.margin
     if isinstance(obstacle, MovingObstacle):
         start = RigidTransform(in_space(obstacle.offset_at(0.0)))
         for each in solids(obstacle.shape, height):
