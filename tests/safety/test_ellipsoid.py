@@ -486,6 +486,27 @@ def test_decoupled_input_is_an_axis():
     assert e.center[1] == 0.0 and e.multipliers[1] == e.multipliers[4] == 0.5
 
 
+def test_a_row_beside_a_limit_of_the_box_spoils_nothing():
+    """Rows of a quadrotor: of its thrust, just inside an input's own limit."""
+    A = np.array(
+        [
+            [-237.65851, 34.789470, 530.54817, 0.0],
+            [-448.07148, 1.8893882, 1305.4535, -4.3e-16],
+            [-697.34375, 20.174653, 2046.2906, -4.3e-16],
+            [-191.01538, 0.0, 0.0, 0.0],
+            [191.01538, 0.0, 0.0, 0.0],
+        ]
+    )
+    b = np.array([2.2206368, 349.31988, 1104.7898, 127.81446, 191.01054])
+    box = np.vstack([np.eye(4), -np.eye(4)])
+    drakes = HPolyhedron(
+        np.vstack([box, A]), np.concatenate([np.ones(8), b])
+    ).MaximumVolumeInscribedEllipsoid()
+    found = InscribedEllipsoidSolver(InputSet.box([-1.0] * 4, [1.0] * 4)).solve(A, b)
+    assert found.certified_gap <= 1e-7
+    assert found.log_det == pytest.approx(-np.linalg.slogdet(drakes.A())[1], abs=1e-5)
+
+
 def test_cut_box_gradient_against_central_differences():
     rng = np.random.default_rng(8)
     solver = InscribedEllipsoidSolver(InputSet.box(-np.ones(3), np.ones(3)))

@@ -300,7 +300,23 @@ def _of_rows(
             found = polish(A, b, *guess[:2], multipliers)
     if found and found.certified_gap <= ACCEPTED_GAP:
         return found
-    return inscribed_ellipsoid(A, b)
+    return _without_spare_rows(A, b)
+
+
+def _without_spare_rows(A: Array, b: Array) -> CertifiedEllipsoid | Ellipsoid:
+    """The largest ellipsoid, sought from nothing but the rows that are not parallel.
+
+    A thrust's limit beside an input's own, a little further out, spoils the search.
+    """
+    kept, multipliers = np.sort(_tightest(A, b, 0)), np.zeros(len(b))
+    proposed = inscribed_ellipsoid(A[kept], b[kept])
+    if len(kept) == len(b):
+        return proposed
+    multipliers[kept] = proposed.multipliers
+    found = certified(A, b, proposed.center, proposed.shape, multipliers)
+    if found is None or not found.certified_gap <= ACCEPTED_GAP:
+        return inscribed_ellipsoid(A, b)
+    return found
 
 
 def _tightest(A: Array, b: Array, first: int) -> NDArray[np.intp]:
