@@ -34,7 +34,7 @@ from .page import share, whole_lines
 from .study import FIRST_JUDGE, Courses, can_stop, is_lost
 
 WIDENINGS, GAINS = (1.0, 4.0, 8.0), (0.1, 0.3, 1.0, 3.0)  # kappa, lambda [1/s]
-COUNT, BLOCK = 24, 4  # courses a vehicle, and of how many a block of work is
+COUNT, BLOCK = 40, 4  # courses a vehicle, and of how many a block of work is
 
 
 def weak_blimp(index: int) -> dict[str, Any]:
@@ -68,7 +68,7 @@ def cruise(index: int) -> dict[str, Any]:
 def slalom(index: int) -> dict[str, Any]:
     """Returns three spheres in a quadrotor's way, and weaker moments and thrust."""
     draw = np.random.default_rng([32, index]).uniform
-    limits = [draw(0.05, 0.5) * each for each in LIMITS]
+    limits = [draw(0.05, 0.3) * each for each in LIMITS]
     spheres = [
         {
             "center": [x + draw(-0.3, 0.3), draw(-0.5, 0.5), 1.0 + draw(-0.4, 0.4)],
@@ -89,10 +89,10 @@ _EFFORTS = [300.0, 300.0, 170.0, 170.0, 100.0, 40.0, 40.0]  # Of the URDF [N m].
 def reach(index: int) -> dict[str, Any]:
     """Returns a ball in an arm's way, a start, weaker joints and a hasty controller."""
     draw = np.random.default_rng([33, index]).uniform
-    efforts = [draw(0.1, 0.5) * each for each in _EFFORTS]
+    efforts = [draw(0.08, 0.4) * each for each in _EFFORTS]
     start = np.array([0.5, 0.5, 0.0, -1.0, 0.0, 0.5, 0.0]) + draw(-0.1, 0.1, 7)
     ball = np.array([0.66, 0.0, 0.62]) + draw(-0.08, 0.08, 3)
-    stiffness = draw(4.0, 40.0)
+    stiffness = draw(20.0, 100.0)
     return {
         "input_set": {"lower": [-each for each in efforts], "upper": efforts},
         "vehicle": {
@@ -107,6 +107,7 @@ def reach(index: int) -> dict[str, Any]:
             {"_tag": "!HalfSpace", "normal": [0.0, 0.0, 1.0], "offset": 0.1},
         ],
         "initial_state": [*start.tolist(), *[0.0] * 7],
+        "period": 0.01,
     }
 
 
@@ -146,13 +147,92 @@ class Plant:
 ROBUST = "dob-vcbf-qp", "dob-cbf-qp"
 CALM = "vcbf-qp", "cbf-qp"
 PLANTS = {
-    "car": Plant("car-sensitivity", *ROBUST, weak_car, 15.0),
-    "blimp": Plant("blimp-multiple-obstacles", *ROBUST, weak_blimp, 20.0),
-    "cruise": Plant("examples/adaptive_cruise_control.py", *CALM, cruise, 25.0),
-    "quadrotor": Plant("examples/quadrotor_slalom.py", *ROBUST, slalom, 8.0),
-    "arm": Plant("examples/arm.yaml", *CALM, reach, 3.0),
+    "car": Plant("car-sensitivity", *ROBUST, weak_car, 12.0),
+    "blimp": Plant("blimp-multiple-obstacles", *ROBUST, weak_blimp, 18.0),
+    "cruise": Plant("examples/adaptive_cruise_control.py", *CALM, cruise, 20.0),
+    "quadrotor": Plant("examples/quadrotor_slalom.py", *ROBUST, slalom, 5.0),
+    "arm": Plant("examples/arm.yaml", *CALM, reach, 1.5),
 }
 SETTINGS: list[VolumeBarrier | None] = [
     None,
     *(VolumeBarrier(gain=g, widening=w) for w in WIDENINGS for g in GAINS),
 ]
+
+
+def main() -> None:
+    """Runs what has not been run, or writes the page."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, default=Path("out/feasibility_defaults"))
+    parser.add_argument("--workers", type=int, default=1, help="how many processes")
+    parser.add_argument("--courses", type=int, default=COUNT, help="a vehicle")
+    parser.add_argument("--first", type=int, default=FIRST_JUDGE, help="its number")
+    parser.add_argument("--page", type=Path, help="write this page, and run nothing")
+    options = parser.parse_args()
+    if options.page:
+        atomic_write(options.page, page(options.out))
+        return
+    last = options.first + options.courses
+    for start in range(options.first, last, BLOCK):
+        numbers = range(start, min(start + BLOCK, last))
+        for name, plant in PLANTS.items():
+            trials = [plant.trial(name, i, s) for s in SETTINGS for i in numbers]
+            # New processes for every block: pydrake does not free every diagram.
+            with new_pool(options.workers) as pool:
+                run_study(trials, options.out / f"{name}-{start}.jsonl", pool)
+            print(f"{name}: {numbers}", flush=True)
+
+
+def page(directory: Path) -> str:
+    """Returns the page of the records that there are."""
+    return "".join(f"{line}\n" for line in _lines(directory))
+
+
+def _lines(directory: Path) -> Iterator[str]:
+    yield _HEAD
+    for name, plant in PLANTS.items():
+        records = [
+            json.loads(line)
+            for path in sorted(directory.glob(f"{name}-*.jsonl"))
+            for line in whole_lines(path)
+        ]
+        yield from _table(name, plant, records)
+
+
+def _table(name: str, plant: Plant, records: list[Record]) -> Iterator[str]:
+    found = {
+        (record["method"], record["overrides"], record["index"]): record
+        for record in records
+    }
+    of = {}
+    for number, barrier in enumerate(SETTINGS):
+        trial = plant.trial(name, 0, barrier)
+        of[number] = {
+            index: record
+            for (method, overrides, index), record in found.items()
+            if (method, overrides) == (trial.method, trial.overrides)
+        }
+    # Only courses that were run with every setting compare.
+    whole = set.intersection(*(set(each) for each in of.values()))
+    yield f"## {name.capitalize()}, {len(whole)} courses of {plant.duration:g} s\n"
+    yield "| widening | gain [1/s] | kept | FAILED | touch | arrive |"
+    yield "| ---: | ---: | ---: | ---: | ---: | ---: |"
+    for number, barrier in enumerate(SETTINGS):
+        runs = [of[number][index] for index in sorted(whole)]
+        kept = sum(not is_lost(record) for record in runs)
+        counts = (
+            sum(bool(record["failed_ticks"]) for record in runs),
+            sum(record["collided_at"] is not None for record in runs),
+            sum(record["reached_at"] is not None for record in runs),
+        )
+        setting = f"{barrier.widening:g} | {barrier.gain:g}" if barrier else "- | -"
+        cells = " | ".join(map(str, counts))
+        yield f"| {setting} | {share(kept, len(runs))} | {cells} |"
+    yield ""
+
+
+_HEAD = ""
+
+if __name__ == "__main__":
+    main()
