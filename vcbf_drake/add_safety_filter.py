@@ -13,7 +13,7 @@ from vcbf_drake.between_ticks import BackupGate, HeldRows
 from vcbf_drake.checks import require
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceObserver
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.model.ports import input_port_of, state_port_of
+from vcbf_drake.model.interface import find_input_port, state_port_of
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.loop_monitor import LoopMonitor
 from vcbf_drake.safety.safety_filter import SafetyFilter
@@ -101,7 +101,7 @@ def AddSafetyFilter(
     settings = settings or FilterSettings()
     plant_input: InputPort | None = None
     if plant is not None:
-        plant_input = plant if isinstance(plant, InputPort) else input_port_of(plant)
+        plant_input = plant if isinstance(plant, InputPort) else find_input_port(plant)
         system = plant_input.get_system()
         # What holds between ticks is certified on symbolic dynamics.
         symbolic = settings.between_ticks == "certified"

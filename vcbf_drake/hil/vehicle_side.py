@@ -33,7 +33,7 @@ from vcbf_drake.hil.mailbox import Inbox, Outbox
 from vcbf_drake.hil.messages import vcbf_obstacles, vcbf_state
 from vcbf_drake.hil.timing import RoundTrip, Timeline, check_timing
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.model.ports import state_port_of
+from vcbf_drake.model.interface import state_port_of
 from vcbf_drake.safety import InputSet
 from vcbf_drake.simulation.loop import (
     LOG_PREFIX,

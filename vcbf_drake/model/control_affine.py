@@ -13,7 +13,6 @@ from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.agreement import require_agreement, sample_points
 from vcbf_drake.model.compiled import Expressions, compile_nodes
-from vcbf_drake.model.declared import declared_states, wrapping
 from vcbf_drake.model.graph import (
     ONE,
     ZERO,
@@ -21,16 +20,19 @@ from vcbf_drake.model.graph import (
     Nodes,
     along,
     gradients,
-    substitute,
     variable,
-    variables_of,
+)
+from vcbf_drake.model.interface import (
+    PortChoice,
+    declared_states,
+    unit_quaternions,
+    wrapping,
 )
 from vcbf_drake.model.manoeuvre import MakeManoeuvres
-from vcbf_drake.model.numeric_dynamics import has_plant_state, numeric_dynamics
+from vcbf_drake.model.numeric_dynamics import plant_of
 from vcbf_drake.model.position import Position, named_position
 from vcbf_drake.model.reading import Reader
 from vcbf_drake.model.symbolic_dynamics import (
-    PortChoice,
     SymbolicDynamics,
     symbolic_dynamics,
 )
@@ -225,23 +227,22 @@ class ControlAffineModel:
         from vcbf_drake.model.multibody_model import MultibodyModel
 
         choices = system, input_port, disturbance_port, context
-        if not symbolic and has_plant_state(system):
-            return MultibodyModel(numeric_dynamics(*choices))
+        is_plant, said = plant_of(system) is not None, declared_states(system)
+        if is_plant and not symbolic:
+            return MultibodyModel(*choices)
         dynamics = symbolic_dynamics(*choices)
-        m, said = len(dynamics.input), declared_states(system)
-        parts = _solve(dynamics.mass_matrix, _affine_parts(dynamics))
         model = cls(
-            state=dynamics.variables,
-            drift=parts[:, 0],
-            input_matrix=parts[:, 1 : 1 + m],
-            disturbance_matrix=_constant_matrix(parts[:, 1 + m :], dynamics),
-            state_names=dynamics.state_names,
+            state=dynamics.state,
+            drift=dynamics.drift,
+            input_matrix=dynamics.input_matrix,
+            disturbance_matrix=dynamics.disturbance_matrix,
+            state_names=said.names,
             name=dynamics.name,
             effort_limits=dynamics.effort_limits,
             wrapped_states=said.periods,
             position=said.position,
         )
-        if has_plant_state(system) or not model.num_disturbances:
+        if is_plant or not model.num_disturbances:
             model.speed_matrix = np.eye(model.num_states)[[*said.velocities]]
         _require_same_rates(model, dynamics)
         model.make_manoeuvres = getattr(system, "make_manoeuvres", None)
@@ -338,7 +339,7 @@ def _require_same_rates(model: ControlAffineModel, dynamics: SymbolicDynamics) -
 
     def parts(point: Array) -> tuple[Array, Array, Array]:
         x, u, d = np.split(point, [n, n + m])
-        return _unit_quaternions(x, model.state_names), np.clip(u, -limits, limits), d
+        return unit_quaternions(x, model.state_names), np.clip(u, -limits, limits), d
 
     def derived(point: Array) -> Array:
         x, u, d = parts(point)
@@ -355,102 +356,3 @@ def _require_same_rates(model: ControlAffineModel, dynamics: SymbolicDynamics) -
     points = sample_points(n + m + E.shape[1])
     names = [f"{model.name}: the derivative of {state}" for state in model.state_names]
     require_agreement(derived, own, points, describe, names)
-
-
-def _unit_quaternions(x: Array, names: Sequence[str]) -> Array:
-    """The state with its quaternions, as a MultibodyPlant names them, made unit."""
-    x = x.copy()
-    for i, name in enumerate(names):
-        if name.endswith("_qw"):
-            x[i : i + 4] /= np.linalg.norm(x[i : i + 4])
-    return x
-
-
-def _affine_parts(dynamics: SymbolicDynamics) -> Nodes:
-    """The parts [F0, F1], shape (n, 1 + m + q), of F = F0(x) + F1(x) [u; d]."""
-    rows = [_affine_row(force, dynamics) for force in dynamics.force]
-    for state, row in zip(dynamics.state_names, rows, strict=True):
-        if row is None:
-            raise ModelError(
-                f"{dynamics.name}: the derivative of {state} is not affine in the"
-                " input and the disturbance; choose a port behind what is not, and"
-                " give limits to the InputSet (a MultibodyPlant in a Diagram drops its"
-                " own by RemoveAllJointActuatorEffortLimits)"
-            )
-    return np.array(rows)
-
-
-def _affine_row(force: Node, dynamics: SymbolicDynamics) -> Nodes | None:
-    """The parts [F0, F1] of a force F0(x) + F1(x) w; None if it is not affine in w."""
-    w: list[Node] = [*dynamics.input, *dynamics.disturbance]
-    try:
-        gradient = list(gradients([force], w)[0]) if w else []
-    except ValueError:
-        return None
-    row = np.array(substitute([force, *gradient], dict.fromkeys(w, ZERO)), dtype=object)
-    # A gradient may hold w only for want of simplification: numbers tell.
-    structural = variables_of(gradient).isdisjoint(w)
-    return row if structural or _agree(force, row, [*dynamics.state], w) else None
-
-
-def _agree(force: Node, row: Nodes, x: Sequence[Node], w: Sequence[Node]) -> bool:
-    """Whether F(x, w) = row . [1; w] at random points, near and far."""
-    random = np.random.default_rng(0)
-    compiled = compile_nodes([*x, *w], [force, *row])
-    errors = []
-    for scale in np.geomspace(1e-3, 1e3, 25):
-        x_value = random.normal(size=len(x))
-        w_value = scale * random.normal(size=len(w))
-        try:
-            F, *parts = compiled(*x_value.tolist(), *w_value.tolist())
-        except (ArithmeticError, ValueError):
-            continue
-        terms = np.array(parts) * [1.0, *w_value]
-        errors.append(abs(F - terms.sum()) / (np.abs(terms).max() or 1.0))
-    return bool(errors) and max(errors) < 1e-9
-
-
-def _solve(M: Nodes, R: Nodes) -> Nodes:
-    """Solves M X = R for X, shape (n, k), by Gaussian elimination.
-
-    Without pivoting: M is the identity, or a positive definite matrix of inertia.
-    """
-    M, X = M.copy(), np.array(R)
-    for k in range(len(M)):
-        for i in range(k + 1, len(M)):
-            if M[i, k] is not ZERO:
-                factor = M[i, k] / M[k, k]
-                M[i, k + 1 :] = M[i, k + 1 :] - factor * M[k, k + 1 :]
-                X[i] = X[i] - factor * X[k]
-    for i in reversed(range(len(M))):
-        X[i] = (X[i] - M[i, i + 1 :] @ X[i + 1 :]) / M[i, i]
-    return X
-
-
-def _constant_matrix(E: Nodes, dynamics: SymbolicDynamics) -> Array:
-    """The numbers of E, shape (n, q)."""
-    matrix = np.empty(E.shape)
-    for (i, j), entry in np.ndenumerate(E):
-        value = _constant(entry, [*dynamics.state])
-        if value is None:
-            raise ModelError(
-                f"{dynamics.name}: the disturbance matrix E is not constant:"
-                f" disturbance {j} acts on the derivative of"
-                f" {dynamics.state_names[i]} differently from state to state"
-            )
-        matrix[i, j] = value
-    return matrix
-
-
-def _constant(entry: Node, x: Sequence[Node]) -> float | None:
-    """The value of a formula that is the same at random points, else None."""
-    if entry.number is not None:
-        return entry.number
-    compiled = compile_nodes(x, [entry])
-    points = np.random.default_rng(0).normal(size=(8, len(x))).tolist()
-    try:
-        values = [compiled(*point)[0] for point in points]
-    except (ArithmeticError, ValueError):
-        return None
-    same = np.ptp(values) <= 1e-9 * np.max(np.abs(values))
-    return float(values[0]) if same else None

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.symbolic import Variable
+from pydrake.systems.framework import Context, System
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.control_affine import ControlAffineModel, Dynamics
 from vcbf_drake.model.graph import variable
+from vcbf_drake.model.interface import (
+    PortChoice,
+    declared_states,
+    default_context,
+    effort_limits_of,
+    find_disturbance_port,
+    find_input_port,
+    name_of,
+    unit_quaternions,
+)
 from vcbf_drake.model.numeric_dynamics import NumericDynamics
 
 # How many seeded states a constant or an affine form is looked for at.
@@ -33,28 +44,41 @@ class MultibodyModel(ControlAffineModel):
         num_positions: How many of the states are positions q; velocities v follow.
     """
 
-    def __init__(self, dynamics: NumericDynamics) -> None:
+    def __init__(
+        self,
+        system: System,
+        input_port: PortChoice = None,
+        disturbance_port: PortChoice = None,
+        context: Context | None = None,
+    ) -> None:
         """Looks at the System's numbers at a few seeded states.
 
         Args:
-            dynamics: The System, its ports and its parameters.
+            system: The MultibodyPlant, or a Diagram whose state is its.
+            input_port: The port of u; see `ControlAffineModel.from_system`.
+            disturbance_port: The port of d, likewise.
+            context: Holds the parameters and other ports' values.
 
         Raises:
-            ModelError: It depends on time, is not affine in u and d, or E is not
-                constant or lacks rank.
+            ModelError: Its state is not continuous, it depends on time, is not affine
+                in u and d, E is not constant or lacks rank, or the ports are not what
+                is needed.
         """
-        self.plant = dynamics.plant
-        self._dynamics = dynamics
+        default_context(system)
+        disturbance = find_disturbance_port(system, disturbance_port)
+        port = find_input_port(system, input_port, disturbance)
+        self._dynamics = NumericDynamics(system, port, disturbance, context)
+        self.plant = self._dynamics.plant
         self.num_positions = self.plant.num_positions()
-        names = dynamics.state_names
+        names, name = tuple(self.plant.GetStateNames()), name_of(system)
         self._describe(
-            num_inputs=dynamics.num_inputs,
-            disturbance_matrix=_constant_matrix(dynamics),
+            num_inputs=port.size(),
+            disturbance_matrix=_constant_matrix(self._dynamics, names, name),
             state_names=names,
-            name=dynamics.name,
-            effort_limits=dynamics.effort_limits,
-            wrapped_states=dynamics.wrapped_states,
-            position=getattr(dynamics.system, "position_indices", None),
+            name=name,
+            effort_limits=effort_limits_of(system, port),
+            wrapped_states=declared_states(system).periods,
+            position=getattr(system, "position_indices", None),
         )
         self.speed_matrix = np.eye(len(names))[self.num_positions :]
         self.state = np.array([Variable(name) for name in names])
@@ -63,7 +87,7 @@ class MultibodyModel(ControlAffineModel):
         self.dynamics = Dynamics(x, (), (), E)  # f and g have no formulas.
         self.compiled_rate = self._rate
         self._motion: Motion | None = None
-        _require_affine(dynamics, self)
+        _require_affine(self._dynamics, self)
 
     @cached_property
     def velocity_of_position(self) -> dict[int, int]:
@@ -83,7 +107,7 @@ class MultibodyModel(ControlAffineModel):
 
     def regular_state(self, random: np.random.Generator, scale: float = 1.0) -> Array:
         """Returns a random state, shape (n,), its quaternions of unit length."""
-        return self._dynamics.regular_state(random, scale)
+        return _regular_state(self.state_names, random, scale)
 
     def at(self, x: Array) -> Motion:
         """Returns how the bodies move at a state x (n,); kept until the next one."""
@@ -115,7 +139,7 @@ class MultibodyModel(ControlAffineModel):
     def nominal_rate(self, x: Array, u: Array) -> Array:
         """Evaluates f(x) + g(x) u, shape (n,): dx/dt without disturbance."""
         d = np.zeros(self.num_disturbances)
-        return self._dynamics.in_numbers.rate(x, np.asarray(u, dtype=float), d)
+        return self._dynamics.rate(x, np.asarray(u, dtype=float), d)
 
 
 @dataclass(frozen=True)
@@ -155,7 +179,7 @@ class Motion:
     @cached_property
     def parts(self) -> tuple[Array, Array]:
         """f, shape (n,), and g, shape (n, m)."""
-        return self._dynamics.in_numbers.affine_parts(self._x)
+        return self._dynamics.affine_parts(self._x)
 
     @cached_property
     def sensitivity(self) -> tuple[Array, Array]:
@@ -164,7 +188,7 @@ class Motion:
 
     def place(self, frame: str, offset: tuple[float, ...]) -> Array:
         """Returns where a point of a frame is, shape (3,) [m]."""
-        numbers = self._dynamics.in_numbers
+        numbers = self._dynamics
         numbers.set_state(self._x)
         return numbers.place(frame, offset)
 
@@ -178,7 +202,7 @@ class Motion:
         key = frame, offset
         if key not in self._points:
             f, g = self.parts
-            numbers = self._dynamics.in_numbers
+            numbers = self._dynamics
             numbers.set_state(self._x)
             p, J, bias = numbers.kinematics(frame, offset)
             nq = len(f) - J.shape[1]
@@ -219,13 +243,21 @@ class Motion:
         return self._sensitive_points[key]
 
 
-def _constant_matrix(dynamics: NumericDynamics) -> Array:
+def _regular_state(
+    names: Sequence[str], random: np.random.Generator, scale: float = 1.0
+) -> Array:
+    return unit_quaternions(scale * random.normal(size=len(names)), names)
+
+
+def _constant_matrix(
+    dynamics: NumericDynamics, names: Sequence[str], name: str
+) -> Array:
     """E, shape (n, q), the same at a few seeded states."""
     random, q = np.random.default_rng(0), dynamics.num_disturbances
     if not q:
-        return np.zeros((len(dynamics.state_names), 0))
+        return np.zeros((len(names), 0))
     found = [
-        dynamics.in_numbers.disturbance_matrix(dynamics.regular_state(random))
+        dynamics.disturbance_matrix(_regular_state(names, random))
         for _ in range(_NUM_SAMPLES)
     ]
     spread = np.ptp(found, axis=0)
@@ -233,27 +265,26 @@ def _constant_matrix(dynamics: NumericDynamics) -> Array:
     if len(varying):
         i, j = varying[0]
         raise ModelError(
-            f"{dynamics.name}: the disturbance matrix E is not constant: disturbance"
-            f" {j} acts on the derivative of {dynamics.state_names[i]} differently from"
-            " state to state"
+            f"{name}: the disturbance matrix E is not constant: disturbance {j} acts on"
+            f" the derivative of {names[i]} differently from state to state"
         )
     matrix: Array = found[0]
     return matrix
 
 
-def _require_affine(dynamics: NumericDynamics, model: ControlAffineModel) -> None:
+def _require_affine(dynamics: NumericDynamics, model: MultibodyModel) -> None:
     """Checks dx/dt = f + g u + E d at seeded states, inputs, disturbances and times."""
     random = np.random.default_rng(1)
     limits = np.fmin(model.effort_limits, 1e3)
     for scale in np.geomspace(0.1, 10.0, _NUM_SAMPLES):
-        x = dynamics.regular_state(random, scale)
+        x = model.regular_state(random, scale)
         u = random.uniform(-limits, limits)
         d = np.asarray(random.normal(size=model.num_disturbances))
         f, g = model.drift_and_input_matrix(x)
         expected = f + g @ u + model.disturbance_matrix @ d
         size = np.abs(f) + np.abs(g) @ np.abs(u) + 1.0
         for t, word in ((0.0, "is not affine in the input"), (1.3, "depends on time")):
-            found = dynamics.in_numbers.rate(x, u, d, t)
+            found = dynamics.rate(x, u, d, t)
             wrong = np.abs(found - expected) > 1e-7 * size
             if wrong.any():
                 state = model.state_names[int(wrong.argmax())]

@@ -23,14 +23,13 @@ from pydrake.multibody.tree import (
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
-from vcbf_drake.model.declared import declared_states
-from vcbf_drake.model.symbolic_dynamics import (
-    PortChoice,
-    default_context,
+from vcbf_drake.model.interface import (
+    Port,
+    copy_values,
     effort_limits_of,
-    find_disturbance_port,
-    find_input_port,
+    name_of,
     vector_ports,
+    with_ports_held,
 )
 
 
@@ -47,124 +46,70 @@ class PortForces:
     disturbance: Array
 
 
-@dataclass(frozen=True)
 class NumericDynamics:
-    """A System whose continuous state is a MultibodyPlant's, with two of its ports.
+    """Derivatives and kinematics of a System around a MultibodyPlant, in numbers.
+
+    Where the System is the plant itself, its ports are generalised forces and it is
+    evaluated by its manipulator equation, which needs no SceneGraph and has no contact.
+
+    Args:
+        system: The MultibodyPlant, or a Diagram with it.
+        input_port: The port of u.
+        disturbance_port: That of d; None without one.
+        context: Holds the parameters and other ports' values; None for the defaults.
+        autodiff: Whether its numbers carry derivatives.
 
     Attributes:
-        system: The MultibodyPlant, or a Diagram with it.
-        plant: The MultibodyPlant.
-        name: What the System is called in messages.
-        input: The index of the input's port.
-        disturbance: That of the disturbance's port; None without one.
-        context: Holds the parameters and other ports' values; None for the defaults.
-        effort_limits: How large each input may be, shape (m,).
-        wrapped_states: Which states come round, as the System says.
-        forces: The ports' generalised forces, where the System is the plant and they
-            have some: it is then evaluated by its manipulator equation, which needs no
-            SceneGraph and has no contact.
+        plant: The MultibodyPlant as it was given.
+
+    Raises:
+        ModelError: It has no derivatives, or does not convert to AutoDiffXd.
     """
 
-    system: Any
-    plant: Any
-    name: str
-    input: int
-    disturbance: int | None
-    context: Any
-    effort_limits: Array
-    wrapped_states: Any
-    forces: PortForces | None
-
-    @property
-    def num_inputs(self) -> int:
-        """M."""
-        return int(self.system.get_input_port(self.input).size())
-
-    @property
-    def num_disturbances(self) -> int:
-        """Q."""
-        port = self.disturbance
-        return 0 if port is None else int(self.system.get_input_port(port).size())
-
-    @cached_property
-    def state_names(self) -> tuple[str, ...]:
-        """What the states are called, n names: positions, then velocities."""
-        return tuple(self.plant.GetStateNames())
-
-    @cached_property
-    def in_numbers(self) -> Evaluation:
-        """The System with plain numbers."""
-        return Evaluation(self, self.system)
-
-    @cached_property
-    def in_autodiff(self) -> Evaluation:
-        """The System with numbers that carry derivatives.
-
-        Raises:
-            ModelError: The System does not convert to AutoDiffXd.
-        """
-        try:
-            return Evaluation(self, self.system.ToAutoDiffXd())
-        except RuntimeError as error:
-            raise ModelError(
-                f"{self.name}: it does not convert to AutoDiffXd, which the volume"
-                f" barrier needs: {error}"
-            ) from None
-
-    def regular_state(self, random: np.random.Generator, scale: float = 1.0) -> Array:
-        """Returns a random state, shape (n,), its quaternions of unit length."""
-        x = scale * random.normal(size=len(self.state_names))
-        for i, name in enumerate(self.state_names):
-            if name.endswith("_qw"):
-                x[i : i + 4] /= np.linalg.norm(x[i : i + 4])
-        return x
-
-
-class Evaluation:
-    """The System's derivatives and kinematics in one scalar type."""
-
-    def __init__(self, dynamics: NumericDynamics, system: Any) -> None:
-        self._system, self._dynamics = system, dynamics
-        self._context = system.CreateDefaultContext()
-        if dynamics.context is not None:
-            _copy_values(dynamics, system, self._context)
-        is_plant = dynamics.system is dynamics.plant
-        name = dynamics.plant.get_name()
-        self._plant = system if is_plant else system.GetSubsystemByName(name)
+    def __init__(
+        self,
+        system: Any,
+        input_port: Port,
+        disturbance_port: Port,
+        context: Any = None,
+        autodiff: bool = False,
+    ) -> None:
+        self._given = system, input_port, disturbance_port, context
+        self.plant = plant_of(system)
+        self._system = twin = _in_autodiff(system) if autodiff else system
+        self._context = twin.CreateDefaultContext()
+        if context is not None:
+            copy_values(system, context, twin, self._context)
+        is_plant, name = system is self.plant, self.plant.get_name()
+        self._plant = twin if is_plant else twin.GetSubsystemByName(name)
         self._plant_context = self._plant.GetMyContextFromRoot(self._context)
-        scalar = float if system is dynamics.system else AutoDiffXd
-        self._forces = MultibodyForces_[scalar](self._plant)
-        self._input = system.get_input_port(dynamics.input)
-        self._disturbance = (
-            None
-            if dynamics.disturbance is None
-            else system.get_input_port(dynamics.disturbance)
+        self._forces = MultibodyForces_[AutoDiffXd if autodiff else float](self._plant)
+        self._input = twin.get_input_port(input_port.get_index())
+        self._disturbance = disturbance_port and twin.get_input_port(
+            disturbance_port.get_index()
         )
+        self.num_inputs = int(input_port.size())
+        self.num_disturbances = int(disturbance_port.size()) if disturbance_port else 0
         # Unit inputs, halved where a plant would clamp them.
-        self._steps = np.fmin(1.0, dynamics.effort_limits / 2.0)
-        self._none = np.zeros(len(self._steps))
-        if dynamics.forces is not None:
-            return
-        self._input.FixValue(self._context, self._none)
-        if self._disturbance is not None:
-            zero = np.zeros(dynamics.num_disturbances)
-            self._disturbance.FixValue(self._context, zero)
-        self._fix_needed_ports()
+        self._steps = np.fmin(1.0, effort_limits_of(system, input_port) / 2.0)
+        self._none = np.zeros(self.num_inputs)
+        self._port_forces = _port_forces(*self._given)
+        if self._port_forces is None:
+            self._set_ports(self._none, np.zeros(self.num_disturbances))
+            try:
+                with_ports_held(twin, self._context, self._rate)
+            except ArithmeticError as error:
+                raise ModelError(f"it has no derivatives: {error}") from None
 
-    def _fix_needed_ports(self) -> None:
-        """Holds ports without a value at 0, if the System does not do without."""
-        try:
-            self._system.EvalTimeDerivatives(self._context)
-        except RuntimeError as error:
-            system = self._system
-            ports = [system.get_input_port(i) for i in range(system.num_input_ports())]
-            unset = [p for p in ports if p.size() and not p.HasValue(self._context)]
-            if not unset:
-                name = self._dynamics.name
-                raise ModelError(f"{name}: it has no derivatives: {error}") from None
-            for port in unset:
-                port.FixValue(self._context, np.zeros(port.size()))
-            self._fix_needed_ports()
+    @cached_property
+    def in_autodiff(self) -> NumericDynamics:
+        """The same with numbers that carry derivatives."""
+        return NumericDynamics(*self._given, autodiff=True)
+
+    def _set_ports(self, u: Array, d: Array) -> None:
+        self._input.FixValue(self._context, u)
+        if self._disturbance is not None:
+            self._disturbance.FixValue(self._context, d)
 
     def set_state(self, x: Array) -> None:
         """Sets the state x, shape (n,)."""
@@ -172,31 +117,28 @@ class Evaluation:
 
     def rate(self, x: Array, u: Array, d: Array, t: float = 0.0) -> Array:
         """Returns dx/dt, shape (n,)."""
-        if self._dynamics.forces is not None:
+        if self._port_forces is not None:
             f, g = self.affine_parts(x)
             return f + g @ u + self.disturbance_matrix(x) @ d
         self._context.SetTime(t)
         self.set_state(x)
-        self._input.FixValue(self._context, u)
-        if self._disturbance is not None:
-            self._disturbance.FixValue(self._context, d)
-        rate: Array = self._rate()
+        self._set_ports(u, d)
+        rate = self._rate()
         self._context.SetTime(0.0)
-        if self._disturbance is not None:
-            self._disturbance.FixValue(self._context, np.zeros_like(d))
+        self._set_ports(self._none, np.zeros_like(d))
         return rate
 
     def _rate(self) -> Array:
         try:
             derivatives = self._system.EvalTimeDerivatives(self._context)
         except RuntimeError as error:  # A mass matrix that cannot be inverted, say.
-            raise ArithmeticError(f"{self._dynamics.name}: {error}") from error
+            raise ArithmeticError(f"{name_of(self._system)}: {error}") from error
         rate: Array = derivatives.CopyToVector()
         return rate
 
     def affine_parts(self, x: Array) -> tuple[Array, Array]:
         """Returns f(x), shape (n,), and g(x), shape (n, m)."""
-        forces = self._dynamics.forces
+        forces = self._port_forces
         if forces is not None:
             M, bias, rate = self.manipulator_equation(x)
             solved = _solve(M, np.column_stack([-bias, forces.input]))
@@ -213,7 +155,7 @@ class Evaluation:
 
     def disturbance_matrix(self, x: Array) -> Array:
         """Returns E(x), shape (n, q)."""
-        forces, q = self._dynamics.forces, self._dynamics.num_disturbances
+        forces, q = self._port_forces, self.num_disturbances
         if forces is not None:
             M, _, rate = self.manipulator_equation(x)
             still = np.zeros((len(rate), q))
@@ -239,7 +181,7 @@ class Evaluation:
             parts: f and g there.
         """
         moving, n, (f, g) = InitializeAutoDiff(x).ravel(), len(x), parts
-        if self._dynamics.forces is None:
+        if self._port_forces is None:
             f, g = self.affine_parts(moving)
             g_x = ExtractGradient(g.reshape(-1, 1)).reshape(*g.shape, n)
             return ExtractGradient(f), g_x
@@ -282,16 +224,6 @@ class Evaluation:
         return np.ravel(places)
 
 
-def _copy_values(dynamics: NumericDynamics, system: Any, target: Any) -> None:
-    """Copies time, parameters and other ports' values from the given context."""
-    source, context = dynamics.system, dynamics.context
-    target.SetTimeStateAndParametersFrom(context)
-    for i in range(source.num_input_ports()):
-        port = source.get_input_port(i)
-        if port.size() and port.HasValue(context):
-            system.get_input_port(i).FixValue(target, port.Eval(context))
-
-
 def _solve(M: Array, right: Array) -> Array:
     """Solves M X = right, of a matrix of inertia.
 
@@ -304,43 +236,14 @@ def _solve(M: Array, right: Array) -> Array:
         raise ArithmeticError(f"the matrix of inertia is singular: {error}") from error
 
 
-def numeric_dynamics(
-    system: Any,
-    input_port: PortChoice = None,
-    disturbance_port: PortChoice = None,
-    context: Any = None,
-) -> NumericDynamics:
-    """Returns the dynamics of a System whose state is a MultibodyPlant's.
-
-    Args:
-        system: The System; all its state must be continuous.
-        input_port: The port of u: an InputPort, its name or its index; None for a
-            MultibodyPlant's actuators, or the only vector input port beside the
-            disturbance's.
-        disturbance_port: The port of d, likewise; None for the port called
-            "disturbance" if there is one, else q = 0.
-        context: Holds the parameters, and values for the other input ports; None for
-            the defaults.
-
-    Raises:
-        ModelError: The state is not continuous, or the ports are not what is needed.
-    """
-    plant = _plant_of(system)
-    name = system.get_name() or system.GetSystemType()
-    default_context(system, name)
-    disturbance = find_disturbance_port(system, name, disturbance_port)
-    port = find_input_port(system, name, input_port, disturbance)
-    return NumericDynamics(
-        system=system,
-        plant=plant,
-        name=name,
-        input=int(port.get_index()),
-        disturbance=None if disturbance is None else int(disturbance.get_index()),
-        context=context,
-        effort_limits=effort_limits_of(system, port),
-        wrapped_states=declared_states(system).periods,
-        forces=_port_forces(system, port, disturbance, context),
-    )
+def _in_autodiff(system: Any) -> Any:
+    try:
+        return system.ToAutoDiffXd()
+    except RuntimeError as error:
+        raise ModelError(
+            f"{name_of(system)}: it does not convert to AutoDiffXd, which the volume"
+            f" barrier needs: {error}"
+        ) from None
 
 
 def _port_forces(
@@ -379,18 +282,13 @@ def _force_map(plant: Any, port: Any) -> Array | None:
     return None
 
 
-def has_plant_state(system: Any) -> bool:
-    """Returns whether a System's continuous state is that of one MultibodyPlant."""
-    return _plant_of(system) is not None
-
-
-def _plant_of(system: Any) -> Any:
-    """The MultibodyPlant that a System is, or that has all its state."""
+def plant_of(system: Any) -> Any:
+    """Returns the MultibodyPlant that a System is, or that has all its state."""
     if isinstance(system, MultibodyPlant):
         return system
     inside: Sequence[Any] = getattr(system, "GetSystems", lambda: ())()
     plants = [each for each in inside if isinstance(each, MultibodyPlant)]
     if len(plants) != 1:
         return None
-    states = system.CreateDefaultContext().num_continuous_states()
+    states = system.num_continuous_states()
     return plants[0] if plants[0].num_multibody_states() == states else None

@@ -13,8 +13,8 @@ from vcbf_drake.checks import Array, finite_array, require
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.compiled import Expressions
 from vcbf_drake.model.explained import first_line
-from vcbf_drake.model.massless_bodies import give_mass
 from vcbf_drake.model.outputs import OutputSymbols
+from vcbf_drake.model.symbolic_dynamics import give_mass
 from vcbf_drake.typed import typed
 
 PositionFunction: TypeAlias = Callable[[Expressions], Expressions]

@@ -2,63 +2,67 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from numbers import Integral
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex
 from pydrake.symbolic import Expression, Variable
-from pydrake.systems.framework import Context, InputPort, PortDataType, System
+from pydrake.systems.framework import Context, System
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
-from vcbf_drake.model.compiled import Expressions
-from vcbf_drake.model.declared import declared_states
+from vcbf_drake.model.compiled import Expressions, compile_nodes
 from vcbf_drake.model.explained import explained, first_line
 from vcbf_drake.model.graph import (
     ZERO,
+    Node,
     Nodes,
     gradients,
     substitute,
     variable,
     variables_of,
 )
-from vcbf_drake.model.massless_bodies import give_mass
+from vcbf_drake.model.interface import (
+    Port,
+    PortChoice,
+    actuators_of,
+    copy_values,
+    declared_states,
+    default_context,
+    effort_limits_of,
+    find_disturbance_port,
+    find_input_port,
+    name_of,
+    with_ports_held,
+)
 from vcbf_drake.model.reading import Reader
 
-# pydrake's classes carry no types that a checker can use.
-Port: TypeAlias = Any
-PortChoice: TypeAlias = InputPort | str | int | None
+# Next to nothing, for bodies that newer Drake would divide by [kg].
+_MASS = 1e-15
 
 
 @dataclass(frozen=True)
 class SymbolicDynamics:
-    """The dynamics M(x) dx/dt = F(x, u, d) of a System; M is the identity for most.
+    """The dynamics dx/dt = f(x) + g(x) u + E d of a System.
 
     Attributes:
         name: What the System is called in messages.
-        state_names: What its states are called, n names.
-        variables: The state's variables in pydrake's terms, shape (n,).
-        state: The variables x, shape (n,).
-        input: The variables u, shape (m,).
-        disturbance: The variables d, shape (q,).
-        mass_matrix: M, shape (n, n), formulas of x.
-        force: F, shape (n,), formulas of x, u and d.
+        state: The state's variables in pydrake's terms, shape (n,).
+        drift: f, shape (n,), formulas of x0, x1, ...
+        input_matrix: g, shape (n, m), likewise.
+        disturbance_matrix: E, shape (n, q).
         effort_limits: How large each input may be, shape (m,); infinite for most.
         rate: ``rate(x, u, d)`` is dx/dt, shape (n,), in plain numbers, by the System
             itself.
     """
 
     name: str
-    state_names: tuple[str, ...]
-    variables: Expressions
-    state: Nodes
-    input: Nodes
-    disturbance: Nodes
-    mass_matrix: Nodes
-    force: Nodes
+    state: Expressions
+    drift: Nodes
+    input_matrix: Nodes
+    disturbance_matrix: Array
     effort_limits: Array
     rate: Callable[[Array, Array, Array], Array]
 
@@ -89,11 +93,11 @@ def symbolic_dynamics(
         ModelError: The System is not symbolic, has a state that is not continuous or
             none at all, depends on time, or its ports are not what is needed.
     """
-    name = system.get_name() or system.GetSystemType()
-    disturbance = find_disturbance_port(system, name, disturbance_port)
-    input_ = find_input_port(system, name, input_port, disturbance)
+    name = name_of(system)
+    disturbance = find_disturbance_port(system, disturbance_port)
+    input_ = find_input_port(system, input_port, disturbance)
     symbolic = _to_symbolic(system, name)
-    target = default_context(symbolic, name)
+    target = default_context(symbolic)
     state_names = declared_states(system).names
 
     time = Variable("t")
@@ -102,15 +106,19 @@ def symbolic_dynamics(
     u = _variables("u", input_.size())
     d = _variables("d", disturbance.size() if disturbance else 0)
     if context is not None:
-        target.SetTimeStateAndParametersFrom(context)
-        _copy_port_values(system, context, symbolic, target)
+        copy_values(system, context, symbolic, target)
     target.SetTime(Expression(time))
     target.SetContinuousState(x)
     symbolic.get_input_port(input_.get_index()).FixValue(target, u)
     if disturbance:
         symbolic.get_input_port(disturbance.get_index()).FixValue(target, d)
 
-    residual = _residual(symbolic, target, rate, name)
+    try:
+        residual = _residual(symbolic, target, rate)
+    except Exception as error:  # A System's own code may raise anything.
+        raise ModelError(
+            f"{name}: its dynamics do not evaluate on symbols: {explained(error)}"
+        ) from None
     named = dict(x=x, r=rate, u=u, d=d)
     nodes = {
         key: np.array([variable(f"{key}{i}") for i in range(len(each))], dtype=object)
@@ -126,19 +134,18 @@ def symbolic_dynamics(
         raise ModelError(f"{name}: its dynamics cannot be compiled: {error}") from None
     force, mass_matrix = _force_and_mass(residual_nodes, nodes["r"])
     _require_time_invariant(force, mass_matrix, state_names, name)
-    limits = effort_limits_of(system, input_)
-    own_rate = _own_rate(system, input_, disturbance, context)
+    m, w = len(u), np.concatenate([nodes["u"], nodes["d"]])
+    parts = _affine_parts(force, nodes["x"], w, state_names, name)
+    parts = _solve(mass_matrix, parts)
+    E = _constant_matrix(parts[:, 1 + m :], nodes["x"], state_names, name)
     return SymbolicDynamics(
         name=name,
-        state_names=state_names,
-        variables=x,
-        state=nodes["x"],
-        input=nodes["u"],
-        disturbance=nodes["d"],
-        mass_matrix=mass_matrix,
-        force=force,
-        effort_limits=limits,
-        rate=own_rate,
+        state=x,
+        drift=parts[:, 0],
+        input_matrix=parts[:, 1 : 1 + m],
+        disturbance_matrix=E,
+        effort_limits=effort_limits_of(system, input_),
+        rate=_own_rate(system, input_, disturbance, context),
     )
 
 
@@ -151,81 +158,97 @@ def _force_and_mass(residual: Nodes, rate: Nodes) -> tuple[Nodes, Nodes]:
     return force, np.array(mass, dtype=object).reshape(len(residual), len(rate))
 
 
-def find_disturbance_port(system: System, name: str, choice: PortChoice) -> Port:
-    """Returns the port of d; None where none is chosen and none is called so.
+def _affine_parts(
+    force: Nodes, x: Nodes, w: Nodes, state_names: Sequence[str], name: str
+) -> Nodes:
+    """The parts [F0, F1], shape (n, 1 + m + q), of F = F0(x) + F1(x) w, w = [u; d]."""
+    rows = [_affine_row(each, x, w) for each in force]
+    for state, row in zip(state_names, rows, strict=True):
+        if row is None:
+            raise ModelError(
+                f"{name}: the derivative of {state} is not affine in the input and the"
+                " disturbance; choose a port behind what is not, and give limits to the"
+                " InputSet (a MultibodyPlant in a Diagram drops its own by"
+                " RemoveAllJointActuatorEffortLimits)"
+            )
+    return np.array(rows)
 
-    Raises:
-        ModelError: There is no such port, or it carries no vector.
-    """
-    if choice is None and not system.HasInputPort("disturbance"):
+
+def _affine_row(force: Node, x: Nodes, w: Nodes) -> Nodes | None:
+    """The parts [F0, F1] of a force F0(x) + F1(x) w; None if it is not affine in w."""
+    try:
+        gradient = list(gradients([force], w)[0]) if len(w) else []
+    except ValueError:
         return None
-    return _chosen_port(system, name, "disturbance" if choice is None else choice)
+    row = np.array(substitute([force, *gradient], dict.fromkeys(w, ZERO)), dtype=object)
+    # A gradient may hold w only for want of simplification: numbers tell.
+    structural = variables_of(gradient).isdisjoint(w)
+    return row if structural or _agree(force, row, [*x], [*w]) else None
 
 
-def find_input_port(
-    system: System, name: str, choice: PortChoice, disturbance: Port
-) -> Port:
-    """Returns the port of u.
+def _agree(force: Node, row: Nodes, x: Sequence[Node], w: Sequence[Node]) -> bool:
+    """Whether F(x, w) = row . [1; w] at random points, near and far."""
+    random = np.random.default_rng(0)
+    compiled = compile_nodes([*x, *w], [force, *row])
+    errors = []
+    for scale in np.geomspace(1e-3, 1e3, 25):
+        x_value = random.normal(size=len(x))
+        w_value = scale * random.normal(size=len(w))
+        try:
+            F, *parts = compiled(*x_value.tolist(), *w_value.tolist())
+        except (ArithmeticError, ValueError):
+            continue
+        terms = np.array(parts) * [1.0, *w_value]
+        errors.append(abs(F - terms.sum()) / (np.abs(terms).max() or 1.0))
+    return bool(errors) and max(errors) < 1e-9
 
-    Raises:
-        ModelError: There is no such port, it carries no vector or the disturbance, or
-            there are several and none is chosen.
+
+def _solve(M: Nodes, R: Nodes) -> Nodes:
+    """Solves M X = R for X, shape (n, k), by Gaussian elimination.
+
+    Without pivoting: M is the identity, or a positive definite matrix of inertia.
     """
-    if choice is not None:
-        port = _chosen_port(system, name, choice)
-        if port is disturbance:
+    M, X = M.copy(), np.array(R)
+    for k in range(len(M)):
+        for i in range(k + 1, len(M)):
+            if M[i, k] is not ZERO:
+                factor = M[i, k] / M[k, k]
+                M[i, k + 1 :] = M[i, k + 1 :] - factor * M[k, k + 1 :]
+                X[i] = X[i] - factor * X[k]
+    for i in reversed(range(len(M))):
+        X[i] = (X[i] - M[i, i + 1 :] @ X[i + 1 :]) / M[i, i]
+    return X
+
+
+def _constant_matrix(
+    E: Nodes, x: Nodes, state_names: Sequence[str], name: str
+) -> Array:
+    """The numbers of E, shape (n, q)."""
+    matrix = np.empty(E.shape)
+    for (i, j), entry in np.ndenumerate(E):
+        value = _constant(entry, [*x])
+        if value is None:
             raise ModelError(
-                f"{name}: the port '{port.get_name()}' cannot be both the input and"
-                " the disturbance"
+                f"{name}: the disturbance matrix E is not constant: disturbance {j}"
+                f" acts on the derivative of {state_names[i]} differently from state to"
+                " state"
             )
-        return port
-    if isinstance(system, MultibodyPlant) and system.num_actuated_dofs():
-        return system.get_actuation_input_port()
-    ports = [p for p in vector_ports(system) if p is not disturbance]
-    if len(ports) != 1:
-        raise ModelError(
-            f"{name}: say which port is the input, by input_port; {_list_ports(system)}"
-        )
-    return ports[0]
+        matrix[i, j] = value
+    return matrix
 
 
-def _chosen_port(system: System, name: str, choice: PortChoice) -> Port:
-    if isinstance(choice, InputPort):
-        if choice.get_system() is not system:
-            raise ModelError(
-                f"{name}: the port '{choice.get_name()}' belongs to another system;"
-                f" {_list_ports(system)}"
-            )
-        port = choice
-    elif isinstance(choice, str) and system.HasInputPort(choice):
-        port = system.GetInputPort(choice)
-    elif isinstance(choice, Integral) and 0 <= int(choice) < system.num_input_ports():
-        port = system.get_input_port(int(choice))
-    else:
-        raise ModelError(
-            f"{name}: there is no input port {choice!r}; {_list_ports(system)}"
-        )
-    if not _is_vector(port):
-        raise ModelError(
-            f"{name}: the port '{port.get_name()}' carries no vector;"
-            f" {_list_ports(system)}"
-        )
-    return port
-
-
-def _is_vector(port: Port) -> bool:
-    return bool(port.get_data_type() == PortDataType.kVectorValued and port.size() > 0)
-
-
-def vector_ports(system: System) -> list[Port]:
-    """Returns the input ports that carry vectors."""
-    ports = [system.get_input_port(i) for i in range(system.num_input_ports())]
-    return [p for p in ports if _is_vector(p)]
-
-
-def _list_ports(system: System) -> str:
-    ports = [f"{p.get_name()} ({p.size()})" for p in vector_ports(system)]
-    return "its vector input ports are " + (", ".join(ports) or "none")
+def _constant(entry: Node, x: Sequence[Node]) -> float | None:
+    """The value of a formula that is the same at random points, else None."""
+    if entry.number is not None:
+        return entry.number
+    compiled = compile_nodes(x, [entry])
+    points = np.random.default_rng(0).normal(size=(8, len(x))).tolist()
+    try:
+        values = [compiled(*point)[0] for point in points]
+    except (ArithmeticError, ValueError):
+        return None
+    same = np.ptp(values) <= 1e-9 * np.max(np.abs(values))
+    return float(values[0]) if same else None
 
 
 def _to_symbolic(system: System, name: str) -> System:
@@ -236,80 +259,26 @@ def _to_symbolic(system: System, name: str) -> System:
             f"{name}: it does not convert to symbolic; write it as a template of its"
             f" scalar type (pydrake's TemplateSystem): {first_line(error)}"
         ) from None
-    for actuator in _actuators(symbolic):
+    for actuator in actuators_of(symbolic):
         actuator.set_effort_limit(np.inf)  # A clamped input is not affine.
     return symbolic
 
 
-def _actuators(system: System) -> list[Any]:
-    """The joint actuators of a MultibodyPlant; none of any other System."""
-    if not hasattr(system, "GetJointActuatorIndices"):
-        return []
-    return [system.get_joint_actuator(i) for i in system.GetJointActuatorIndices()]
-
-
-def effort_limits_of(system: System, port: Port) -> Array:
-    """Returns how large inputs may be before a MultibodyPlant clamps them, (m,)."""
-    actuators = _actuators(system)
-    if actuators and port is not system.get_actuation_input_port():
-        actuators = [
-            each
-            for each in actuators
-            if port is system.get_actuation_input_port(each.model_instance())
-        ]
-    limits = [each.effort_limit() for each in actuators]
-    return np.array(limits or [np.inf] * port.size())
-
-
-def default_context(system: System, name: str) -> Context:
-    """Returns the default context of a System whose state is continuous.
-
-    Raises:
-        ModelError: It has another state, or none.
-    """
-    context = system.CreateDefaultContext()
-    if context.num_discrete_state_groups() or context.num_abstract_states():
-        raise ModelError(
-            f"{name}: it has discrete or abstract state; derive the model from its"
-            " continuous twin (of a MultibodyPlant, the one with time_step=0) and give"
-            " that as model"
-        )
-    if not context.num_continuous_states():
-        raise ModelError(f"{name}: it has no continuous state")
-    return context
-
-
-def _copy_port_values(
-    system: System, context: Context, symbolic: System, target: Context
-) -> None:
-    for port in vector_ports(system):
-        if port.HasValue(context):
-            value = port.Eval(context)
-            symbolic.get_input_port(port.get_index()).FixValue(target, value)
-
-
 def _own_rate(
-    system: System, input_: Port, disturbance: Port, context: Context
+    system: System, input_: Port, disturbance: Port, context: Context | None
 ) -> Callable[[Array, Array, Array], Array]:
     own = system.CreateDefaultContext()
     if context is not None:
-        own.SetTimeStateAndParametersFrom(context)
-        _copy_port_values(system, context, system, own)
+        copy_values(system, context, system, own)
 
     def rate(x: Array, u: Array, d: Array) -> Array:
         own.SetContinuousState(x)
         input_.FixValue(own, u)
         if disturbance:
             disturbance.FixValue(own, d)
-        try:
-            derivatives = system.EvalTimeDerivatives(own)
-        except Exception:  # A System's own code may raise anything.
-            unset = [p for p in vector_ports(system) if not p.HasValue(own)]
-            if not unset:
-                raise
-            for port in unset:
-                port.FixValue(own, np.zeros(port.size()))
-            derivatives = system.EvalTimeDerivatives(own)
+        derivatives = with_ports_held(
+            system, own, lambda: system.EvalTimeDerivatives(own)
+        )
         values: Array = derivatives.CopyToVector()
         return values
 
@@ -322,34 +291,21 @@ def _variables(prefix: str, size: int) -> Expressions:
 
 # Expressions leave floating-point flags that NumPy takes for its own.
 @np.errstate(invalid="ignore")
-def _residual(
-    system: System,
-    context: Context,
-    rate: Expressions,
-    name: str,
-    all_have_mass: bool = False,
-) -> Expressions:
-    """The residual M dx/dt - F; ports without a value are held at 0 if they must.
-
-    And bodies without a mass are given one if they must have it.
-    """
+def _residual(system: System, context: Context, rate: Expressions) -> Expressions:
+    """The residual M dx/dt - F; bodies get a mass where they must have one."""
     derivatives = system.AllocateTimeDerivatives()
     derivatives.SetFromVector(rate)
+
+    def calc() -> Any:
+        return system.CalcImplicitTimeDerivativesResidual(context, derivatives)
+
     try:
-        residual = system.CalcImplicitTimeDerivativesResidual(context, derivatives)
-    except Exception as error:  # A System's own code may raise anything.
-        if not all_have_mass and give_mass(system, context):
-            return _residual(system, context, rate, name, all_have_mass=True)
-        unset = [p for p in vector_ports(system) if not p.HasValue(context)]
-        if not unset:
-            raise ModelError(
-                f"{name}: its dynamics do not evaluate on symbols: {explained(error)}"
-            ) from None
-    else:
-        return np.asarray(residual, dtype=object)
-    for port in unset:
-        port.FixValue(context, np.zeros(port.size()))
-    return _residual(system, context, rate, name, all_have_mass)
+        residual = with_ports_held(system, context, calc)
+    except Exception:  # A System's own code may raise anything.
+        if not give_mass(system, context):
+            raise
+        residual = calc()
+    return np.asarray(residual, dtype=object)
 
 
 def _require_time_invariant(
@@ -358,3 +314,30 @@ def _require_time_invariant(
     for state, *row in zip(state_names, force, *mass_matrix.T, strict=True):
         if variable("t") in variables_of(row):
             raise ModelError(f"{name}: the derivative of {state} depends on time")
+
+
+def give_mass(system: Any, context: Any) -> bool:
+    """Gives massless bodies of a symbolic MultibodyPlant next to no mass.
+
+    A body that only carries a frame, such as a tool's tip or a stand, often has none.
+
+    Args:
+        system: Any symbolic System; of a Diagram, the plants inside.
+        context: Its context, which is changed.
+
+    Returns:
+        Whether there was such a body.
+    """
+    if hasattr(system, "GetSystems"):
+        inside = [
+            give_mass(each, each.GetMyMutableContextFromRoot(context))
+            for each in system.GetSystems()
+        ]
+        return any(inside)
+    if not hasattr(system, "num_bodies"):
+        return False
+    bodies = [system.get_body(BodyIndex(i)) for i in range(1, system.num_bodies())]
+    massless = [body for body in bodies if body.default_mass() == 0.0]
+    for body in massless:
+        body.SetMass(context, Expression(_MASS))
+    return bool(massless)

@@ -10,7 +10,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import PrismaticJoint
 from pydrake.systems.framework import System
 
-from vcbf_drake.model.ports import input_port_of, state_port_of
+from vcbf_drake.model.interface import find_input_port, state_port_of
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def channels_of(plant: System) -> Channels:
         plant: With ports ``input`` (or ``actuation``), ``state`` and, if anything
             disturbs it, ``disturbance``.
     """
-    num_inputs, num_states = input_port_of(plant).size(), state_port_of(plant).size()
+    num_inputs, num_states = find_input_port(plant).size(), state_port_of(plant).size()
     if isinstance(plant, MultibodyPlant):
         return Channels(_joint_states(plant), _actuators(plant), {})
     disturbed = plant.HasInputPort("disturbance")

@@ -20,7 +20,7 @@ from pydrake.systems.framework import System
 from vcbf_drake.barriers import Barrier, StateInputLimit
 from vcbf_drake.checks import Array, check_parameter, require
 from vcbf_drake.errors import InvalidValueError, below
-from vcbf_drake.model.ports import input_port_of, state_port_of
+from vcbf_drake.model.interface import find_input_port, state_port_of
 from vcbf_drake.plants.shapes import Part
 from vcbf_drake.plants.vehicle import Vehicle, tag
 from vcbf_drake.typed import check_fields
@@ -161,7 +161,10 @@ def _check_names(plant: Any) -> None:
     """Checks that a plant's channels have one name and one unit each, or none."""
     if isinstance(plant, MultibodyPlant):  # It has names of its own.
         return
-    sizes = {"state": state_port_of(plant).size(), "input": input_port_of(plant).size()}
+    sizes = {
+        "state": state_port_of(plant).size(),
+        "input": find_input_port(plant).size(),
+    }
     if plant.HasInputPort("disturbance"):
         sizes["disturbance"] = plant.GetInputPort("disturbance").size()
     for kind, size in sizes.items():
@@ -184,7 +187,7 @@ def _check_motion(vehicle: Vehicle, state: Array, inputs: Sequence[Array]) -> No
         port = plant.GetInputPort("disturbance")
         port.FixValue(context, np.zeros(port.size()))
     for u in [np.zeros_like(inputs[0]), *inputs]:
-        input_port_of(plant).FixValue(context, np.where(np.isfinite(u), u, 0.0))
+        find_input_port(plant).FixValue(context, np.where(np.isfinite(u), u, 0.0))
         try:
             with np.errstate(all="ignore"):
                 rate = plant.EvalTimeDerivatives(context).CopyToVector()
@@ -218,7 +221,7 @@ def _check_controller(controller: Any, plant: System) -> None:
     outputs = map(controller.get_output_port, range(controller.num_output_ports()))
     for kind, ports, name, size in (
         ("input", inputs, "state", state_port_of(plant).size()),
-        ("output", outputs, "reference", input_port_of(plant).size()),
+        ("output", outputs, "reference", find_input_port(plant).size()),
     ):
         found = {port.get_name(): port.size() for port in ports}
         rule = f"a system with {kind} port {name} of size {size}"

@@ -27,7 +27,7 @@ from vcbf_drake.disturbances import (
 )
 from vcbf_drake.errors import below
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.model.ports import input_port_of, state_port_of
+from vcbf_drake.model.interface import find_input_port, state_port_of
 from vcbf_drake.safety import (
     SafetyFilter,
 )
@@ -130,7 +130,7 @@ def add_simulated_plant(builder: DiagramBuilder, scenario: Scenario) -> Simulate
     disturbance = true_disturbance(builder, faults, source.get_output_port())
     if plant.HasInputPort("disturbance"):
         builder.Connect(disturbance, plant.GetInputPort("disturbance"))
-    applied = faulty_actuator(builder, scenario, input_port_of(plant))
+    applied = faulty_actuator(builder, scenario, find_input_port(plant))
     state = _measured_state(builder, scenario, plant)
     state = faulty_measurement(builder, scenario, state)
     return SimulatedPlant(plant, applied, source, disturbance, state)

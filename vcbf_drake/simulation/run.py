@@ -23,7 +23,7 @@ from vcbf_drake.between_ticks.certified_heights import (
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceEstimate
 from vcbf_drake.errors import ModelError, naming_user_code
-from vcbf_drake.model.ports import state_port_of
+from vcbf_drake.model.interface import state_port_of
 from vcbf_drake.safety import (
     Assumption,
     SafetyFilter,

@@ -17,7 +17,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context, Diagram, LeafSystem
 
 from vcbf_drake.checks import require
-from vcbf_drake.model.ports import state_port_of
+from vcbf_drake.model.interface import state_port_of
 from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.safety import FilterStatus, SafetyFilter
 from vcbf_drake.simulation.result import Result

@@ -21,7 +21,7 @@ from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, Outpu
 
 from vcbf_drake.barriers.obstacles import MovingObstacle, Obstacle
 from vcbf_drake.barriers.shapes import Shape
-from vcbf_drake.model.ports import state_port_of
+from vcbf_drake.model.interface import state_port_of
 from vcbf_drake.plants.shapes import Part, of_body
 from vcbf_drake.plants.vehicle import Vehicle
 from vcbf_drake.viz.solids import in_space, solids

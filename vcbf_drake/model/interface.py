@@ -1,0 +1,271 @@
+"""A System's interface: its ports, and what it says of its states and limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+import math
+from numbers import Integral
+from typing import Any, TypeAlias, TypeVar
+
+import numpy as np
+from pydrake.systems.framework import (
+    Context,
+    Diagram,
+    InputPort,
+    OutputPort,
+    PortDataType,
+    System,
+)
+
+from vcbf_drake.checks import Array
+from vcbf_drake.errors import InvalidValueError, ModelError
+
+# pydrake's classes carry no types that a checker can use.
+Port: TypeAlias = Any
+PortChoice: TypeAlias = InputPort | str | int | None
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class DeclaredStates:
+    """What a System's attributes say of its continuous states.
+
+    Attributes:
+        names: ``state_names``, or a MultibodyPlant's, or x0, x1, ...
+        periods: ``wrapped_states``: after how much each of these is the same again.
+        position: ``position_indices``: which states are the position; None where the
+            System does not say.
+        velocities: Which of the states Drake has as generalized velocities v.
+    """
+
+    names: tuple[str, ...]
+    periods: Mapping[str, Any]
+    position: tuple[int, ...] | None
+    velocities: tuple[int, ...]
+
+
+def declared_states(system: System) -> DeclaredStates:
+    """Returns what a System says; a Diagram says what the Systems in it do.
+
+    Where several of these have states, their names come before those of the states.
+    """
+    if isinstance(system, Diagram) and not hasattr(system, "state_names"):
+        parts = [each for each in system.GetSystems() if each.num_continuous_states()]
+        found = [declared_states(each) for each in parts]
+        if len(found) == 1:
+            return found[0]
+        names: list[str] = []
+        periods: dict[str, Any] = {}
+        velocities: list[int] = []
+        for part, states in zip(parts, found, strict=True):
+            prefix = f"{part.get_name()}_"
+            velocities += [len(names) + i for i in states.velocities]
+            names += [prefix + name for name in states.names]
+            periods |= {prefix + name: p for name, p in states.periods.items()}
+        return DeclaredStates(tuple(names), periods, None, tuple(velocities))
+    position = getattr(system, "position_indices", None)
+    kinds = system.AllocateTimeDerivatives()
+    first, size = kinds.num_q(), kinds.num_v()
+    return DeclaredStates(
+        _state_names(system),
+        wrapping(getattr(system, "wrapped_states", ())),
+        None if position is None else tuple(position),
+        tuple(range(first, first + size)),
+    )
+
+
+def wrapping(wrapped_states: Any) -> Mapping[str, Any]:
+    """Returns the periods of wrapped states: 2 pi where they are names alone."""
+    if isinstance(wrapped_states, Mapping):
+        return wrapped_states
+    return dict.fromkeys(wrapped_states, 2.0 * math.pi)
+
+
+def _state_names(system: Any) -> tuple[str, ...]:
+    names = getattr(system, "state_names", None)
+    if names is None and hasattr(system, "GetStateNames"):
+        names = system.GetStateNames()
+    return tuple(names or (f"x{i}" for i in range(system.num_continuous_states())))
+
+
+def unit_quaternions(x: Array, names: Sequence[str]) -> Array:
+    """Returns a state (n,) with its quaternions, as Drake names them, made unit."""
+    x = x.copy()
+    for i, name in enumerate(names):
+        if name.endswith("_qw"):
+            x[i : i + 4] /= np.linalg.norm(x[i : i + 4])
+    return x
+
+
+def name_of(system: System) -> str:
+    """Returns what a System is called in messages."""
+    return str(system.get_name() or system.GetSystemType())
+
+
+def find_input_port(
+    system: System, choice: PortChoice = None, disturbance: Port = None
+) -> Port:
+    """Returns the port of u.
+
+    Without a choice it is the port called ``input``, or ``actuation`` as a
+    MultibodyPlant's is, or the only vector port but the disturbance's.
+
+    Raises:
+        ModelError: There is no such port, it carries no vector or the disturbance, or
+            there are several and none is chosen.
+    """
+    disturbance = disturbance or find_disturbance_port(system)
+    if choice is not None:
+        port = _chosen_port(system, choice)
+        if port is disturbance:
+            raise ModelError(
+                f"{name_of(system)}: the port '{port.get_name()}' cannot be both the"
+                " input and the disturbance"
+            )
+        return port
+    ports = [port for port in vector_ports(system) if port is not disturbance]
+    named = [p for p in ports if p.get_name() in ("input", "actuation")]
+    if len(named or ports) != 1:
+        raise InvalidValueError(
+            (),
+            f"{name_of(system)}: say which port is the input, by input_port, or as the"
+            f" plant: plant.GetInputPort(name); {_list_ports(system)}",
+        )
+    return (named or ports)[0]
+
+
+def find_disturbance_port(system: System, choice: PortChoice = None) -> Port:
+    """Returns the port of d; None where none is chosen and none is called so.
+
+    Raises:
+        ModelError: There is no such port, or it carries no vector.
+    """
+    if choice is None and not system.HasInputPort("disturbance"):
+        return None
+    return _chosen_port(system, "disturbance" if choice is None else choice)
+
+
+def state_port_of(plant: System) -> OutputPort:
+    """Returns the port ``state``, or the only output.
+
+    Raises:
+        ModelError: There is none of these.
+    """
+    if plant.HasOutputPort("state"):
+        return plant.GetOutputPort("state")
+    ports = [plant.get_output_port(i) for i in range(plant.num_output_ports())]
+    if len(ports) != 1:
+        there = ", ".join(port.get_name() for port in ports) or "none"
+        problem = f"{name_of(plant)}: no output port is called state; there are {there}"
+        raise InvalidValueError((), problem)
+    return ports[0]
+
+
+def vector_ports(system: System) -> list[Port]:
+    """Returns the input ports that carry vectors."""
+    ports = [system.get_input_port(i) for i in range(system.num_input_ports())]
+    return [p for p in ports if _is_vector(p)]
+
+
+def _chosen_port(system: System, choice: PortChoice) -> Port:
+    if isinstance(choice, InputPort):
+        if choice.get_system() is not system:
+            raise ModelError(
+                f"{name_of(system)}: the port '{choice.get_name()}' belongs to another"
+                f" system; {_list_ports(system)}"
+            )
+        port = choice
+    elif isinstance(choice, str) and system.HasInputPort(choice):
+        port = system.GetInputPort(choice)
+    elif isinstance(choice, Integral) and 0 <= int(choice) < system.num_input_ports():
+        port = system.get_input_port(int(choice))
+    else:
+        raise ModelError(
+            f"{name_of(system)}: there is no input port {choice!r};"
+            f" {_list_ports(system)}"
+        )
+    if not _is_vector(port):
+        raise ModelError(
+            f"{name_of(system)}: the port '{port.get_name()}' carries no vector;"
+            f" {_list_ports(system)}"
+        )
+    return port
+
+
+def _is_vector(port: Port) -> bool:
+    return bool(port.get_data_type() == PortDataType.kVectorValued and port.size() > 0)
+
+
+def _list_ports(system: System) -> str:
+    ports = [f"{p.get_name()} ({p.size()})" for p in vector_ports(system)]
+    return "its vector input ports are " + (", ".join(ports) or "none")
+
+
+def actuators_of(system: System) -> list[Any]:
+    """Returns the joint actuators of a MultibodyPlant; none of any other System."""
+    if not hasattr(system, "GetJointActuatorIndices"):
+        return []
+    return [system.get_joint_actuator(i) for i in system.GetJointActuatorIndices()]
+
+
+def effort_limits_of(system: System, port: Port) -> Array:
+    """Returns how large inputs may be before a MultibodyPlant clamps them, (m,)."""
+    actuators = actuators_of(system)
+    if actuators and port is not system.get_actuation_input_port():
+        actuators = [
+            each
+            for each in actuators
+            if port is system.get_actuation_input_port(each.model_instance())
+        ]
+    limits = [each.effort_limit() for each in actuators]
+    return np.array(limits or [np.inf] * port.size())
+
+
+def default_context(system: System) -> Context:
+    """Returns the default context of a System whose state is continuous.
+
+    Raises:
+        ModelError: It has another state, or none.
+    """
+    context = system.CreateDefaultContext()
+    if context.num_discrete_state_groups() or context.num_abstract_states():
+        raise ModelError(
+            f"{name_of(system)}: it has discrete or abstract state; derive the model"
+            " from its continuous twin (of a MultibodyPlant, the one with time_step=0)"
+            " and give that as model"
+        )
+    if not context.num_continuous_states():
+        raise ModelError(f"{name_of(system)}: it has no continuous state")
+    return context
+
+
+def copy_values(
+    system: System, context: Context, twin: System, target: Context
+) -> None:
+    """Copies time, state, parameters and ports' values to a twin's context.
+
+    Args:
+        system: A System.
+        context: Its context.
+        twin: The System itself, or the same in another scalar type.
+        target: The twin's context.
+    """
+    target.SetTimeStateAndParametersFrom(context)
+    for port in vector_ports(system):
+        if port.HasValue(context):
+            index = port.get_index()
+            twin.get_input_port(index).FixValue(target, port.Eval(context))
+
+
+def with_ports_held(system: System, context: Context, calc: Callable[[], _T]) -> _T:
+    """Returns what a System calculates; ports without a value are 0 if they must."""
+    try:
+        return calc()
+    except Exception:  # A System's own code may raise anything.
+        unset = [p for p in vector_ports(system) if not p.HasValue(context)]
+        if not unset:
+            raise
+    for port in unset:
+        port.FixValue(context, np.zeros(port.size()))
+    return calc()
