@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+from collections.abc import Iterable
 import inspect
 import math
 import os
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 from pydrake.symbolic import (
@@ -22,7 +24,9 @@ from pydrake.symbolic import (
 )
 import pytest
 
-from vcbf_drake.model.compiled import compile_expressions
+from vcbf_drake.model.compiled import CompiledFunction, compile_nodes
+from vcbf_drake.model.graph import variable
+from vcbf_drake.model.reading import Reader
 
 x, y, z = Variable("x"), Variable("y"), Variable("z")
 EXPRESSIONS = [
@@ -38,8 +42,15 @@ EXPRESSIONS = [
 ]
 
 
+def compiled(arguments: Iterable[Variable], expressions: Any) -> CompiledFunction:
+    """The function of pydrake's expressions, in C order."""
+    nodes = {v: variable(v.get_name()) for v in arguments}
+    read = Reader(nodes).read(expressions)
+    return compile_nodes([*nodes.values()], read.ravel())
+
+
 def test_values_are_those_of_the_expressions() -> None:
-    function = compile_expressions([x, y, z], EXPRESSIONS)
+    function = compiled([x, y, z], EXPRESSIONS)
     random = np.random.default_rng(0)
     for _ in range(20):
         point = random.normal(size=3).tolist()
@@ -49,12 +60,12 @@ def test_values_are_those_of_the_expressions() -> None:
 
 
 def test_constants_keep_all_their_digits() -> None:
-    (value,) = compile_expressions([x], [x * (1.0 / 3.0)])(1.0)
+    (value,) = compiled([x], [x * (1.0 / 3.0)])(1.0)
     assert value == 1.0 / 3.0
 
 
 def test_arrays_variables_and_numbers_are_flattened_in_order() -> None:
-    function = compile_expressions([x, y], np.array([[x, 2], [x * y, 0.5]]))
+    function = compiled([x, y], np.array([[x, 2], [x * y, 0.5]]))
     assert function(3.0, 4.0) == [3.0, 2.0, 12.0, 0.5]
     assert all(isinstance(value, float) for value in function(3.0, 4.0))
 
@@ -72,23 +83,25 @@ def test_singular_points_raise(
     expression: Expression, point: float, error: type[Exception]
 ) -> None:
     with pytest.raises(error):
-        compile_expressions([x], [expression])(point)
+        compiled([x], [expression])(point)
 
 
 def test_unknown_variables_are_named() -> None:
+    with pytest.raises(KeyError, match="y"):
+        compiled([x], [x + y, z])
     with pytest.raises(ValueError, match="rows: not among its arguments: y, z"):
-        compile_expressions([x], [x + y, z], name="rows")
+        compile_nodes([variable("x")], map(variable, "xyz"), name="rows")
 
 
 def test_what_python_cannot_say_is_refused() -> None:
     with pytest.raises(NotImplementedError):
-        compile_expressions([x], [uninterpreted_function("f", [Expression(x)])])
+        compiled([x], [uninterpreted_function("f", [Expression(x)])])
 
 
 def test_code_is_the_same_in_every_process() -> None:
     program = (
         "import inspect, test_compiled as t\n"
-        "f = t.compile_expressions([t.x, t.y, t.z], t.EXPRESSIONS)\n"
+        "f = t.compiled([t.x, t.y, t.z], t.EXPRESSIONS)\n"
         "print(inspect.getsource(f), [v.hex() for v in f(0.3, -0.7, 1.1)])\n"
     )
     path = os.pathsep.join([os.path.dirname(__file__), *sys.path])
@@ -104,6 +117,6 @@ def test_code_is_the_same_in_every_process() -> None:
     }
     assert len(outputs) == 1
     # A process that compiled other things before must agree too.
-    function = compile_expressions([x, y, z], EXPRESSIONS)
+    function = compiled([x, y, z], EXPRESSIONS)
     assert inspect.getsource(function) in outputs.pop()
     assert math.isfinite(sum(function(0.3, -0.7, 1.1)))

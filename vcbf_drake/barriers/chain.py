@@ -17,7 +17,6 @@ from vcbf_drake.model.agreement import require_agreement, sample_points
 from vcbf_drake.model.compiled import (
     CompiledFunction,
     Expressions,
-    as_expression,
     compile_nodes,
 )
 from vcbf_drake.model.control_affine import ControlAffineModel, Dynamics
@@ -112,7 +111,8 @@ class Symbols:
 
 def as_expressions(values: Any) -> Expressions:
     """Returns variables and numbers as expressions, shape (k,)."""
-    return np.array([as_expression(value) for value in values], dtype=object)
+    found = [v if isinstance(v, Expression) else Expression(v) for v in values]
+    return np.array(found, dtype=object)
 
 
 def _nodes(prefix: str, size: int) -> tuple[Node, ...]:

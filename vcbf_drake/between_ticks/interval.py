@@ -267,7 +267,7 @@ def interval_function(function: CompiledFunction) -> IntervalFunction:
     raises where it cannot.
 
     Args:
-        function: What `compile_expressions` returned.
+        function: What `compile_nodes` returned.
 
     Raises:
         ModelError: The code tells cases apart, or calls what has no enclosure here.

@@ -1,6 +1,5 @@
 """The control-affine model of any Drake System, derived and compiled symbolically."""
 
-from vcbf_drake.model.compiled import compile_expressions
 from vcbf_drake.model.control_affine import ControlAffineModel
 from vcbf_drake.model.manoeuvre import Manoeuvre, Plan
 from vcbf_drake.model.position import point_position
@@ -9,6 +8,5 @@ __all__ = [
     "ControlAffineModel",
     "Manoeuvre",
     "Plan",
-    "compile_expressions",
     "point_position",
 ]

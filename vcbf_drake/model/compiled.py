@@ -10,10 +10,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.symbolic import Expression, Variable
 
-from vcbf_drake.model.graph import COMPARISONS, Node, variable, variables_of
-from vcbf_drake.model.reading import Reader
+from vcbf_drake.model.graph import COMPARISONS, Node, variables_of
 
 Expressions: TypeAlias = NDArray[np.object_]
 CompiledFunction: TypeAlias = Callable[..., list[float]]
@@ -29,54 +27,18 @@ _NAMES: dict[str, Any] = {
 _DEEPEST = 30
 
 
-def compile_expressions(
-    arguments: Iterable[Variable],
-    expressions: Expressions | Iterable[Expression | Variable | float],
-    name: str = "compiled",
-) -> CompiledFunction:
-    """Compiles pydrake's expressions to one function of plain floats.
-
-    The function takes one positional ``float`` per argument and returns the values
-    of the expressions, in order, as a flat list: ``values = function(*x.tolist())``.
-    Common subexpressions are computed once. Its results are the same in every process,
-    whatever PYTHONHASHSEED is, bit for bit.
-
-    A singular point is the caller's to handle: the function raises what Python's own
-    float arithmetic raises there, ZeroDivisionError (1 / 0), ValueError (sqrt(-1)) or
-    OverflowError (exp(1000)). Arguments must be ``float``, not ``numpy.float64``, which
-    is slower and warns instead.
-
-    Args:
-        arguments: The variables, in the order the function takes them.
-        expressions: What to compute, of any shape; flattened in C order.
-        name: The function's name, for messages.
-
-    Raises:
-        ValueError: An expression holds a variable that is not an argument.
-        NotImplementedError: An expression has no counterpart in plain Python (an
-            uninterpreted function, for example).
-    """
-    variables = list(arguments)
-    flat = list(np.asarray(expressions, dtype=object).flat)
-    known = {v.get_id() for v in variables}
-    used = [v for e in map(as_expression, flat) for v in e.GetVariables()]
-    unknown = sorted({v.get_name() for v in used if v.get_id() not in known})
-    if unknown:
-        raise ValueError(f"{name}: not among its arguments: {', '.join(unknown)}")
-    nodes = [variable(f"a{i}") for i in range(len(variables))]
-    reader = Reader(dict(zip(variables, nodes, strict=True)))
-    return compile_nodes(nodes, reader.read(flat), name)
-
-
-def as_expression(value: Expression | Variable | float) -> Expression:
-    """Returns a variable or a number as an expression."""
-    return value if isinstance(value, Expression) else Expression(value)
-
-
 def compile_nodes(
     arguments: Sequence[Node], outputs: Iterable[Node], name: str = "compiled"
 ) -> CompiledFunction:
     """Compiles a graph's nodes to one function of plain floats.
+
+    The function takes one positional ``float`` per argument and returns the values of
+    the outputs as a list: ``values = function(*x.tolist())``. Common subexpressions are
+    computed once. Its results are the same in every process, whatever PYTHONHASHSEED
+    is, bit for bit. A singular point is the caller's to handle: the function raises
+    what Python's own float arithmetic raises there, ZeroDivisionError (1 / 0),
+    ValueError (sqrt(-1)) or OverflowError (exp(1000)). Arguments must be ``float``, not
+    ``numpy.float64``, which is slower and warns instead.
 
     Args:
         arguments: Variables, in the order the function takes them.
