@@ -50,10 +50,10 @@ reproduce: $(STAMP)
 	$(BIN)/python -m examples.paper
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -n auto
+	$(BIN)/python -m pytest -n auto --dist worksteal
 
 coverage: $(STAMP)
-	$(BIN)/python -m pytest -n auto --cov --cov-report=
+	$(BIN)/python -m pytest -n auto --dist worksteal --cov --cov-report=
 	$(BIN)/python tests/coverage_table.py
 
 properties: $(STAMP)
