@@ -56,7 +56,8 @@ def is_kept(summary):
 def room(result):
     """Returns det B of the true set, the paper's measure, at every tick, (T,)."""
     scale = result.scenario.input_set.input_set().scale
-    share = np.linalg.det(result.log["ellipsoid_shape"]) / scale.prod()
+    with np.errstate(invalid="ignore"):
+        share = np.linalg.det(result.log["ellipsoid_shape"]) / scale.prod()
     return np.nan_to_num(share)  # Nothing is left of an empty set.
 
 

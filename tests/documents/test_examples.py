@@ -1,14 +1,33 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 import os
 from pathlib import Path
 import re
+import runpy
 import subprocess
 import sys
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def run_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[[str], str]:
+    """What an example without processes prints, run in this one, as a short check."""
+
+    def run(name: str) -> str:
+        path = str(ROOT / "examples" / f"{name}.py")
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.syspath_prepend(str(ROOT / "examples"))
+        monkeypatch.setattr(sys, "argv", [path, "--short"])
+        runpy.run_path(path, run_name="__main__")
+        return capsys.readouterr().out
+
+    return run
 
 
 def run(name: str, directory: Path) -> str:
@@ -43,16 +62,16 @@ def number(text: str, label: str) -> float:
         ("read_a_log", 2.0),
     ],
 )
-def test_example_stays_safe_and_leaves_a_picture(name, most, tmp_path):
-    text = run(f"{name}.py", tmp_path)
+def test_example_stays_safe_and_leaves_a_picture(name, most, tmp_path, run_here):
+    text = run_here(name)
     assert 0.0 < number(text, "min h") < most
     assert number(text, "infeasible ticks") == 0
     picture = tmp_path / "out" / "examples" / f"{name}.png"
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_widened_volume_barrier_always_has_an_input(tmp_path):
-    text = run("adaptive_cruise_control.py", tmp_path)
+def test_a_widened_volume_barrier_always_has_an_input(tmp_path, run_here):
+    text = run_here("adaptive_cruise_control")
     assert number(text, "no volume barrier: no input left at") == 6.16
     assert number(text, "the paper's: no input left at") == 6.52
     assert "widened: always an input" in text
@@ -60,13 +79,13 @@ def test_a_widened_volume_barrier_always_has_an_input(tmp_path):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_smallest_loop_keeps_its_distance(tmp_path):
-    text = run("smallest_loop.py", tmp_path)
+def test_smallest_loop_keeps_its_distance(run_here):
+    text = run_here("smallest_loop")
     assert number(text, "least distance to the sphere") > 0.0
 
 
-def test_search_reports_on_every_course(tmp_path):
-    assert run("search_layouts.py", tmp_path).startswith("2 courses")
+def test_search_reports_on_every_course(run_here):
+    assert run_here("search_layouts").startswith("2 courses")
 
 
 def test_own_controller_drives_the_car(tmp_path):
@@ -77,8 +96,8 @@ def test_own_controller_drives_the_car(tmp_path):
     assert number(text, "min h") > 0.0
 
 
-def test_slow_link_is_closer_to_the_ideal_path_with_prediction(tmp_path):
-    text = run("slow_link.py", tmp_path)
+def test_slow_link_is_closer_to_the_ideal_path_with_prediction(run_here):
+    text = run_here("slow_link")
     away = [int(match) for match in re.findall(r"(\d+) mm from the path", text)]
     volume = [float(match) for match in re.findall(r"min V_v (-?[\d.]+)", text)]
     assert len(away) == 3
@@ -105,8 +124,8 @@ def test_hardware_faults_reports_from_both_sides(tmp_path):
     assert text.count("round trip") == 2
 
 
-def test_tuning_study_counts_every_flight(tmp_path):
-    lines = run("tuning_study.py", tmp_path).splitlines()
+def test_tuning_study_counts_every_flight(tmp_path, run_here):
+    lines = run_here("tuning_study").splitlines()
     kept = {line[:26].strip(): line[26:].split()[:3] for line in lines[1:]}
     assert len(kept) == 4
     # Within the 5 s of the check, the paper's form loses two of its three courses.

@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 
 from vcbf_drake import load_scenario
 from vcbf_drake.cli import app
-from vcbf_drake.simulation import validate
+from vcbf_drake.simulation import dump_scenario, validate
 from vcbf_drake.simulation.faults import Faults
 from vcbf_drake.simulation.scenario import MeasurementNoise
 from vcbf_drake.studies import run_trial
@@ -109,9 +109,10 @@ def test_the_page_names_command_and_trials_and_has_a_row_a_kind():
     assert guaranteed in headline(summaries)
 
 
-@pytest.mark.slow
 def test_the_command_ends_with_a_table(tmp_path):
-    arguments = ["faults", CAR, "--trials", "1", "--workers", "1", "--out"]
+    brief = tmp_path / "brief.yaml"
+    brief.write_text(dump_scenario(load_scenario(CAR, {"duration": 0.5})))
+    arguments = ["faults", str(brief), "--trials", "1", "--workers", "1", "--out"]
     done = CliRunner().invoke(app, [*arguments, str(tmp_path)])
     assert done.exit_code == 0, done.output
     assert "0 runs had an input that was not finite" in done.output
