@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path as FilePath
 import site
@@ -34,11 +34,13 @@ class EmptySetError(VcbfError):
         inradius: The signed Chebyshev radius (in units of u), or that of the rows in
             conflict alone, which is no less; negative, but for a set that is flat
             where an interior is asked for.
-        conflict: Indices of rows that exclude each other, where they are known.
+        multipliers: Farkas' proof: y >= 0 with y'A = 0 and y'b < 0, shape (n,); zeros
+            where it is not known.
+        conflict: Indices of the rows with y > 0, which exclude each other.
     """
 
     def __init__(
-        self, A: Array, b: Array, inradius: float, conflict: Sequence[int] = ()
+        self, A: Array, b: Array, inradius: float, multipliers: Array | None = None
     ) -> None:
         # Where rounding leaves it open whether there is a point, at least no ball is.
         what = "is empty" if inradius < -_ROUNDING else "has no interior"
@@ -47,7 +49,10 @@ class EmptySetError(VcbfError):
             f" {inradius:.3g}"
         )
         self.A, self.b, self.inradius = A, b, inradius
-        self.conflict = tuple(conflict)
+        self.multipliers = np.zeros(len(b)) if multipliers is None else multipliers
+        self.conflict: tuple[int, ...] = tuple(
+            np.flatnonzero(self.multipliers).tolist()
+        )
 
 
 class UnboundedSetError(VcbfError):

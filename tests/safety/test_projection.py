@@ -5,7 +5,7 @@ from scipy.optimize import linprog
 
 from vcbf_drake.errors import EmptySetError, SolverError
 from vcbf_drake.safety import projection
-from vcbf_drake.safety.active_set import ActiveSetSolution
+from vcbf_drake.safety.active_set import Projection
 from vcbf_drake.safety.programs import NearestPointProgram, check_solver
 from vcbf_drake.safety.projection import minimise_linear, nearest_point
 
@@ -194,7 +194,7 @@ def test_a_wrong_proposal_is_not_believed(proposal, monkeypatch):
 )
 def test_a_point_is_judged_by_how_much_nearer_another_may_be(point, is_accepted):
     A, b, reference = np.array([[1.0, 0.0]]), np.zeros(1), np.array([1.0, 0.0])
-    proposed = ActiveSetSolution(np.array(point), np.ones(1), None)
+    proposed = Projection(np.array(point), np.ones(1))
     assert projection._is_optimal(proposed, A, b, b, reference) == is_accepted
 
 

@@ -23,8 +23,8 @@ _TOLERANCE = 1e-13
 _PATIENCE = 3
 
 
-class ActiveSetSolution(NamedTuple):
-    """Where the iterations ended; the caller has to check what it is.
+class Projection(NamedTuple):
+    """A point nearest to a reference; of the iterations, to be checked by the caller.
 
     Attributes:
         point: v, the reference itself or, to rounding, on the rows with y > 0, (m,).
@@ -35,10 +35,12 @@ class ActiveSetSolution(NamedTuple):
 
     point: Array
     multipliers: Array
-    conflict: Array | None
+    conflict: Array | None = None
 
 
-def nearest_by_active_set(A: Array, b: Array, reference: Array) -> ActiveSetSolution:
+def nearest_by_active_set(
+    A: Array, b: Array, reference: Array, near: NDArray[np.intp] | None = None
+) -> Projection:
     """Minimises 1/2 |v - reference|^2 subject to ``A v <= b``, in floats.
 
     By the dual method of Goldfarb and Idnani (1983): the row that is violated most
@@ -49,23 +51,27 @@ def nearest_by_active_set(A: Array, b: Array, reference: Array) -> ActiveSetSolu
         A: The rows, shape (n, m).
         b: Their right-hand sides, shape (n,).
         reference: The point that is projected, shape (m,).
+        near: Indices of the rows that are looked at; by default all.
     """
     face, point, conflict = _Face(A, b, reference), reference, None
+    near = np.arange(len(b)) if near is None else near
+    A, b = A[near], b[near]
     entries, sides = np.abs(A), np.abs(b)
     for _ in range(_PATIENCE * len(b)):
         excess = A @ point - b
         beyond = excess - _TOLERANCE * (entries @ np.abs(point) + sides)
         worst = int(beyond.argmax())
-        if beyond[worst] <= 0.0 or worst in face.rows:
+        row = int(near[worst])
+        if beyond[worst] <= 0.0 or row in face.rows:
             break
-        conflict = face.join(worst, float(excess[worst]))
+        conflict = face.join(row, float(excess[worst]))
         if conflict is not None:
             break
         point = np.array(face.point)
     return face.solution(conflict)
 
 
-def nearest_in_rationals(A: Array, b: Array, reference: Array) -> ActiveSetSolution:
+def nearest_in_rationals(A: Array, b: Array, reference: Array) -> Projection:
     """Minimises 1/2 |v - reference|^2 subject to ``A v <= b``, without rounding.
 
     Every step raises the cost, so that no choice of active rows comes twice: it ends
@@ -139,7 +145,7 @@ class _Face:
         self.point = self._reference
         self.multipliers: _Vector = []
 
-    def solution(self, conflict: _Vector | None) -> ActiveSetSolution:
+    def solution(self, conflict: _Vector | None) -> Projection:
         """Returns where the iterations ended.
 
         Args:
@@ -148,7 +154,7 @@ class _Face:
         multipliers = np.zeros(len(self._b))
         multipliers[self.rows] = self.multipliers
         proof = None if conflict is None else np.array(conflict, dtype=float)
-        return ActiveSetSolution(np.array(self.point, dtype=float), multipliers, proof)
+        return Projection(np.array(self.point, dtype=float), multipliers, proof)
 
     def join(self, row: int, excess: _Number) -> _Vector | None:
         """Makes a violated row active, and those inactive that stand in its way.

@@ -26,13 +26,13 @@ from vcbf_drake.safety.certified_ellipsoid import (
 from vcbf_drake.safety.cut_box import cut_box
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.polytope import (
-    UnitRows,
     chebyshev_ball,
     dikin_frame,
     largest_ball,
     recession_direction,
 )
 from vcbf_drake.safety.programs import DEFAULT_SOLVER, EllipsoidProgram
+from vcbf_drake.safety.unit_rows import UnitRows
 
 # Of a set of unit size the cone program reaches this tolerance; one Newton step is then
 # enough. With more inputs than a few, others cost less than the solver's.
@@ -49,6 +49,8 @@ _PARALLEL = 1e-12
 # Rows further away than this, in its frame, would spoil the cone program's scaling and
 # are brought nearer; Newton's method and the certificate take them where they are.
 _FARTHEST = 1e6
+# How well b - A u is known, relative to its terms.
+_ROUNDING = 1e-15
 
 
 @dataclass(frozen=True)
@@ -141,12 +143,13 @@ def _search(rows: UnitRows) -> CertifiedEllipsoid | None:
     u = center + frame z, of the rows around the Chebyshev centre, and then of what it
     finds.
     """
-    ball, (A, b) = largest_ball(rows), rows.without_blanks()
-    if ball.radius <= ball.rounding:
-        raise EmptySetError(*rows.given, ball.radius)
+    (center, radius), (A, b) = largest_ball(rows), rows.without_blanks()
+    # Of the rows it touches, |b_i| = |a_i center + radius|.
+    if radius <= _ROUNDING * (float(np.linalg.norm(center)) + abs(radius)):
+        raise EmptySetError(*rows.given, radius)
     if A.shape[1] == 1:
         return interval(A, b)
-    center, frame = ball.center, dikin_frame(A, ball.slack)
+    frame = dikin_frame(A, b - A @ center)
     for _ in range(4):
         normals, distance = A @ frame, b - A @ center
         length = np.linalg.norm(normals, axis=1)

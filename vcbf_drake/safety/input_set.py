@@ -7,8 +7,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from vcbf_drake.checks import Array, require
 from vcbf_drake.errors import EmptySetError, UnboundedSetError, VcbfError
-from vcbf_drake.safety.polytope import UnitRows, chebyshev_ball, recession_direction
+from vcbf_drake.safety.polytope import chebyshev_ball, recession_direction
 from vcbf_drake.safety.projection import minimise_linear, nearest_point
+from vcbf_drake.safety.unit_rows import UnitRows
 from vcbf_drake.typed import typed
 
 # A point this many input ranges away is as good as one infinitely far.

@@ -131,22 +131,15 @@ def _kept(kind: Any, *size: Any) -> FixedProgram:
 
 
 class LinearProgram(FixedProgram):
-    """min c'v subject to ``A v <= b`` and |v_j| <= limit.
+    """min c'v subject to ``A v <= b``.
 
     Args:
         num_rows: n.
         num_variables: m.
-        limit: Of every variable.
         solver: One of `SOLVERS` that takes linear programs.
     """
 
-    def __init__(
-        self,
-        num_rows: int,
-        num_variables: int,
-        limit: float = math.inf,
-        solver: str = "Clp",
-    ) -> None:
+    def __init__(self, num_rows: int, num_variables: int, solver: str = "Clp") -> None:
         super().__init__(num_variables, SOLVERS[solver](), SolverOptions())
         v, self._below = self.variables, np.full(num_rows, -np.inf)
         self._cost = self.program.AddLinearCost(
@@ -155,8 +148,6 @@ class LinearProgram(FixedProgram):
         self._rows = self.program.AddLinearConstraint(
             np.ones((num_rows, num_variables)), self._below, self._below, v
         )
-        if math.isfinite(limit):
-            self.program.AddBoundingBoxConstraint(-limit, limit, v)
 
     def solve(self, cost: Array, A: Array, b: Array) -> tuple[Array, Array] | None:
         """Returns a minimiser and the rows' multipliers y >= 0; None without one."""

@@ -8,7 +8,6 @@ prove that there is no point. What floats leave open is decided in rational numb
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 import math
 
 import numpy as np
@@ -17,19 +16,19 @@ from numpy.typing import NDArray
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import EmptySetError, SolverError
 from vcbf_drake.safety.active_set import (
-    ActiveSetSolution,
+    Projection,
     nearest_by_active_set,
     nearest_in_rationals,
-)
-from vcbf_drake.safety.polytope import (
-    BALANCE_TOLERANCE,
-    FEASIBILITY_TOLERANCE,
-    UnitRows,
 )
 from vcbf_drake.safety.programs import (
     DEFAULT_SOLVER,
     LinearProgram,
     NearestPointProgram,
+)
+from vcbf_drake.safety.unit_rows import (
+    BALANCE_TOLERANCE,
+    FEASIBILITY_TOLERANCE,
+    UnitRows,
 )
 
 # Rows of sets that may have no interior are opened by so much of the tolerance, ...
@@ -47,7 +46,7 @@ _NOISE = 1e-14
 _ROUNDING = 1e-15
 # Rows this close to a solver's answer may be active. A wider reach forgives a solver's
 # tolerance, a narrower one keeps apart rows that nearly meet.
-_REACHES = (1e-7, 1e-4, math.inf)
+_REACHES = (1e-7, 1e-4)
 # Of a linear program: its solution leaves no row by more than ...
 _EXACT = 1e-10
 # ... and no point's cost is lower by more than this, relative to its terms.
@@ -62,27 +61,16 @@ _DOWNHILL = 1e60
 _FARTHEST = 1e30
 
 
-@dataclass(frozen=True)
-class NearestPoint:
-    """A verified solution v of min 1/2 |v - reference|^2 subject to ``A v <= b``.
-
-    Attributes:
-        point: The minimiser v, shape (m,).
-        multipliers: Of the rows as given, nonnegative, shape (n,).
-    """
-
-    point: Array
-    multipliers: Array
-
-
 def nearest_point(
     A: Array,
     b: Array,
     reference: Array,
     num_firm: int = 0,
     solver: str = DEFAULT_SOLVER,
-) -> NearestPoint:
+) -> Projection:
     """Returns the point of ``{v : A v <= b}`` nearest to the reference.
+
+    Its multipliers are of the rows as given.
 
     A reference inside the set is returned untouched. Any other answer is verified by
     the optimality conditions v = reference - A'y, y >= 0, A v <= b, y'(b - A v) = 0.
@@ -101,19 +89,19 @@ def nearest_point(
         EmptySetError: No point satisfies the rows; certified, not guessed.
     """
     if (A @ reference <= b).all():
-        return NearestPoint(reference, np.zeros(len(b)))
+        return Projection(reference, np.zeros(len(b)))
     rows = UnitRows(A, b)
     program = NearestPointProgram.of_size(*A.shape, solver)
     bounds = rows.b + opening(rows, num_firm)
     for right in (rows.b, bounds):
         proposal = program.solve(rows.A, right, reference)
         for near in _touched(rows.A, right, proposal):
-            found = _made_exact(rows.A, right, reference, near)
+            found = nearest_by_active_set(rows.A, right, reference, near)
             if _is_optimal(found, rows.A, rows.b, right, reference):
-                return NearestPoint(found.point, rows.as_given(found.multipliers))
+                return Projection(found.point, rows.as_given(found.multipliers))
         _raise_if_empty(found, rows, bounds)
     found = _in_rationals(rows, bounds, reference)
-    return NearestPoint(found.point, rows.as_given(found.multipliers))
+    return Projection(found.point, rows.as_given(found.multipliers))
 
 
 def minimise_linear(
@@ -163,7 +151,7 @@ def minimise_linear(
     return point
 
 
-def _in_rationals(rows: UnitRows, b: Array, reference: Array) -> ActiveSetSolution:
+def _in_rationals(rows: UnitRows, b: Array, reference: Array) -> Projection:
     """What floats leave open, decided.
 
     Raises:
@@ -190,31 +178,19 @@ def opening(rows: UnitRows, num_firm: int) -> Array:
     return distance
 
 
-def _touched(A: Array, b: Array, proposal: Array | None) -> Iterator[NDArray[np.intp]]:
-    """Rows that a proposal touches, from few to all; all at once without a proposal."""
-    for reach in _REACHES if proposal is not None else _REACHES[-1:]:
-        if proposal is None or math.isinf(reach):
-            yield np.arange(len(b))
-        else:
-            yield (b - A @ proposal < reach).nonzero()[0]
-
-
-def _made_exact(
-    A: Array, b: Array, reference: Array, near: NDArray[np.intp]
-) -> ActiveSetSolution:
-    """The point nearest to the reference on some of the rows alone."""
-    found = nearest_by_active_set(A[near], b[near], reference)
-    multipliers = np.zeros(len(b))
-    multipliers[near] = found.multipliers
-    conflict = None
-    if found.conflict is not None:
-        conflict = np.zeros(len(b))
-        conflict[near] = found.conflict
-    return ActiveSetSolution(found.point, multipliers, conflict)
+def _touched(
+    A: Array, b: Array, proposal: Array | None
+) -> Iterator[NDArray[np.intp] | None]:
+    """Rows that a proposal touches, from few to all (None)."""
+    if proposal is not None:
+        slack = b - A @ proposal
+        for reach in _REACHES:
+            yield (slack < reach).nonzero()[0]
+    yield None
 
 
 def _is_optimal(
-    found: ActiveSetSolution, A: Array, b: Array, opened: Array, reference: Array
+    found: Projection, A: Array, b: Array, opened: Array, reference: Array
 ) -> bool:
     """Whether a point meets the opened rows, and no point of the set is much nearer.
 
@@ -229,7 +205,7 @@ def _is_optimal(
     return gap <= _GAP * size and bool((product <= opened + _EXCESS).all())
 
 
-def _raise_if_empty(found: ActiveSetSolution, rows: UnitRows, b: Array) -> None:
+def _raise_if_empty(found: Projection, rows: UnitRows, b: Array) -> None:
     """Raises if the conflict that the active set ended in is Farkas' proof in floats.
 
     That is z of sum 1 with z'A = 0 to rounding, and z'b < 0, for points that are no
@@ -252,9 +228,8 @@ def _raise_if_empty(found: ActiveSetSolution, rows: UnitRows, b: Array) -> None:
 
 
 def _empty(rows: UnitRows, conflict: Array) -> EmptySetError:
-    """Returns the error that names the rows of Farkas' proof, an irreducible one."""
+    """Returns the error with Farkas' proof, an irreducible one."""
     A, b = rows.given
-    involved = np.flatnonzero(conflict)
     value = float(conflict @ rows.b) / float(conflict.sum())
-    radius = value if rows.A[involved].any() else -math.inf
-    return EmptySetError(A, b, radius, involved.tolist())
+    radius = value if rows.A[conflict > 0.0].any() else -math.inf
+    return EmptySetError(A, b, radius, rows.as_given(conflict))

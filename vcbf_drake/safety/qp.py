@@ -13,12 +13,11 @@ from numpy.linalg import LinAlgError
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import EmptySetError, SolverError
-from vcbf_drake.safety.active_set import nearest_in_rationals
+from vcbf_drake.safety.active_set import Projection, nearest_in_rationals
 from vcbf_drake.safety.decay import DecayRates
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.programs import DEFAULT_SOLVER
-from vcbf_drake.safety.projection import NearestPoint
 from vcbf_drake.safety.tick_qp import (
     QP,
     Frame,
@@ -212,8 +211,8 @@ def _moves_a_fixed(reference: Array, input_set: InputSet) -> bool:
 
 
 def _better(
-    finer: QP, found: NearestPoint, qp: QP, feasible: FeasibleSet, solver: str
-) -> tuple[NearestPoint, QP]:
+    finer: QP, found: Projection, qp: QP, feasible: FeasibleSet, solver: str
+) -> tuple[Projection, QP]:
     """The solution in finer coordinates; where none is verified, the one found.
 
     Raises:

@@ -9,9 +9,9 @@ from pydrake.solvers import MathematicalProgram, MathematicalProgramResult
 
 from vcbf_drake.checks import Array
 from vcbf_drake.safety.feasible_set import FeasibleSet, cutting_rows
-from vcbf_drake.safety.polytope import UnitRows
 from vcbf_drake.safety.programs import EllipsoidProgram, NearestPointProgram
 from vcbf_drake.safety.tick_qp import QP, Frame
+from vcbf_drake.safety.unit_rows import UnitRows
 
 
 @dataclass(frozen=True)

@@ -13,14 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from vcbf_drake.checks import Array, require
 from vcbf_drake.errors import EmptySetError, SolverError
+from vcbf_drake.safety.active_set import Projection
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.polytope import UnitRows
-from vcbf_drake.safety.projection import (
-    NearestPoint,
-    minimise_linear,
-    nearest_point,
-)
+from vcbf_drake.safety.projection import minimise_linear, nearest_point
+from vcbf_drake.safety.unit_rows import UnitRows
 
 # A reference this many input ranges away is as good as one infinitely far; without
 # limits, one this many units away.
@@ -163,7 +160,7 @@ class QP:
     further_rows: tuple[str | int, ...] = ()
     num_decays: int = 0
 
-    def solved(self, solver: str) -> NearestPoint:
+    def solved(self, solver: str) -> Projection:
         """Returns the minimiser z, shape (d,), and its multipliers.
 
         Raises:
@@ -171,7 +168,7 @@ class QP:
         """
         A, reference, back = self.as_projection()
         found = nearest_point(A, self.b, reference, self.num_firm, solver)
-        return found if back is None else replace(found, point=back @ found.point)
+        return found if back is None else found._replace(point=back @ found.point)
 
     def as_projection(self) -> tuple[Array, Array, Array | None]:
         """Returns rows and reference in y = R z, and R^-1 (None for the identity)."""
@@ -295,7 +292,7 @@ def _normalised(reference: Array, inputs: InputSet) -> Array:
     return v
 
 
-def solve_qp(qp: QP, solver: str) -> tuple[NearestPoint, QP]:
+def solve_qp(qp: QP, solver: str) -> tuple[Projection, QP]:
     """Returns a QP's minimiser; where its volume rows leave none, that of one they do.
 
     With several volume rows, each in its turn gives way by the least that those before
