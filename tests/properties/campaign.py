@@ -89,7 +89,7 @@ def decide(tick: Tick) -> FilterDecision:
         feasible = feasible_set(tick.input_set, rows, known, tick.weights)
         return choose_input(
             feasible,
-            tick.volume_rows or (),
+            tick.volume_row,
             tick.reference,
             tick.held_input,
             tick.input_set,

@@ -7,7 +7,7 @@ there is one, multipliers prove that none is better, or that there is none.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import chain, combinations
 import math
@@ -51,25 +51,26 @@ class Tick:
         A: The barriers' rows, shape (N, m).
         b: Their right-hand sides, the disturbance's margin included, shape (N,).
         weights: How much a violation of each counts, shape (N,).
-        volume_rows: The volume barrier's; None where they are not known, and nothing is
-            said of which input is nearest.
+        volume_row: The volume barrier's, if there is one.
         reference: Shape (m,).
         held_input: Shape (m,).
-        exact_slack: Whether volume rows give way by as little as possible.
+        exact_slack: Whether the volume row gives way by as little as possible.
         policy: What is done where no input satisfies the barriers' rows.
         state: What the rows are of; empty where that is nothing in particular.
-        rates: What the volume rows need beside it; empty where they are given.
+        rates: What the volume row needs beside it; empty where it is given.
         slopes: By how much a row opens for each unit its decay rate grows by, in shares
             of itself, shape (N,); 0 where it may not, empty where none may.
         growth: By how much each may grow, shape (N,).
         decays_always: Whether rates may grow where the rows have an input, too.
+        knows_volume: Whether the volume row is known; else nothing is said of which
+            input is nearest.
     """
 
     input_set: InputSet
     A: Array
     b: Array
     weights: Array
-    volume_rows: Sequence[VolumeRow] | None
+    volume_row: VolumeRow | None
     reference: Array
     held_input: Array
     exact_slack: bool
@@ -79,6 +80,7 @@ class Tick:
     slopes: Array = field(default_factory=lambda: np.zeros(0))
     growth: Array = field(default_factory=lambda: np.zeros(0))
     decays_always: bool = False
+    knows_volume: bool = True
 
     @property
     def is_finite(self) -> bool:
@@ -149,7 +151,7 @@ def _broken(tick: Tick, decision: FilterDecision) -> Iterator[str]:
             and (decision.input != tick.reference).any()
         ):
             yield "reference"
-        if tick.volume_rows is not None:
+        if tick.knows_volume:
             yield from _broken_when_feasible(tick, decision, limits.and_(rows), v)
 
 
@@ -222,32 +224,28 @@ def _is_empty(rows: _Rows, guess: list[int]) -> bool:
 def _broken_when_feasible(
     tick: Tick, decision: FilterDecision, rows: _Rows, v: Array
 ) -> Iterator[str]:
-    volume_rows = tick.volume_rows or ()
-    rows_v = _Rows.of(
-        tick.input_set,
-        np.reshape([row.a for row in volume_rows], (-1, len(v))),
-        np.array([row.c for row in volume_rows]),
-    )
-    slack = rows_v.slack(v)
-    worst = min(0.0, float(np.min(slack * rows_v.unit, initial=0.0)))
-    if abs(decision.slack - worst) > FEASIBILITY * (
-        1.0 + np.max(rows_v.unit, initial=0)
-    ):
+    if tick.volume_row is None:
+        if decision.slack != 0.0:
+            yield "slack"
+        if not rows.is_optimal(v - tick.far(tick.reference), v):
+            yield "optimal"
+        return
+    a, c = tick.volume_row.a, tick.volume_row.c
+    row_v = _Rows.of(tick.input_set, a[None], np.array([c]))
+    unit, slack = float(row_v.unit[0]), float(row_v.slack(v)[0])
+    if abs(decision.slack - unit * min(0.0, slack)) > FEASIBILITY * (1.0 + unit):
         yield "slack"
-    if decision.status != FilterStatus.RELAXED and rows_v.violation(v) > FEASIBILITY:
+    if decision.status != FilterStatus.RELAXED and row_v.violation(v) > FEASIBILITY:
         yield "volume row"
     gradient = v - tick.far(tick.reference)
     if not tick.exact_slack:
-        penalty = np.array([row.slack_penalty for row in volume_rows])
-        if not _is_least_penalty(rows, rows_v, penalty, gradient, v):
+        penalty = tick.volume_row.slack_penalty
+        if not _is_least_penalty(rows, row_v, penalty, gradient, v):
             yield "optimal"
         return
-    for i in range(len(slack)):  # Each in its turn gives way as little as it can.
-        if slack[i] < -FEASIBILITY and not rows.is_optimal(rows_v.G[i], v):
-            yield "least slack"
-        given_way = np.minimum(slack[i : i + 1], 0.0)
-        rows = rows.and_(rows_v.only(i).relaxed(given_way))
-    if not rows.is_optimal(gradient, v):
+    if slack < -FEASIBILITY and not rows.is_optimal(row_v.G[0], v):
+        yield "least slack"
+    if not rows.and_(row_v.relaxed(min(slack, 0.0))).is_optimal(gradient, v):
         yield "optimal"
 
 
@@ -284,10 +282,7 @@ class _Rows:
         mine, others = vars(self).values(), vars(other).values()
         return _Rows(*(np.concatenate(pair) for pair in zip(mine, others, strict=True)))
 
-    def only(self, i: int) -> _Rows:
-        return _Rows(*(each[i : i + 1] for each in vars(self).values()))
-
-    def relaxed(self, slack: Array) -> _Rows:
+    def relaxed(self, slack: float) -> _Rows:
         return _Rows(self.G, self.h - slack, self.unit, self.rounding)
 
     def slack(self, v: Array) -> Array:
@@ -361,20 +356,19 @@ def _is_least_violation(weights: Array, limits: _Rows, rows: _Rows, v: Array) ->
 
 
 def _is_least_penalty(
-    rows: _Rows, volume_rows: _Rows, penalty: Array, gradient: Array, v: Array
+    rows: _Rows, volume_row: _Rows, penalty: float, gradient: Array, v: Array
 ) -> bool:
-    """Whether (v, s) minimises |v - reference|^2 + |s|^2, where s = sqrt(M) delta."""
-    root = np.sqrt(penalty)
-    s = root * np.minimum(volume_rows.slack(v) * volume_rows.unit, 0.0)
-    k = len(root)
-    per_slack = np.diag(1.0 / (root * volume_rows.unit)) if k else np.zeros((0, 0))
-    G = np.block([[rows.G, np.zeros((len(rows.h), k))], [volume_rows.G, per_slack]])
+    """Whether (v, s) minimises |v - reference|^2 + s^2, where s = sqrt(M) delta."""
+    root, unit = math.sqrt(penalty), float(volume_row.unit[0])
+    s = root * min(float(volume_row.slack(v)[0]) * unit, 0.0)
+    firm = np.column_stack([rows.G, np.zeros(len(rows.h))])
+    G = np.vstack([firm, np.append(volume_row.G[0], 1.0 / (root * unit))])
     length = np.linalg.norm(G, axis=1)
     length[length == 0.0] = 1.0
-    h = np.concatenate([rows.h, volume_rows.h])
-    slope, point = np.concatenate([gradient, s]), np.concatenate([v, s])
-    pull = float(np.linalg.norm(gradient) + np.abs(s * root * volume_rows.unit).sum())
+    h = np.concatenate([rows.h, volume_row.h])
+    slope, point = np.append(gradient, s), np.append(v, s)
+    pull = float(np.linalg.norm(gradient) + abs(s) * root * unit)
     enough = OPTIMALITY * (1.0 + pull) + COST * float(slope @ slope)
-    reach = np.append(np.full(len(v), 2.0), np.full(k, np.abs(s).sum()))
+    reach = np.append(np.full(len(v), 2.0), abs(s))
     gap = suboptimality(slope, G / length[:, None], h / length, point, reach, enough)
     return gap <= enough

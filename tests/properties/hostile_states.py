@@ -76,9 +76,8 @@ def random_decision(rng: Generator, plant: str) -> tuple[Tick, FilterDecision]:
         A=feasible.A[limits:],
         b=feasible.b[limits:],
         weights=feasible.weights,
-        volume_rows=()
-        if safety_filter.method.feasibility in ("none", "backup")
-        else None,
+        volume_row=None,
+        knows_volume=safety_filter.method.feasibility in ("none", "backup"),
         reference=signals["reference"],
         held_input=signals["held_input"],
         exact_slack=True,

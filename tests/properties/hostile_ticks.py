@@ -59,7 +59,7 @@ def random_tick(rng: Generator, input_set: InputSet, kind: str) -> Tick:
         A=A,
         b=distance + A @ center,
         weights=_weights(rng, len(distance)),
-        volume_rows=[_volume_row(rng, input_set) for _ in range(_few(rng))],
+        volume_row=_volume_row(rng, input_set),
         reference=center + scale * _point(rng, m),
         held_input=center + scale * _point(rng, m),
         exact_slack=bool(rng.random() < 0.7),
@@ -68,10 +68,6 @@ def random_tick(rng: Generator, input_set: InputSet, kind: str) -> Tick:
     if kind == "not finite":
         _spoil(rng, tick)
     return tick
-
-
-def _few(rng: Generator) -> int:
-    return int(rng.choice(3, p=[0.5, 0.35, 0.15]))
 
 
 def _weights(rng: Generator, size: int) -> Array:
@@ -88,13 +84,18 @@ def _point(rng: Generator, m: int) -> Array:
     return np.sign(point) if rng.random() < 0.1 else point
 
 
-def _volume_row(rng: Generator, input_set: InputSet) -> VolumeRow:
-    a = _directions(rng, 1, input_set.num_inputs)[0]
-    size = 0.0 if rng.random() < 0.05 else 10.0 ** rng.uniform(-4.0, 3.0)
-    c = size * rng.uniform(-2.0, 1.0)
-    a = size * a / input_set.scale
-    penalty = 10.0 ** rng.uniform(0.0, 6.0)
-    return VolumeRow(a, float(c + a @ input_set.center), float(penalty))
+def _volume_row(rng: Generator, input_set: InputSet) -> VolumeRow | None:
+    """A row in half of the ticks."""
+    row = None
+    # Two are drawn at times: the numbers of the examples that were found rest on it.
+    for _ in range(int(rng.choice(3, p=[0.5, 0.35, 0.15]))):
+        a = _directions(rng, 1, input_set.num_inputs)[0]
+        size = 0.0 if rng.random() < 0.05 else 10.0 ** rng.uniform(-4.0, 3.0)
+        c = size * rng.uniform(-2.0, 1.0)
+        a = size * a / input_set.scale
+        penalty = 10.0 ** rng.uniform(0.0, 6.0)
+        row = VolumeRow(a, float(c + a @ input_set.center), float(penalty))
+    return row
 
 
 def _spoil(rng: Generator, tick: Tick) -> None:

@@ -27,7 +27,7 @@ def decide(b, slopes, reference, most=9.0, policy="decay", **choices):
     )
     return choose_input(
         feasible_set(LINE, rows, DisturbanceKnowledge.constant(1, 0.0)),
-        [],
+        None,
         np.array([reference]),
         np.zeros(1),
         LINE,
@@ -121,7 +121,7 @@ def test_optimal_decay_solves_the_smooth_problem_without_its_variables():
         rates = DecayRates(slopes, np.full(5, 1e3), 20.0, only_where_empty=False)
         found = choose_input(
             feasible_set(box, rows, known, None, penalties),
-            [],
+            None,
             reference,
             np.zeros(3),
             box,

@@ -33,7 +33,7 @@ def choose(input_set, A, b, reference, policy="least_violation"):
     )
     feasible = feasible_set(input_set, rows, DisturbanceKnowledge.constant(1, 0.0))
     reference = np.array(reference, dtype=float)
-    return choose_input(feasible, (), reference, np.zeros(m), input_set, True, policy)
+    return choose_input(feasible, None, reference, np.zeros(m), input_set, True, policy)
 
 
 @pytest.mark.parametrize("far", FAR)

@@ -37,12 +37,12 @@ def set_of(A, b, input_set=BOX, weights=None):
     return feasible_set(input_set, rows, DisturbanceKnowledge.constant(1, 0.0), weights)
 
 
-def choose(feasible, reference, *volume_rows, **options):
+def choose(feasible, reference, volume_row=None, **options):
     settings = {"exact_slack": True, "policy": "stop", "held_input": ORIGIN}
     settings |= options
     return choose_input(
         feasible,
-        volume_rows,
+        volume_row,
         np.array(reference, dtype=float),
         settings["held_input"],
         BOX,
@@ -107,42 +107,6 @@ def test_infeasible_rows_are_named():
     assert decision.status == FilterStatus.INFEASIBLE
     assert decision.conflict == (4, 5)  # After the box's four rows.
     assert decision.slack == 0.0
-
-
-def test_volume_rows_give_way_one_after_the_other():
-    """The first is kept as far as it can be, whatever the second asks for."""
-    feasible = set_of([0.0, 1.0], 1.0)
-    first = VolumeRow(a=np.array([1.0, 0.0]), c=-0.5, slack_penalty=1e3)
-    second = VolumeRow(a=np.array([-1.0, 0.0]), c=-2.0, slack_penalty=1e3)
-    decision = choose(feasible, [0.0, 0.3], first, second)
-    assert decision.status == FilterStatus.RELAXED
-    np.testing.assert_allclose(decision.input, [-0.5, 0.3], atol=1e-7)
-    assert decision.slack == pytest.approx(-2.5, abs=1e-7)
-    other_way_round = choose(feasible, [0.0, 0.3], second, first)
-    np.testing.assert_allclose(other_way_round.input, [2.0, 0.3], atol=1e-7)
-
-
-def test_both_volume_rows_give_way_by_the_least_in_their_order():
-    feasible = set_of([0.0, 1.0], 1.0)
-    first = VolumeRow(a=np.array([1.0, 0.0]), c=-1.5, slack_penalty=1e3)
-    second = VolumeRow(a=np.array([-1.0, 1.0]), c=-2.0, slack_penalty=1e3)
-    decision = choose(feasible, [0.0, 0.3], first, second)
-    # The first leaves u_0 = -1, and on that edge the second is least broken at -2.
-    np.testing.assert_allclose(decision.input, [-1.0, -2.0], atol=1e-6)
-    assert decision.slack == pytest.approx(-1.0, abs=1e-6)
-
-
-def test_printed_penalty_takes_a_slack_a_row():
-    """Against the same program, solved for its two slacks by hand (least squares)."""
-    feasible, penalty = set_of([0.0, 1.0], 1.0), 3.0
-    first = VolumeRow(a=np.array([1.0, 0.0]), c=-0.5, slack_penalty=penalty)
-    second = VolumeRow(a=np.array([0.0, 1.0]), c=-0.25, slack_penalty=penalty)
-    decision = choose(feasible, [1.0, 0.0], first, second, exact_slack=False)
-    # Separable, with the inputs' half-widths 2: minimise (x - v)^2 + M (2 x - c)^2.
-    v, c = np.array([0.0, 0.0]), np.array([-1.5, -0.25])  # c - a center, center (1, 0)
-    x = (v + 2.0 * penalty * c) / (1.0 + 4.0 * penalty)
-    np.testing.assert_allclose(decision.input, [1.0 + 2.0 * x[0], 2.0 * x[1]])
-    assert decision.slack == pytest.approx((c - 2.0 * x).min(), abs=1e-9)
 
 
 def test_infeasible_stays_infeasible_with_a_volume_row_in_the_qp():

@@ -27,7 +27,8 @@ from vcbf_drake.safety import (
     safety_filter as safety_filter_module,
     unpack_feasible_set,
 )
-from vcbf_drake.safety.volume import VolumeBarrier, VolumeMeasure
+from vcbf_drake.safety.ellipsoid import InscribedEllipsoidSolver
+from vcbf_drake.safety.volume import VolumeBarrier
 
 LIMITS = InputSet.box([-0.05, -0.2, -0.02], [0.25, 0.2, 0.02])
 CLOSE = np.array([0.0, 0.0, 0.0, 0.1, 0.25, 0.0, 0.1, 0.0])
@@ -192,13 +193,13 @@ def test_a_volume_that_cannot_be_verified_is_said_and_its_row_left_out(
 ):
     """The barrier rows hold all the same: the QP without a volume row is solved."""
 
-    def fail(measure, A, b):
+    def fail(solver, A, b):
         raise SolverError("no ellipsoid could be certified", A, b)
 
     without = make_filter(model, method="dob-cbf-qp")
     expected = evaluate(without, fixed(without, CLOSE), "command")
     safety_filter = make_filter(model)
-    monkeypatch.setattr(VolumeMeasure, "__call__", fail)
+    monkeypatch.setattr(InscribedEllipsoidSolver, "solve", fail)
     context = fixed(safety_filter, CLOSE)
     assert np.isnan(evaluate(safety_filter, context, "volume")[0])
     assert evaluate(safety_filter, context, "status")[0] == FilterStatus.FAILED

@@ -11,7 +11,7 @@ from vcbf_drake import Blimp, ControlAffineModel, InputSet, SphereObstacle
 from vcbf_drake.barriers import BarrierRows, BarrierSet
 from vcbf_drake.safety import DisturbanceKnowledge, VolumeBarrier
 from vcbf_drake.safety.feasible_set import feasible_set
-from vcbf_drake.safety.volume import Volume, VolumeMeasure, volume, volume_row
+from vcbf_drake.safety.volume import Volume, VolumeMeasure, volume_row
 from vcbf_drake.simulation import load_scenario, make_loop
 
 THRESHOLD = 0.02
@@ -59,9 +59,7 @@ def drake_volume(barriers, state, time, known):
 
 def evaluate(barriers, state, time, known):
     feasible = feasible_set(INPUTS, barriers.rows(state, time), known)
-    k = feasible.num_input_rows
-    measured = VolumeMeasure(INPUTS, THRESHOLD)(feasible.A_v[k:], feasible.b_v[k:])
-    return volume(measured, feasible, INPUTS)
+    return VolumeMeasure(INPUTS)(feasible).above(THRESHOLD)
 
 
 def situations(barriers, count):
@@ -131,16 +129,11 @@ def test_plateau_has_no_gradient(blimp):
     exact = evaluate(barriers, far, 0.0, known)
     assert exact.value == pytest.approx(1.0 - THRESHOLD, abs=1e-9)
     assert not exact.state.any()
-    a, c = volume_row(
-        exact,
-        *model.drift_and_input_matrix(far),
-        model.disturbance_matrix,
-        known,
-        gain=3.0,
-        total_derivative=True,
+    row = volume_row(
+        exact, model, far, known, VolumeBarrier(gain=3.0), total_derivative=True
     )
-    assert not a.any()
-    assert c == pytest.approx(3.0 * exact.value)
+    assert not row.a.any()
+    assert row.c == pytest.approx(3.0 * exact.value)
 
 
 def test_volume_row_is_the_worst_case_of_the_total_derivative(blimp):
@@ -150,9 +143,8 @@ def test_volume_row_is_the_worst_case_of_the_total_derivative(blimp):
     for state, time, known in situations(barriers, 10):
         exact = evaluate(barriers, state, time, known)
         drift, g = model.drift_and_input_matrix(state)
-        a, c = volume_row(
-            exact, drift, g, model.disturbance_matrix, known, 3.0, total_derivative=True
-        )
+        barrier = VolumeBarrier(gain=3.0)
+        row = volume_row(exact, model, state, known, barrier, total_derivative=True)
         u = rng.uniform(-0.05, 0.05, 3)
         errors = rng.normal(size=(4000, 3))
         errors *= known.bound / np.linalg.norm(errors, axis=1, keepdims=True)
@@ -164,7 +156,7 @@ def test_volume_row_is_the_worst_case_of_the_total_derivative(blimp):
             )
             for error in errors
         ]
-        worst = c - a @ u - 3.0 * exact.value
+        worst = (row.c - row.a @ u) * row.unit - 3.0 * exact.value
         assert min(rates) >= worst - 1e-9
         assert min(rates) == pytest.approx(worst, abs=0.02 * (1.0 + abs(worst)))
 

@@ -9,10 +9,10 @@ from pydrake.systems.analysis import Simulator
 import pytest
 
 from vcbf_drake import Blimp, ControlAffineModel, InputSet, SphereObstacle
-from vcbf_drake.barriers import BarrierSet
+from vcbf_drake.barriers import BarrierRows, BarrierSet
 from vcbf_drake.safety import DisturbanceKnowledge, VolumeBarrier
 from vcbf_drake.safety.feasible_set import feasible_set
-from vcbf_drake.safety.volume import VolumeMeasure, volume
+from vcbf_drake.safety.volume import VolumeMeasure
 from vcbf_drake.simulation import load_scenario, make_loop, simulate
 
 XI = 0.02
@@ -41,38 +41,56 @@ def random_rows(rng, m):
     return rng.normal(size=(4, m)), rng.uniform(0.1, 3.0, 4)
 
 
+def measured(A, b, widening=1.0, dA=0.0, db=0.0):
+    """V_v of the unit box under rows that change with a state's first entry."""
+    n, m = A.shape
+    gradient = np.zeros((n, m + 2, 2))
+    gradient[:, :m, 0], gradient[:, m, 0] = dA, db
+    rows = BarrierRows(
+        value=np.ones(n),
+        chain=(),
+        A=A,
+        b=b,
+        w=np.zeros((n, 1)),
+        num_states=1,
+        gradients=lambda rows: gradient[list(rows)],
+    )
+    box = InputSet.box(-np.ones(m), np.ones(m))
+    feasible = feasible_set(box, rows, DisturbanceKnowledge.constant(1, 0.0))
+    return VolumeMeasure(box, widening)(feasible).above(XI)
+
+
 @EVERY_WIDENING
 @pytest.mark.parametrize("m", [2, 3])
 def test_value_and_derivative_by_the_rows(widening, m):
-    measure = VolumeMeasure(InputSet.box(-np.ones(m), np.ones(m)), XI, widening)
     rng, step = np.random.default_rng(m), 1e-5
     # The interior-point ellipsoid is known to 1e-8 or so, its differences to 1e-3.
     for _ in range(8):
         A, b = random_rows(rng, m)
-        found = measure(A, b)
-        assert found.value == pytest.approx(expected(A, b, widening), abs=1e-6)
         dA, db = rng.normal(size=A.shape), rng.normal(size=len(b))
-        ahead, behind = (measure(A + h * dA, b + h * db).value for h in (step, -step))
-        exact = found.multipliers @ (db - np.einsum("ij,ij->i", dA, found.contacts))
+        found = measured(A, b, widening, dA, db)
+        assert found.value == pytest.approx(expected(A, b, widening), abs=1e-6)
+        ahead, behind = (
+            measured(A + h * dA, b + h * db, widening).value for h in (step, -step)
+        )
+        exact = found.state[0]
         assert exact == pytest.approx((ahead - behind) / (2.0 * step), abs=1e-5)
 
 
 def test_free_box_and_empty_set():
-    measure = VolumeMeasure(INPUTS, XI)
-    free = measure(np.zeros((0, 3)), np.zeros(0)).value
+    free = measured(np.zeros((0, 3)), np.zeros(0)).value
     assert free == pytest.approx(expected(np.zeros((0, 3)), np.zeros(0)))
-    empty = measure(np.array([[1.0, 0.0, 0.0]]), np.array([-1.5]))
+    moving = np.ones((1, 3)), np.ones(1)
+    empty = measured(np.array([[1.0, 0.0, 0.0]]), np.array([-1.5]), 1.0, *moving)
     assert np.isfinite(empty.value) and empty.value < 0.0
-    assert not empty.multipliers.any()
+    assert not empty.state.any() and empty.time == 0.0
 
 
 def test_two_inputs_and_one():
     for m in (1, 2):
-        measure = VolumeMeasure(InputSet.box(-np.ones(m), np.ones(m)), XI)
         A = np.zeros((1, m))
         A[0, 0] = 2.0
-        half = VolumeMeasure(InputSet.box(-np.ones(m), np.ones(m)), XI)
-        assert half(A, np.zeros(1)).value < measure(A, np.ones(1)).value
+        assert measured(A, np.zeros(1)).value < measured(A, np.ones(1)).value
 
 
 # Derivatives by state, time, estimate and bound ------------------------------------
@@ -121,19 +139,15 @@ def moved(situation, direction):
 @EVERY_WIDENING
 def test_every_partial_derivative_agrees_with_differences(barriers, widening):
     """In all directions at once: state, time, estimate and bound."""
-    measure = VolumeMeasure(INPUTS, XI, widening)
+    measure = VolumeMeasure(INPUTS, widening)
 
-    def value(situation):
+    def volume(situation):
         state, time, known = situation
-        feasible = feasible_set(INPUTS, barriers.rows(state, time), known)
-        k = feasible.num_input_rows
-        measured = measure(feasible.A_v[k:], feasible.b_v[k:])
-        return measured, feasible
+        return measure(feasible_set(INPUTS, barriers.rows(state, time), known))
 
     checked = 0
     for situation in situations(12):
-        measured, feasible = value(situation)
-        exact = volume(measured, feasible, INPUTS)
+        exact = volume(situation)
         analytic = np.concatenate(
             [exact.state, [exact.time], exact.estimate, [exact.bound]]
         )
@@ -142,8 +156,8 @@ def test_every_partial_derivative_agrees_with_differences(barriers, widening):
         for axis, partial in enumerate(analytic):
             coarse, fine = (
                 (
-                    value(moved(situation, h * np.eye(13)[axis]))[0].value
-                    - value(moved(situation, -h * np.eye(13)[axis]))[0].value
+                    volume(moved(situation, h * np.eye(13)[axis])).value
+                    - volume(moved(situation, -h * np.eye(13)[axis])).value
                 )
                 / (2.0 * h)
                 for h in (2e-5, 1e-5)

@@ -19,7 +19,7 @@ BOX = InputSet.box([-1.0, -4.0, -2.0], [3.0, 4.0, 2.0])
 
 
 def choose(
-    A, b, reference, weights=None, penalties=None, volume_rows=(), box=BOX, linear=None
+    A, b, reference, weights=None, penalties=None, volume_row=None, box=BOX, linear=None
 ):
     A, b = np.atleast_2d(np.array(A, dtype=float)), np.array(b, dtype=float)
     n, m = A.shape
@@ -38,7 +38,7 @@ def choose(
     feasible = feasible_set(box, rows, known, None, penalties, linear)
     return choose_input(
         feasible,
-        volume_rows,
+        volume_row,
         np.array(reference, dtype=float),
         np.zeros(m),
         box,
@@ -185,7 +185,7 @@ def test_a_volume_row_gives_way_before_a_soft_row_is_asked():
     """u_1 <= 0 of the volume row, against u_1 >= 1, which is hard."""
     row = VolumeRow(np.array([1.0, 0.0, 0.0]), 0.0, 1e3)
     A, b = [[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], [-1.0, -1.0]
-    decision = choose(A, b, [0.0] * 3, [1.0] * 3, [np.inf, 3.0], [row])
+    decision = choose(A, b, [0.0] * 3, [1.0] * 3, [np.inf, 3.0], row)
     assert decision.status == FilterStatus.RELAXED
     assert decision.slack == pytest.approx(-1.0, abs=3e-9)
     # u_2 minimises u^2 + 3 (u + 1)^2.

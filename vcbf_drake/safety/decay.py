@@ -86,7 +86,7 @@ class DecayRates:
         a distance again.
 
         Args:
-            qp: The QP at the barriers' own rates, without volume rows.
+            qp: The QP at the barriers' own rates, without a volume row.
             feasible: The feasible set that it was stated of.
         """
         barriers = feasible.cutting[qp.num_firm :] - feasible.num_input_rows

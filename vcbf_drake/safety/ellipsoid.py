@@ -80,6 +80,16 @@ class Ellipsoid:
         half = 0.5 * len(self.center)
         return math.pi**half / math.gamma(half + 1.0) * math.exp(self.log_det)
 
+    def contact_point(self, a: Array) -> Array:
+        """Returns c + B^2 a / |B a|, shape (m,): its point furthest along a row (E57).
+
+        Args:
+            a: The row, shape (m,).
+        """
+        reach = self.shape @ a
+        point: Array = self.center + self.shape @ reach / math.sqrt(reach @ reach)
+        return point
+
     @property
     def contact_points(self) -> Array:
         """The points p_i = c + B^2 a_i / |B a_i| furthest along each row, (n, m) (E57).

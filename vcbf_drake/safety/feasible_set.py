@@ -127,10 +127,14 @@ class FeasibleSet:
         """Whether every number in the rows is finite."""
         return bool(np.isfinite(self.A_v).all() and np.isfinite(self.bound).all())
 
-    @property
-    def is_uncut(self) -> bool:
-        """Whether every barrier row, if finite, holds for every input."""
-        return len(self.cutting) == len(self.input_set.limits)
+    def cutting_barriers(self, widening: float = 1.0) -> NDArray[np.intp]:
+        """Returns the barrier rows that cut the bounding box, taken so many times."""
+        k, bounds = self.num_input_rows, self.b_v
+        cutting = self.cutting
+        if widening != 1.0:
+            bounds = np.concatenate([bounds[:k], bounds[k:] / widening])
+            cutting = cutting_rows(self.input_set, self.A_v, bounds)
+        return cutting[len(self.input_set.limits) :] - k
 
     def soft_slack(self, row: int, u: Array) -> float:
         """Returns how far a soft barrier row has to give way at an input; else > 0."""

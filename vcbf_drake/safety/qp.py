@@ -56,8 +56,7 @@ class FilterDecision:
     Attributes:
         input: Shape (m,).
         status: How it was found.
-        slack: delta of (E54): how far the volume row gave way, 0 when it did not; of
-            several rows, the one that gave way most.
+        slack: delta of (E54): how far the volume row gave way, 0 when it did not.
         conflict: When infeasible, rows of the feasible set that exclude each other.
         row_margin: What every barrier row's chi is at least until the next tick (E88);
             nan where no such input was sought.
@@ -85,7 +84,7 @@ class FilterDecision:
 
 def choose_input(
     feasible: FeasibleSet,
-    volume_rows: Sequence[VolumeRow],
+    volume_row: VolumeRow | None,
     reference: Array,
     held_input: Array,
     input_set: InputSet,
@@ -97,30 +96,29 @@ def choose_input(
 ) -> FilterDecision:
     """Returns the feasible input nearest to the reference, (E47) or (E54), (E55).
 
-    With the exact slack volume rows are hard and give way, by as little as possible,
-    only when no input satisfies them together with the other rows; without, they have
-    the printed penalty M delta^2. Soft barrier rows always have theirs (E71).
+    With the exact slack the volume row is hard and gives way, by as little as possible,
+    only when no input satisfies it together with the other rows; without, it has the
+    printed penalty M delta^2. Soft barrier rows always have theirs (E71).
 
     Args:
         feasible: Input limits and barrier rows.
-        volume_rows: The volume barrier's rows, finite, the one that gives way last
-            first.
+        volume_row: The volume barrier's row, finite; None where it has none.
         reference: The controller's input, shape (m,).
         held_input: The input applied now, shape (m,); for the fallbacks.
         input_set: The inputs the actuators can produce.
-        exact_slack: How the volume rows may give way.
+        exact_slack: How the volume row may give way.
         policy: What to apply when the barrier rows have no solution.
         solver: The name of the solver that proposes, one of `SOLVERS`.
         frame: The coordinates of the normalised inputs, with the cost's weights; by
             default `Frame.of(input_set)`.
         decay_rates: How much faster the barriers may fall, at every tick or only where
             the rows have no input (the policy ``decay``); None for not at all. At every
-            tick there are no volume rows.
+            tick there is no volume row.
     """
     if not (feasible.is_finite and np.isfinite(reference).all()):
         return FilterDecision(input_set.project(held_input), FilterStatus.FAILED)
-    # The others hold on the whole bounding box.
-    rows = [row for row in volume_rows if _cuts(row, input_set)]
+    if volume_row is not None and not _cuts(volume_row, input_set):
+        volume_row = None
     frame = frame or Frame.of(input_set)
     if not input_set.is_bounded:
         farthest = np.abs(input_set.normalised(reference)).max()
@@ -130,7 +128,7 @@ def choose_input(
         growing = None
 
     def stated(frame: Frame) -> QP:
-        qp = state_qp(feasible, frame, rows, reference, exact_slack)
+        qp = state_qp(feasible, frame, volume_row, reference, exact_slack)
         return qp if growing is None else growing.grown(qp, feasible)
 
     qp = stated(frame)
@@ -151,7 +149,7 @@ def choose_input(
                 found, solved = _better(stated(finer), found, qp, feasible, solver)
     except (EmptySetError, SolverError, LinAlgError) as error:
         # At the barriers' own rates.
-        hard = state_qp(feasible, frame, (), reference, exact_slack).hard
+        hard = state_qp(feasible, frame, None, reference, exact_slack).hard
         if not isinstance(error, EmptySetError):
             u = least_violation(feasible, hard, held_input, solver)
             return FilterDecision(u, FilterStatus.FAILED)
@@ -170,7 +168,7 @@ def choose_input(
             u, FilterStatus.INFEASIBLE, conflict=conflict, decay=decay
         )
     u = solved.frame.input(found.point)
-    slack = min([0.0, *(row.slack(u) for row in rows)]) if gave_way else 0.0
+    slack = volume_row.slack(u) if volume_row and gave_way else 0.0
     status = FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
     soft = tuple(min(0.0, feasible.soft_slack(i, u)) for i in feasible.soft.tolist())
     u = input_set.project(u)
@@ -223,7 +221,7 @@ def _better(
     except EmptySetError:
         pass
     try:
-        # A conflict with volume rows says nothing of the others: are they empty?
+        # A conflict with the volume row says nothing of the others: are they empty?
         finer.hard.solved(solver)
     except EmptySetError as error:
         if _excludes_every_input(feasible, error.conflict):
@@ -260,6 +258,6 @@ def failed_decision(
         solver: The solver's name.
     """
     frame = Frame.of(input_set)
-    qp = state_qp(feasible, frame, (), reference, exact_slack=True)
+    qp = state_qp(feasible, frame, None, reference, exact_slack=True)
     u = least_violation(feasible, qp.hard, held_input, solver)
     return FilterDecision(u, FilterStatus.FAILED)

@@ -43,8 +43,7 @@ from vcbf_drake.safety.row_names import RowNames
 from vcbf_drake.safety.settings import FilterSettings
 from vcbf_drake.safety.tick_programs import TickPrograms, state_programs
 from vcbf_drake.safety.tick_qp import Frame, VolumeRow
-from vcbf_drake.safety.volume import Volume, threshold_of
-from vcbf_drake.safety.volume_rows import VolumeRows, above
+from vcbf_drake.safety.volume import Volume, VolumeMeasure, threshold_of, volume_row
 from vcbf_drake.typed import typed
 
 _Made = TypeVar("_Made")
@@ -201,7 +200,15 @@ class SafetyFilter(CachedSystem):
         self._penalties = settings.one_a_barrier("soft_penalties", count, np.inf)
         self._linear = settings.one_a_barrier("soft_linear_penalties", count, 0.0)
         self._frame = Frame.of(input_set, settings.input_weights)
-        self._volume_rows = VolumeRows(model, input_set, self.settings)
+        if self.method.has_volume_row and not input_set.is_bounded:
+            raise ValueError(
+                "input_set: has an infinite limit, and the volume barrier of method"
+                f" {self.settings.method} needs a bounded set of inputs; give limits,"
+                " or take a method without volume barrier, as dob-cbf-qp"
+            )
+        self._measure = VolumeMeasure(
+            input_set, self.settings.volume.widening, self.settings.solver
+        )
         self._declare_inputs()
         self._declare_cache_entries()
         self._declare_outputs()
@@ -411,11 +418,11 @@ class SafetyFilter(CachedSystem):
         discrete.set_value([self.threshold(context)])
 
     def _calc_determinant(self, context: Context) -> Volume | None:
-        return self._volume_rows.determinant(self.feasible_set(context))
+        return self._measure(self.feasible_set(context))
 
     def _calc_volume(self, context: Context) -> Volume | None:
         determinant: Volume | None = held_by(self._determinant_entry, context)
-        return above(self.threshold(context), determinant)
+        return determinant and determinant.above(self.threshold(context))
 
     def _calc_decision(self, context: Context) -> FilterDecision:
         decision = self._method_decision(context)
@@ -435,11 +442,20 @@ class SafetyFilter(CachedSystem):
         if not np.isfinite(self._state.Eval(context)).all():
             return FilterDecision(self.input_set.project(held), FilterStatus.FAILED)
         feasible, state = self.feasible_set(context), self._state.Eval(context)
-        rows: list[VolumeRow] = []
+        row: VolumeRow | None = None
         failed = False
         if self.method.has_volume_row:
             v = self.volume(context)
-            rows, failed = self._volume_rows.rows(state, feasible, v)
+            if v is not None and not v.is_on_plateau:  # There 0 <= lambda_Vv V_v.
+                row = volume_row(
+                    v,
+                    self.model,
+                    state,
+                    feasible.known,
+                    self.settings.volume,
+                    self.settings.corrections.total_derivative,
+                )
+            failed = v is None or (row is not None and not row.is_finite)
 
         always = self.method.feasibility == "decay"
         decay_rates = None
@@ -455,7 +471,7 @@ class SafetyFilter(CachedSystem):
         def choose(margin: Array | None = None) -> FilterDecision:
             return choose_input(
                 feasible if margin is None else feasible.tightened(margin),
-                rows,
+                row,
                 reference,
                 held,
                 self.input_set,
@@ -488,7 +504,7 @@ class SafetyFilter(CachedSystem):
 
     def _calc_packed_feasible_set(self, context: Context, output: BasicVector) -> None:
         feasible, known = self.feasible_set(context), self.volume(context)
-        frame, center = self._volume_rows.ellipsoid(feasible, known)
+        frame, center = self._measure.ellipsoid(feasible, known)
         output.SetFromVector(pack_feasible_set(feasible.A, feasible.b, frame, center))
 
 

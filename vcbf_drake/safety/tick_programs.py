@@ -8,7 +8,7 @@ import numpy as np
 from pydrake.solvers import MathematicalProgram, MathematicalProgramResult
 
 from vcbf_drake.checks import Array
-from vcbf_drake.safety.feasible_set import FeasibleSet, cutting_rows
+from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.programs import EllipsoidProgram, NearestPointProgram
 from vcbf_drake.safety.tick_qp import QP, Frame
 from vcbf_drake.safety.unit_rows import UnitRows
@@ -70,10 +70,10 @@ def state_programs(
     rows = UnitRows(A, qp.b)
     nearest = NearestPointProgram(*A.shape)
     nearest.state(rows.A, rows.b, reference)
-    bounds = feasible.b_v.copy()
-    bounds[feasible.num_input_rows :] /= widening
-    kept = cutting_rows(feasible.input_set, feasible.A_v, bounds)
-    unit = UnitRows(feasible.A_v[kept], bounds[kept])
+    limits, k = feasible.input_set.limits, feasible.num_input_rows
+    kept = np.concatenate([limits, k + feasible.cutting_barriers(widening)])
+    bounds = feasible.b_v[kept] / np.where(kept < k, 1.0, widening)
+    unit = UnitRows(feasible.A_v[kept], bounds)
     cone, m = None, feasible.input_set.num_inputs
     if m > 1:
         largest = EllipsoidProgram(len(kept), m, 1e-9)

@@ -41,14 +41,12 @@ class VolumeRow:
         slack_penalty: M of (E54, the DOB-VCBF-QP), for the inexact slack.
         linear_penalty: N of (E71): what the slack itself costs, beside M times its
             square.
-        name: For whoever reads the program.
         unit: What the row was divided by; its slack is multiplied by it.
     """
 
     a: Array
     c: float
     slack_penalty: float
-    name: str = "volume"
     unit: float = 1.0
     linear_penalty: float = 0.0
 
@@ -134,7 +132,7 @@ class QP:
     The variables are the inputs in the coordinates of a frame, the growth of decay
     rates that may grow and, for each row that gives way at a penalty, sqrt(M) times its
     slack; R is the frame's metric. The rows are the feasible set's that can matter, the
-    volume rows or the limits of decay rates, and those that give way.
+    volume row or the limits of decay rates, and those that give way.
 
     Attributes:
         frame: The coordinates.
@@ -143,9 +141,9 @@ class QP:
         reference: Shape (d,).
         num_firm: How many rows, the first, limit the input whatever the state.
         num_hard: How many rows, the first, do not give way.
-        num_volume: How many of those, the last, are volume rows.
+        has_hard_volume: Whether the last of those is the volume row.
         rows: Which of the feasible set's rows are the first.
-        further_rows: Those that follow: volume rows by name, others by index.
+        further_rows: Those that follow: "volume", or an index.
         num_decays: How many variables, after the inputs, are growths (E69).
     """
 
@@ -155,7 +153,7 @@ class QP:
     reference: Array
     num_firm: int
     num_hard: int
-    num_volume: int = 0
+    has_hard_volume: bool = False
     rows: tuple[int, ...] = ()
     further_rows: tuple[str | int, ...] = ()
     num_decays: int = 0
@@ -183,7 +181,10 @@ class QP:
     @property
     def hard(self) -> QP:
         """The QP of the rows that never give way."""
-        n, d = self.num_hard - self.num_volume, len(self.frame.scale) + self.num_decays
+        n, d = (
+            self.num_hard - self.has_hard_volume,
+            len(self.frame.scale) + self.num_decays,
+        )
         A, b, reference = self.A[:n, :d], self.b[:n], self.reference[:d]
         return QP(
             self.frame, A, b, reference, self.num_firm, n, num_decays=self.num_decays
@@ -193,7 +194,7 @@ class QP:
 def state_qp(
     feasible: FeasibleSet,
     frame: Frame,
-    volume_rows: Sequence[VolumeRow],
+    volume_row: VolumeRow | None,
     reference: Array,
     exact_slack: bool,
 ) -> QP:
@@ -202,9 +203,9 @@ def state_qp(
     Args:
         feasible: Input limits and barrier rows.
         frame: The coordinates.
-        volume_rows: The volume barrier's rows, finite.
+        volume_row: The volume barrier's row, finite; None where it has none.
         reference: The controller's input, finite, shape (m,).
-        exact_slack: Whether volume rows are hard; else they give way at their penalty.
+        exact_slack: Whether the volume row is hard; else it gives way at its penalty.
     """
     kept, inputs = feasible.cutting, feasible.input_set
     A, b = feasible.A_v[kept], _distances(feasible, frame)
@@ -222,15 +223,16 @@ def state_qp(
         )
         for i in feasible.soft.tolist()
     ]
-    further = [*volume_rows, *soft]
+    further = soft if volume_row is None else [volume_row, *soft]
     if further:
         a, c = np.array([row.a for row in further]), [row.c for row in further]
         A = np.concatenate([A, a * frame.scale])
         b = np.concatenate([b, frame.distance(a, np.array(c))])
-    names: list[str | int] = [row.name for row in volume_rows]
-    names += (feasible.num_input_rows + feasible.soft).tolist()
-    num_volume = len(volume_rows) if exact_slack else 0
-    yielding = further[num_volume:]
+    names: list[str | int] = (feasible.num_input_rows + feasible.soft).tolist()
+    if volume_row is not None:
+        names.insert(0, "volume")
+    is_hard = exact_slack and volume_row is not None
+    yielding = further[1:] if is_hard else further
     qp = QP(
         frame=frame,
         A=A,
@@ -238,7 +240,7 @@ def state_qp(
         reference=z,
         num_firm=len(inputs.limits),
         num_hard=len(b) - len(yielding),
-        num_volume=num_volume,
+        has_hard_volume=is_hard,
         rows=tuple(kept.tolist()),
         further_rows=tuple(names),
     )
@@ -293,10 +295,10 @@ def _normalised(reference: Array, inputs: InputSet) -> Array:
 
 
 def solve_qp(qp: QP, solver: str) -> tuple[Projection, QP]:
-    """Returns a QP's minimiser; where its volume rows leave none, that of one they do.
+    """Returns a QP's minimiser; where its volume row leaves none, that of one it does.
 
-    With several volume rows, each in its turn gives way by the least that those before
-    it allow (E55, the exact penalty).
+    The hard volume row gives way by the least that the others allow (E55, the exact
+    penalty).
 
     Args:
         qp: The QP.
@@ -309,26 +311,17 @@ def solve_qp(qp: QP, solver: str) -> tuple[Projection, QP]:
     try:
         return qp.solved(solver), qp
     except EmptySetError:
-        if not qp.num_volume:
+        if not qp.has_hard_volume:
             raise
-    relaxed = _relaxed(qp)
+    i, b = qp.num_hard - 1, qp.b.copy()
+    z = minimise_linear(qp.A[i], qp.A[:i], b[:i], qp.num_firm, qp.frame.reach)
+    length = float(UnitRows(qp.A[i : i + 1], b[i : i + 1]).length[0])
+    b[i] = max(b[i], float(qp.A[i] @ z) + _MARGIN * length)
+    relaxed = replace(qp, b=b)
     try:
         return relaxed.solved(solver), relaxed
     except EmptySetError as error:
         raise SolverError("no least slack was verified", qp.A, qp.b) from error
-
-
-def _relaxed(qp: QP) -> QP:
-    """A QP whose volume rows give way, one after the other, by as little as each can.
-
-    Raises:
-        EmptySetError: No input satisfies the rows before them, certified.
-    """
-    bounds, lengths = qp.b.copy(), UnitRows(qp.A, qp.b).length
-    for i in range(qp.num_hard - qp.num_volume, qp.num_hard):
-        z = minimise_linear(qp.A[i], qp.A[:i], bounds[:i], qp.num_firm, qp.frame.reach)
-        bounds[i] = max(bounds[i], float(qp.A[i] @ z) + _MARGIN * lengths[i])
-    return replace(qp, b=bounds)
 
 
 def finer_frame(
@@ -383,7 +376,7 @@ def least_violation(
     frame = finer_frame(feasible, qp.frame, u, violated)
     if frame is not None:
         reference = qp.frame.input(qp.reference)
-        finer = state_qp(feasible, frame, (), reference, exact_slack=True).hard
+        finer = state_qp(feasible, frame, None, reference, exact_slack=True).hard
         try:
             u = frame.input(_least_violation(feasible, finer, solver))
         except (EmptySetError, SolverError, LinAlgError):

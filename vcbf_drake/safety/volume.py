@@ -9,7 +9,8 @@ import math
 import numpy as np
 
 from vcbf_drake.checks import Array, check_parameter, require
-from vcbf_drake.errors import EmptySetError
+from vcbf_drake.errors import EmptySetError, SolverError, VcbfError
+from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.ellipsoid import (
     THINNEST,
     Ellipsoid,
@@ -18,6 +19,7 @@ from vcbf_drake.safety.ellipsoid import (
 from vcbf_drake.safety.feasible_set import DisturbanceKnowledge, FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.programs import DEFAULT_SOLVER
+from vcbf_drake.safety.tick_qp import VolumeRow
 from vcbf_drake.typed import check_fields
 
 # The thresholds that a start can lead to: the least is a ball of this radius.
@@ -76,99 +78,13 @@ def least_threshold(num_inputs: int) -> float:
 
 
 @dataclass(frozen=True)
-class Measurement:
-    """V_v of one polytope {v : A v <= b} and its derivative (E63).
-
-    dV_v = sum_i mu_i (db_i - da_i p_i).
-
-    Attributes:
-        value: det B - xi: positive when there is more room than the threshold.
-        multipliers: mu_i = dV_v/db_i, at least zero, shape (n,).
-        contacts: p_i, where the ellipsoid touches the rows, shape (n, m); matters only
-            where mu_i is positive.
-        ellipsoid: The largest ellipsoid; None when the set is empty, or widened.
-    """
-
-    value: float
-    multipliers: Array
-    contacts: Array
-    ellipsoid: Ellipsoid | None = None
-
-
-class VolumeMeasure:
-    """det B - xi of the largest ellipsoid of an input set under barrier rows (E49).
-
-    All in normalised inputs v (see `InputSet`). With a widening kappa > 1 the input
-    set is replaced by kappa times itself (E64): in the coordinates v / kappa, the same
-    input set under the rows A v <= b / kappa. An empty set counts as a ball that is too
-    small to be told from one.
-
-    Args:
-        input_set: The inputs before any row cuts them.
-        threshold: xi, the share of the bounding box's volume that must remain.
-        widening: See the attribute.
-        solver: The name of the solver that proposes ellipsoids.
-
-    Attributes:
-        widening: kappa.
-    """
-
-    def __init__(
-        self,
-        input_set: InputSet,
-        threshold: float,
-        widening: float = 1.0,
-        solver: str = DEFAULT_SOLVER,
-    ) -> None:
-        self._num_limits = len(input_set.b_normalised)
-        self._threshold, self.widening = threshold, widening
-        self._solver = InscribedEllipsoidSolver(input_set, solver)
-
-    def __call__(self, A: Array, b: Array) -> Measurement:
-        """Returns V_v of the input set under the rows ``A v <= b``.
-
-        Args:
-            A: The barrier rows, shape (N, m).
-            b: Their right-hand sides, shape (N,).
-
-        Raises:
-            SolverError: No ellipsoid could be certified.
-        """
-        if self.widening == 1.0:
-            return self._measured(A, b)
-        found = self._measured(A, b / self.widening)
-        return replace(
-            found,
-            multipliers=found.multipliers / self.widening,
-            contacts=found.contacts * self.widening,
-            ellipsoid=None,
-        )
-
-    def _measured(self, A: Array, b: Array) -> Measurement:
-        contacts = np.zeros(A.shape)
-        try:
-            ellipsoid = self._solver.solve(A, b)
-        except EmptySetError:
-            value = THINNEST ** A.shape[1] - self._threshold
-            return Measurement(value, np.zeros(len(b)), contacts)
-        determinant = math.exp(ellipsoid.log_det)
-        multipliers = determinant * ellipsoid.multipliers[self._num_limits :]
-        for i in multipliers.nonzero()[0].tolist():
-            q = ellipsoid.shape @ A[i]
-            contacts[i] = ellipsoid.center + ellipsoid.shape @ q / math.sqrt(q @ q)
-        return Measurement(
-            determinant - self._threshold, multipliers, contacts, ellipsoid
-        )
-
-
-@dataclass(frozen=True)
 class Volume:
-    """V_v at one tick and its partial derivatives (E58), in normalised inputs.
+    """V_v, or det B, at one tick and its partial derivatives (E58).
 
     Attributes:
         value: V_v.
-        ellipsoid: The largest ellipsoid of the set, in normalised inputs; None when the
-            set is empty or widened.
+        ellipsoid: The largest ellipsoid, in normalised inputs; None when the set is
+            empty or widened.
         state: dV_v/dx, shape (n,).
         time: dV_v/dt with state, estimate and bound held [1/s].
         estimate: dV_v/d(estimate), shape (q,).
@@ -185,17 +101,9 @@ class Volume:
     bound: float
     unit: float = 1.0
 
-    @staticmethod
-    def unmoved(measured: Measurement, num_states: int, num_channels: int) -> Volume:
-        """Returns V_v of a set that no barrier row cuts.
-
-        Args:
-            measured: The measure of the input set.
-            num_states: n.
-            num_channels: q.
-        """
-        state, estimate = np.zeros(num_states), np.zeros(num_channels)
-        return Volume(measured.value, measured.ellipsoid, state, 0.0, estimate, 0.0)
+    def above(self, threshold: float) -> Volume:
+        """Returns V_v, where this is det B: less its threshold xi."""
+        return replace(self, value=self.value - threshold)
 
     @cached_property
     def is_on_plateau(self) -> bool:
@@ -222,65 +130,125 @@ class Volume:
         )
 
 
-def volume(measured: Measurement, feasible: FeasibleSet, input_set: InputSet) -> Volume:
-    """Returns a measure and its partial derivatives by the envelope theorem (E58).
+class VolumeMeasure:
+    """det B of the largest ellipsoid of an input set under barrier rows (E49).
+
+    All in normalised inputs v (see `InputSet`). With a widening kappa > 1 the input
+    set is replaced by kappa times itself (E64): in the coordinates v / kappa, the same
+    input set under the rows A v <= b / kappa. An empty set counts as a ball that is too
+    small to be told from one.
 
     Args:
-        measured: The measure of the feasible set, in normalised inputs.
-        feasible: The feasible set.
-        input_set: The input set, for the scaling of the inputs.
+        input_set: The inputs before any row cuts them.
+        widening: kappa.
+        solver: The name of the solver that proposes ellipsoids.
     """
-    rows, known = feasible.rows, feasible.known
-    n = rows.num_states
-    touching = measured.multipliers.nonzero()[0].tolist()
-    extended, estimate, bound = np.zeros(n + 1), np.zeros(len(known.estimate)), 0.0
-    gradients = rows.gradients(touching) if touching else ()
-    for i, gradient in zip(touching, gradients, strict=True):
-        contact = input_set.center + input_set.scale * measured.contacts[i]
-        w, margin = rows.w[i], known.estimate
-        w_norm = math.sqrt(w @ w)
-        if w_norm > 0.0:
-            margin = margin - known.bound / w_norm * w
-        # d(b + Lambda - A u) at the contact u, from the gradients of [A, b, w].
-        change = np.concatenate([-contact, (1.0,), margin]) @ gradient
-        multiplier = float(measured.multipliers[i])
-        extended += multiplier * change
-        estimate += multiplier * w
-        bound -= multiplier * w_norm
-    return Volume(
-        value=measured.value,
-        ellipsoid=measured.ellipsoid,
-        state=extended[:n],
-        time=float(extended[n]),
-        estimate=estimate,
-        bound=bound,
-    )
+
+    def __init__(
+        self, input_set: InputSet, widening: float = 1.0, solver: str = DEFAULT_SOLVER
+    ) -> None:
+        self._input_set, self._widening = input_set, widening
+        self._solver = None
+        if input_set.is_bounded:
+            self._solver = InscribedEllipsoidSolver(input_set, solver)
+
+    def __call__(self, feasible: FeasibleSet) -> Volume | None:
+        """Returns det B and its derivatives, by the envelope theorem (E58).
+
+        None where the inputs have no bounds, numbers are not finite or no ellipsoid
+        could be certified.
+
+        Args:
+            feasible: The feasible set.
+        """
+        if self._solver is None or not feasible.is_finite:
+            return None
+        inputs, rows, known = self._input_set, feasible.rows, feasible.known
+        kappa, n, k = self._widening, rows.num_states, feasible.num_input_rows
+        cut = feasible.cutting_barriers(kappa)
+        A, b = feasible.A_v[k + cut], feasible.b_v[k + cut] / kappa
+        extended, estimate, bound = np.zeros(n + 1), np.zeros(len(known.estimate)), 0.0
+        try:
+            ellipsoid = self._solver.solve(A, b)
+        except EmptySetError:
+            least = THINNEST**inputs.num_inputs
+            return Volume(least, None, extended[:n], 0.0, estimate, bound, least)
+        except (SolverError, np.linalg.LinAlgError):
+            return None
+        determinant = math.exp(ellipsoid.log_det)
+        weights = determinant / kappa * ellipsoid.multipliers[k:]
+        touching = weights.nonzero()[0]
+        gradients = rows.gradients(cut[touching].tolist()) if len(touching) else ()
+        for i, gradient in zip(touching.tolist(), gradients, strict=True):
+            weight, w, margin = float(weights[i]), rows.w[cut[i]], known.estimate
+            w_norm = math.sqrt(w @ w)
+            if w_norm > 0.0:
+                margin = margin - known.bound / w_norm * w
+            v = kappa * ellipsoid.contact_point(A[i])
+            contact = inputs.center + inputs.scale * v
+            # d(b + Lambda - A u) at the contact u, from the gradients of [A, b, w].
+            change = np.concatenate([-contact, (1.0,), margin]) @ gradient
+            extended += weight * change
+            estimate += weight * w
+            bound -= weight * w_norm
+        return Volume(
+            determinant,
+            ellipsoid if kappa == 1.0 else None,
+            extended[:n],
+            float(extended[n]),
+            estimate,
+            bound,
+            determinant,
+        )
+
+    def ellipsoid(
+        self, feasible: FeasibleSet, known: Volume | None
+    ) -> tuple[Array, Array]:
+        """Returns frame (m, m) and center (m,) of the largest ellipsoid of inputs.
+
+        Of the set as it is, whatever the widening; nan where there is none.
+
+        Args:
+            feasible: The feasible set.
+            known: V_v, which may have found it already.
+        """
+        inputs, m = self._input_set, self._input_set.num_inputs
+        cut = feasible.num_input_rows + feasible.cutting_barriers()
+        found = known.ellipsoid if known else None
+        try:
+            if not found and self._solver:
+                found = self._solver.solve(feasible.A_v[cut], feasible.b_v[cut])
+        except (VcbfError, ValueError, np.linalg.LinAlgError):
+            pass
+        if found is None:
+            return np.full((m, m), np.nan), np.full(m, np.nan)
+        frame = inputs.scale[:, None] * found.shape
+        return frame, inputs.center + inputs.scale * found.center
 
 
 def volume_row(
     volume: Volume,
-    drift: Array,
-    input_matrix: Array,
-    disturbance_matrix: Array,
+    model: ControlAffineModel,
+    state: Array,
     known: DisturbanceKnowledge,
-    gain: float,
+    barrier: VolumeBarrier,
     total_derivative: bool,
-) -> tuple[Array, float]:
-    """Returns the row a and the number c of the volume barrier's condition a u <= c.
+) -> VolumeRow:
+    """Returns the volume barrier's condition a u <= c, as a share of det B.
 
     The total derivative is (E62); without it the row leaves out that the estimate
     moves, as printed (E53, the printed volume term), (E54).
 
     Args:
         volume: V_v and its derivatives.
-        drift: f(x), shape (n,).
-        input_matrix: g(x), shape (n, m).
-        disturbance_matrix: E, shape (n, q).
+        model: The plant's f, g, E.
+        state: Shape (n,).
         known: What is known of the disturbance.
-        gain: lambda_Vv [1/s].
+        barrier: Its gain and penalty.
         total_derivative: Which derivative.
     """
-    along_disturbance = volume.state @ disturbance_matrix
+    drift, input_matrix = model.drift_and_input_matrix(state)
+    along_disturbance = volume.state @ model.disturbance_matrix
     along_error = along_disturbance
     known_rate = (
         volume.state @ drift
@@ -291,5 +259,8 @@ def volume_row(
     if total_derivative:
         known_rate += volume.estimate @ known.rate
         along_error = along_disturbance + known.gain * volume.estimate
-    worst = float(np.linalg.norm(along_error)) * known.bound
-    return -volume.state @ input_matrix, float(known_rate - worst + gain * volume.value)
+    worst = math.sqrt(along_error @ along_error) * known.bound
+    c = float(known_rate - worst + barrier.gain * volume.value) / volume.unit
+    penalty = barrier.slack_penalty * volume.unit**2
+    a = volume.state @ input_matrix / -volume.unit
+    return VolumeRow(a, c, penalty, unit=volume.unit)
