@@ -147,6 +147,13 @@ class Barrier:
         """The number r of derivatives of h after which the input appears."""
         return len(self.gains)
 
+    @property
+    def constants(self) -> tuple[float, ...]:
+        """What its chain depends on beside x and t, as `Chain.constants` has it."""
+        early = self.early_disturbance
+        worst = () if early is None else (early.bound, early.smoothing)
+        return (*self.decay_rates.tolist(), *worst, *self.parameters.tolist())
+
 
 def _check_class_k(class_k: ClassK, name: str) -> None:
     require(callable(class_k), f"barrier '{name}': class_k", class_k, "a function")

@@ -12,13 +12,14 @@ import numpy as np
 from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.compared import require_same_numbers
 from vcbf_drake.barriers.followed import TrajectoryBarrier
-from vcbf_drake.barriers.limits import StateInputLimit
+from vcbf_drake.barriers.limits import EarlyInputLimit, StateInputLimit
 from vcbf_drake.barriers.perceived import PerceivedBarrier
 from vcbf_drake.barriers.rows import (
     BarrierRows,
     RowFunctions,
     RowsAlong,
     barrier_functions,
+    early_functions,
     limit_functions,
     no_row,
 )
@@ -30,10 +31,14 @@ from vcbf_drake.typed import typed
 
 
 class BarrierSet:
-    """The rows of N barriers and limits, in the order given.
+    """The N rows of barriers and limits, in the order given.
+
+    A barrier that an input enters before its last derivative has a row for that level,
+    too, behind those of all that was given (E8a).
 
     Attributes:
-        barriers: They themselves.
+        barriers: They themselves, and behind them what keeps early levels (E8a).
+        early: The numbers of the rows of the latter.
         names: Their names, N of them; those of one name have a number behind it.
         obstacles_size: How many numbers describe the perceived obstacles.
         followed: The names of those that a trajectory carries along.
@@ -42,13 +47,18 @@ class BarrierSet:
 
     @typed
     def __init__(
-        self, model: ControlAffineModel, barriers: Sequence[Barrier | StateInputLimit]
+        self,
+        model: ControlAffineModel,
+        barriers: Sequence[Barrier | StateInputLimit],
+        *,
+        by_chains: bool = True,
     ) -> None:
         """Derives and compiles what was not compiled before.
 
         Args:
             model: The plant.
             barriers: What must stay true.
+            by_chains: Whether the rows of their chains are what keeps them.
 
         Raises:
             ModelError: A barrier's function does not suit the model, or the input or
@@ -58,22 +68,34 @@ class BarrierSet:
             ValueError: One of them is neither a barrier nor a limit; or perceived
                 obstacles of different capacities or dimensions.
         """
-        self.barriers = tuple(barriers)
-        self.names = _numbered([barrier.name for barrier in barriers])
         self._model = model
         self._num_states = model.num_states
         self._num_inputs = model.num_inputs
         self.num_entries = model.num_inputs + 1 + model.num_disturbances
         self._functions = [_functions(model, barrier) for barrier in barriers]
         require_same_numbers(model, zip(barriers, self._functions, strict=True))
+        early = [
+            EarlyInputLimit(barrier, level, i)
+            for i, (barrier, functions) in enumerate(
+                zip(barriers, self._functions, strict=True)
+            )
+            if isinstance(barrier, Barrier)
+            for level in functions.early_levels
+            if by_chains
+        ]
+        self._functions += [early_functions(model, limit) for limit in early]
+        self.early = tuple(range(len(barriers), len(self._functions)))
+        self.barriers = (*barriers, *early)
+        self.names = _numbered([barrier.name for barrier in self.barriers])
+        behind = [getattr(each, "barrier", each) for each in self.barriers]
         self._perceived = [
             (i, barrier)
-            for i, barrier in enumerate(barriers)
+            for i, barrier in enumerate(behind)
             if isinstance(barrier, PerceivedBarrier)
         ]
         self._followed = [
             (i, barrier)
-            for i, barrier in enumerate(barriers)
+            for i, barrier in enumerate(behind)
             if isinstance(barrier, TrajectoryBarrier)
         ]
         self.followed = tuple(self.names[i] for i, _ in self._followed)
@@ -121,6 +143,7 @@ class BarrierSet:
             w=numbers[:, m + 1 : e],
             num_states=self._num_states,
             gradients=lambda rows: self._gradients(functions, point, numbers, rows),
+            early=self.early,
         )
 
     def _gradients(

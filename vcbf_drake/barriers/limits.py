@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from pydrake.symbolic import Expression
@@ -46,6 +46,28 @@ class StateInputLimit:
         self.function = function
         self.parameters = finite_vector(parameters, f"parameters of limit '{name}'")
         self.name = name
+
+
+class EarlyInputLimit(StateInputLimit):
+    """What keeps a level of a barrier's chain that an input enters early (E8a).
+
+    `BarrierSet` makes it where the relative degree of a barrier is mixed.
+
+    Attributes:
+        barrier: The barrier.
+        level: The number k of the derivative, below r.
+        row: The number of the barrier's own row.
+    """
+
+    def __init__(self, barrier: Barrier, level: int, row: int) -> None:
+        """Takes a barrier, the number of a derivative, and the barrier's row."""
+        name = f"{barrier.name} (derivative {level})"
+        super().__init__(_no_function, barrier.parameters, name)
+        self.barrier, self.level, self.row = barrier, level, row
+
+
+def _no_function(x: Expressions, t: Expression, p: Expressions) -> Any:
+    raise NotImplementedError("its row is derived from its barrier's chain")
 
 
 @typed

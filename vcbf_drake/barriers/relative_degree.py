@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.chain import Chain
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
@@ -17,41 +18,49 @@ _NUM_SAMPLES = 8
 _SEARCHED_BEYOND = 2  # How many more derivatives an error message looks at.
 
 
-def check_relative_degree(
-    model: ControlAffineModel, chain: Chain, constants: Sequence[float]
-) -> None:
-    """Checks that the input enters the last level first (R2).
+def early_levels(
+    model: ControlAffineModel, chain: Chain, barrier: Barrier
+) -> tuple[int, ...]:
+    """Returns which derivatives of h below the last an input enters (E8a).
 
-    The disturbance must come no earlier, unless the chain is robust (E8).
+    None in general. One input at least must be left to which the last is the first; the
+    disturbance must come no earlier than that, unless the chain is robust (R2), (E8).
 
     Args:
         model: The plant.
         chain: phi^0, ..., phi^(r-1).
-        constants: The values of the chain's constants.
+        barrier: What it was derived from.
 
     Raises:
-        ModelError: The input enters earlier or later, or the disturbance earlier.
+        ModelError: All inputs enter earlier or later, or the disturbance earlier.
     """
-    r = chain.formula.order
-    inputs, disturbances = _relative_degrees(model, chain, constants)
+    r = barrier.relative_degree
+    entered = _entered(model, chain, barrier.constants)
+    degrees = _first_level(entered)
+    inputs, disturbances = degrees[: model.num_inputs], degrees[model.num_inputs :]
     first = inputs.min(initial=np.inf)
-    first_disturbance = disturbances.min(initial=np.inf)
-    if first < r:
+    has_early_disturbance = (
+        disturbances.min(initial=np.inf) < r and not chain.formula.robust
+    )
+    if first < r and (r not in inputs or has_early_disturbance):
+        early = inputs.argmin()
         raise ModelError(
-            f"input {inputs.argmin()} enters derivative {first:.0f} of h, so its"
-            f" relative degree is {first:.0f}, not {r}: give {_gains(first)}"
+            f"input {early} enters derivative {first:.0f} of h, so its relative degree"
+            f" is {first:.0f}, not {r}: give {_gains(first)}"
         )
-    if first_disturbance < r and not chain.formula.robust:
+    if has_early_disturbance:
         channel = int(disturbances.argmin())
         raise ModelError(
             f"disturbance {channel} (on {_disturbed(model, channel)}) enters derivative"
-            f" {first_disturbance:.0f} of h, but the inputs enter none before {r}, so"
-            " the lower derivatives are not known (R2): leave that disturbance out,"
+            f" {disturbances[channel]:.0f} of h, but the inputs enter none before {r},"
+            " so the lower derivatives are not known (R2): leave that disturbance out,"
             " choose an h that it enters no earlier than the input, or take"
             " barrier.robust_to(bound)"
         )
     if np.isinf(first):
-        raise ModelError(_explain_higher_degree(model, chain, constants))
+        raise ModelError(_explain_higher_degree(model, chain, barrier.constants))
+    by_input = entered[: r - 1, : model.num_inputs].any(axis=1)
+    return tuple((np.flatnonzero(by_input) + 1).tolist())
 
 
 def _explain_higher_degree(
@@ -63,8 +72,8 @@ def _explain_higher_degree(
     plain = chain.formula._replace(order=searched, robust=False, class_k=None)
     further = Chain.of(plain)
     parameters = constants[len(constants) - k :]
-    inputs, _ = _relative_degrees(model, further, [*np.ones(searched), *parameters])
-    degree = inputs.min(initial=np.inf)
+    entered = _entered(model, further, [*np.ones(searched), *parameters])
+    degree = _first_level(entered)[: model.num_inputs].min(initial=np.inf)
     if np.isinf(degree):
         return (
             f"no input enters a derivative of h up to order {searched}: choose an h of"
@@ -76,16 +85,9 @@ def _explain_higher_degree(
     )
 
 
-def _relative_degrees(
-    model: ControlAffineModel, chain: Chain, constants: Sequence[float]
-) -> tuple[Array, Array]:
-    """Returns which derivative of h each input and each disturbance enters first.
-
-    Shapes (m,) and (q,); infinite for a channel that enters none of them.
-    """
-    entered = _entered(model, chain, constants)
-    degrees = np.where(entered.any(axis=0), entered.argmax(axis=0) + 1.0, np.inf)
-    return degrees[: model.num_inputs], degrees[model.num_inputs :]
+def _first_level(entered: NDArray[np.bool_]) -> Array:
+    """Returns which derivative of h each channel enters first; infinite for none."""
+    return np.where(entered.any(axis=0), entered.argmax(axis=0) + 1.0, np.inf)
 
 
 def _entered(

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.chain import TIME, Chain, Formula, Symbols, class_k_formula
-from vcbf_drake.barriers.limits import StateInputLimit
+from vcbf_drake.barriers.limits import EarlyInputLimit, StateInputLimit
 from vcbf_drake.barriers.multibody_rows import multibody_row
-from vcbf_drake.barriers.relative_degree import check_relative_degree
+from vcbf_drake.barriers.relative_degree import early_levels
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.compiled import CompiledFunction, compile_nodes
@@ -43,6 +43,7 @@ class BarrierRows:
         num_states: n.
         gradients: ``gradients(rows)`` returns the derivatives of the entries [A, b, w]
             of the rows with these indices, shape (len(rows), m + 1 + q, n + 1).
+        early: Which rows keep an early level: no input satisfies them, too (E8a).
     """
 
     value: Array
@@ -52,6 +53,7 @@ class BarrierRows:
     w: Array
     num_states: int
     gradients: Callable[[Sequence[int]], Array]
+    early: tuple[int, ...] = ()
 
     @cached_property
     def _all_gradients(self) -> Array:
@@ -75,10 +77,13 @@ class BarrierRows:
     def authority(self, scale: Array) -> Array:
         """Returns how far the input moves each row, |A diag(scale)|, shape (N,).
 
+        Infinite for the rows of early levels, which need not be moved.
+
         Args:
             scale: What counts as one of each input, shape (m,).
         """
         authority: Array = np.linalg.norm(self.A * scale, axis=1)
+        authority[list(self.early)] = np.inf
         return authority
 
     def rows_without_authority(
@@ -125,6 +130,7 @@ class RowFunctions:
         value: ``value(*x, t, *parameters)`` returns [h]; [] for a limit.
         parameters: What follows x and t there.
         relative_degree: r; 0 for a limit.
+        early_levels: Which derivatives of h below the r-th an input enters (E8a).
     """
 
     row: CompiledFunction
@@ -133,6 +139,7 @@ class RowFunctions:
     value: CompiledFunction
     parameters: tuple[float, ...]
     relative_degree: int
+    early_levels: tuple[int, ...] = ()
 
     def with_parameters(self, parameters: tuple[float, ...]) -> RowFunctions:
         """Returns the same barrier's functions with other parameters."""
@@ -155,9 +162,7 @@ def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctio
         ModelError: The barrier's function cannot be derived or compiled, or its
             relative degree is not r.
     """
-    parameters, early = tuple(barrier.parameters.tolist()), barrier.early_disturbance
-    worst = () if early is None else (early.bound, early.smoothing)
-    constants = (*barrier.decay_rates.tolist(), *worst, *parameters)
+    parameters, constants = tuple(barrier.parameters.tolist()), barrier.constants
     r = barrier.relative_degree
     if isinstance(model, MultibodyModel):
         moved = multibody_row(model, barrier, constants)
@@ -166,14 +171,22 @@ def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctio
         )
     formula = barrier_formula(model, barrier)
     try:
-        check_relative_degree(model, Chain.of(formula), constants)
+        early = early_levels(model, Chain.of(formula), barrier)
         row, gradient, value = _compile_barrier(formula)
     except ValueError as error:
         raise ModelError(
             "function(x, t, p) cannot be differentiated as often as needed: write it"
             f" without abs and without the root of a square ({error})"
         ) from None
-    return RowFunctions(row, gradient, constants, value, parameters, r)
+    return RowFunctions(row, gradient, constants, value, parameters, r, early)
+
+
+def early_functions(model: ControlAffineModel, limit: EarlyInputLimit) -> RowFunctions:
+    """Returns the functions of the row of an early level (E8a)."""
+    barrier, k = limit.barrier, limit.level
+    row, gradient = _compile_early(barrier_formula(model, barrier), k)
+    parameters = tuple(barrier.parameters.tolist())
+    return RowFunctions(row, gradient, barrier.constants, _no_value, parameters, 0)
 
 
 # As in `BarrierSet`: pydrake's expressions set the flag "invalid" in exact arithmetic.
@@ -239,6 +252,20 @@ def _compile_barrier(
     gradient = chain.compiled(slopes, "barrier_gradient")
     value = compile_nodes([*x, TIME, *formula.parameters], [formula.h], "barrier_value")
     return row, gradient, value
+
+
+@lru_cache(maxsize=64)
+def _compile_early(
+    formula: Formula, level: int
+) -> tuple[CompiledFunction, CompiledFunction]:
+    """Returns `row` and `gradient` of RowFunctions, for any constants."""
+    chain, dynamics = Chain.of(formula), formula.dynamics
+    A = -dynamics.input_rates(chain.levels[level - 1])
+    none = [number(0.0)] * len(dynamics.E[0])
+    entries = np.array([*A, chain.levels[level], *none], dtype=object)
+    slopes = gradients(entries, [*dynamics.x, TIME]).ravel()
+    row = chain.compiled(entries, "early_row")
+    return row, chain.compiled(slopes, "early_gradient")
 
 
 @lru_cache(maxsize=64)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -127,6 +128,10 @@ class _Holds:
             for row, each in enumerate(safety_filter.barriers)
             if isinstance(each, Barrier)
         }
+        self._early: dict[int, dict[int, int]] = defaultdict(dict)
+        for row in safety_filter.barrier_set.early:
+            limit: Any = safety_filter.barriers[row]
+            self._early[limit.row][limit.level] = row
         self._rows = HeldRows(self._model, self._barriers, period, disturbance_bound)
         self._times, self._states = log["time"], log["state"]
         self._inputs, self._period = log["input"], period
@@ -157,7 +162,13 @@ class _Holds:
         tick = Tick(self._barriers.rows(x, t), x, t, self._known(k))
         chi = self._rows.least(tick, self._inputs[k])
         found = [
-            least_height(tick.rows.chain[row], rates, float(chi[row]), self._period)
+            least_height(
+                tick.rows.chain[row],
+                rates,
+                float(chi[row]),
+                self._period,
+                {level: float(chi[early]) for level, early in self._early[row].items()},
+            )
             for row, rates in self._decay_rates.items()
         ]
         # Where a barrier is singular nothing is certain.

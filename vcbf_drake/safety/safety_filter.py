@@ -162,8 +162,10 @@ class SafetyFilter(CachedSystem):
         check_parameter("longest_hold", longest_hold, zero_allowed=True)
         check_inputs(input_set, model.num_inputs, model.effort_limits)
         self.model = model
-        self.barriers = tuple(barriers)
-        self.barrier_set = BarrierSet(model, barriers)
+        self.barrier_set = BarrierSet(
+            model, barriers, by_chains=self.method.feasibility != "backup"
+        )
+        self.barriers = self.barrier_set.barriers
         self.input_set = input_set
         self.backup_rows: BackupRows | None = None
         if self.method.feasibility == "backup":
