@@ -32,7 +32,7 @@ from vcbf_drake.disturbances import Sinusoid
 from vcbf_drake.plants import BlimpVehicle, Part
 from vcbf_drake.safety import FilterStatus
 from vcbf_drake.viz import VehicleGeometry, write_diagram_replay
-from vcbf_drake.viz.scene_graph import Body, PosedGeometry
+from vcbf_drake.viz.scene_graph import PosedGeometry
 
 STARTS = [[0.0, 0.0, 1.0, 0.0], [6.0, 0.1, 1.1, np.pi]]  # x, y, z [m], yaw [rad].
 TARGETS = [[6.0, 0.0, 1.0], [0.0, 0.1, 1.1]]  # [m]
@@ -58,9 +58,7 @@ class Ball(PosedGeometry):
     """The ball, for the eye."""
 
     def __init__(self, scene_graph):
-        super().__init__(
-            scene_graph, [Body("ball", [Part("body", Sphere(BALL), "#9aa5b4")])]
-        )
+        super().__init__(scene_graph, {"ball": [Part("body", Sphere(BALL), "#9aa5b4")]})
 
     def poses(self, context):
         """Returns where it is."""

@@ -7,14 +7,20 @@ from pathlib import Path
 import numpy as np
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder
-from pydrake.systems.primitives import ConstantVectorSource, Gain
+from pydrake.systems.primitives import (
+    ConstantVectorSource,
+    Gain,
+    LogVectorOutput,
+    VectorLog,
+)
 import pytest
 
 from tests.helpers.browser import browser
 from tests.helpers.pages import page_data
+from tests.helpers.synthetic_results import car_result
 from vcbf_drake import AddSafetyFilter, FilterSettings, InputSet, SphereObstacle
 from vcbf_drake.disturbances import DisturbanceBounds
 from vcbf_drake.plants import CarVehicle
@@ -37,11 +43,13 @@ STONE = SphereObstacle([2.5, 0.05], 0.4, margin=0.24)
 CAR = [0.0, 0.0, 0.1, 0.0]
 
 
-def arm() -> tuple[Diagram, object]:
+def arm(time_step: float = 0.0, name: str = "plant") -> tuple[Diagram, MultibodyPlant]:
     builder = DiagramBuilder()
-    plant, _ = AddMultibodyPlantSceneGraph(builder, 0.0)
+    plant, _ = AddMultibodyPlantSceneGraph(builder, time_step)
+    plant.set_name(name)
     Parser(plant).AddModelsFromString(ARM, "urdf")
     plant.Finalize()
+    LogVectorOutput(plant.get_state_output_port(), builder, 0.01).set_name("states")
     diagram = builder.Build()
     diagram.set_name("an arm that falls")
     return diagram, plant
@@ -83,7 +91,7 @@ def test_an_arm_without_a_filter_moves_as_in_drake(tmp_path: Path) -> None:
     page = path.read_text(encoding="utf-8")
     assert page.count("<title>an arm that falls - vcbf_drake</title>") == 1
     data = page_data(page)
-    assert data["plots"] == [] and data["choice"] is None
+    assert data["plots"] == []
     (run,) = data["runs"]
     assert (len(run["path"]), run["time"][-1]) == (61, 2.0)
     # The elbow travels farthest; it is half a metre from the shoulder.
@@ -119,6 +127,60 @@ def test_a_filters_series_are_shown(tmp_path: Path) -> None:
     assert np.abs(run["input0"]).max() <= 3.0 and np.abs(run["input1"]).max() <= 4.5
     assert [plot["title"] for plot in data["plots"]][2] == "Inputs"
     assert all(len(outline) >= 6 for outline in run["sets"]["outline"])
+
+
+def fallen(time_step: float, name: str) -> tuple[Diagram, MultibodyPlant, VectorLog]:
+    """The arm after a second of its fall, and what was logged of it."""
+    diagram, plant = arm(time_step, name)
+    simulator = Simulator(diagram)
+    root = simulator.get_mutable_context()
+    plant.SetPositions(plant.GetMyMutableContextFromRoot(root), ANGLES)
+    simulator.AdvanceTo(1.0)
+    return diagram, plant, diagram.GetSubsystemByName("states").FindLog(root)
+
+
+@pytest.mark.parametrize(
+    ("time_step", "name"), [(0.0, "plant"), (1e-3, "plant"), (0.0, "my arm")]
+)
+def test_a_log_is_replayed_without_a_simulation(
+    tmp_path: Path, time_step: float, name: str
+) -> None:
+    diagram, plant, log = fallen(time_step, name)
+    path = write_diagram_replay(diagram, tmp_path / "arm.html", log=log)
+    (run,) = page_data(path.read_text(encoding="utf-8"))["runs"]
+    assert len(run["path"]) == 31 and run["time"][-1] == pytest.approx(1.0)
+    angle = np.interp(run["time"], log.sample_times(), log.data()[0])
+    elbow = [-0.5 * np.sin(angle), 0.0 * angle, 1.2 - 0.5 * np.cos(angle)]
+    np.testing.assert_allclose(run["path"], np.transpose(elbow), atol=1e-3)
+    arrays = {"time": log.sample_times() + 7.0, "state": log.data().T}
+    again = write_diagram_replay(diagram, tmp_path / "b.html", log=arrays, plant=plant)
+    (same,) = page_data(again.read_text(encoding="utf-8"))["runs"]
+    assert same["path"] == run["path"] and same["time"] == run["time"]
+
+
+def test_a_log_of_everything_has_its_plots(tmp_path: Path) -> None:
+    log = car_result(end=2.0).log
+    path = write_diagram_replay(car_loop(), tmp_path / "car.html", log=log)
+    data = page_data(path.read_text(encoding="utf-8"))
+    (run,) = data["runs"]
+    np.testing.assert_allclose(run["path"][0][:2], log["state"][0, :2], atol=1e-3)
+    np.testing.assert_allclose(run["barrier"], log["barriers"].min(axis=1), rtol=1e-4)
+    assert run["limits"] == [[-3.0, 3.0], [-4.5, 4.5]] and len(data["plots"]) == 3
+
+
+def test_a_log_that_is_of_nobody_says_so(tmp_path: Path) -> None:
+    diagram, _, log = fallen(0.0, "my arm")
+    path = tmp_path / "page.html"
+    for wrong, words in (
+        ({"log": {"state": log.data().T}}, "log: it has no time"),
+        ({"log": {"time": [0.0], "state": [[1.0], [2.0]]}}, "1 times, 2 states"),
+        ({"log": {"time": [0.0], "state": [[1.0]]}}, "such a state: none"),
+        ({"log": log, "duration": 1.0}, "duration, log: one of the two"),
+        ({}, "duration, log: one of the two"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            write_diagram_replay(diagram, path, **wrong)
+    assert not path.exists()
 
 
 def test_what_cannot_be_shown_is_refused_in_one_line(tmp_path: Path) -> None:

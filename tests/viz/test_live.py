@@ -40,7 +40,7 @@ def points(address: str) -> list[dict[str, Any]]:
         text = stream.read().decode()
     *found, over = text.strip().split("\n\n")
     assert over.startswith("event: over")
-    return [json.loads(each.removeprefix("data: ")) for each in found]
+    return [json.loads(each.removeprefix("data: "))[0] for each in found]
 
 
 def test_a_page_is_told_what_the_log_has() -> None:
@@ -124,7 +124,8 @@ def test_a_browser_shows_the_present() -> None:
             tab.open(address)
             text = "document.getElementById('{}')?.innerText ?? null".format
             assert tab.settle(text("clock")).startswith("3.00 s")
-            x = "viewer.scene_tree.find(['drake', 'vehicle', '0']).object.position.x"
+            path = "['drake', 'vehicle', '0', 'point']"
+            x = f"viewer.scene_tree.find({path}).object.position.x"
             kinds = "viewer.scene.children.map((each) => each.geometry?.type)"
             return {
                 "x": tab.evaluate(x),

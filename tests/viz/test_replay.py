@@ -123,7 +123,7 @@ def test_frames_follow_the_log_and_rest_when_it_ends():
     stage = set_stage(results)
     short = stage.motions[1]
     assert np.diff(short.time) == pytest.approx(0.1)
-    assert stage.frames_per_second == pytest.approx(10.0)
+    assert 1.0 / stage.motions[0].time[1] == pytest.approx(10.0)
     log = results[1].log
     tick = 137
     np.testing.assert_allclose(
@@ -131,7 +131,7 @@ def test_frames_follow_the_log_and_rest_when_it_ends():
     )
     after = short.position[short.time > 7.6]
     np.testing.assert_array_equal(after, np.tile(log["state"][-1, :3], (len(after), 1)))
-    assert np.all(stage.low < stage.high)
+    assert np.all(stage.view.low < stage.view.high)
 
 
 def test_a_long_run_has_no_more_frames():
@@ -150,7 +150,7 @@ def test_the_car_drives_in_the_plane_and_turns_by_its_heading():
     result = car_result()
     motion = set_stage([result]).motions[0]
     assert np.all(motion.position[:, 2] == 0.0)
-    ahead = motion.poses[0][""].rotation() @ np.array([1.0, 0.0, 0.0])
+    ahead = motion.bodies[0].poses[0].rotation() @ np.array([1.0, 0.0, 0.0])
     turn = np.arctan2(ahead[1], ahead[0])
     assert turn == pytest.approx(result.log["state"][0, 3])
 
@@ -162,7 +162,7 @@ def test_a_vehicle_larger_than_its_obstacles_is_drawn_smaller():
     scenario = dataclasses.replace(result.scenario, obstacles=small)
     stage = set_stage([dataclasses.replace(result, scenario=scenario)])
     assert stage.fraction == 3
-    assert stage.reach == pytest.approx(0.5 * 0.77 / 3)
+    assert stage.run.vehicle.length == pytest.approx(0.77)
 
 
 def test_no_obstacles_are_no_trouble(tmp_path):
@@ -172,6 +172,46 @@ def test_no_obstacles_are_no_trouble(tmp_path):
     result = dataclasses.replace(result, scenario=scenario, log=log)
     page = write_replay([result], tmp_path / "page.html").read_text()
     assert set(page_data(page)["runs"][0]["barrier"]) == {None}
+
+
+def vehicles(methods):
+    """Two cars of one scenario that go opposite ways, under each method."""
+    results = []
+    for method in methods:
+        for name, end in (("north", 3.0), ("south", 2.0)):
+            result = car_result(end=end)
+            changed = {"name": name, "method": method}
+            if name == "south":
+                changed["target"] = [-4.0, 1.0]
+            scenario = dataclasses.replace(result.scenario, **changed)
+            results.append(dataclasses.replace(result, scenario=scenario))
+    return results
+
+
+def test_every_vehicle_of_a_scenario_is_solid(tmp_path):
+    results = vehicles(["dob-vcbf-qp"])
+    runs = label_runs(results)
+    assert [run.label for run in runs] == ["north", "south"]
+    assert not any(run.ghost for run in runs)
+    assert len({run.color for run in runs}) == 2
+    stage = set_stage(results)
+    assert [name for name, _, _ in stage.tasks] == ["north", "south"]
+    assert stage.tasks[1][2].tolist() == [-4.0, 1.0, 0.0]
+    assert stage.view.low[0] < -4.0
+    data = page_data(write_replay(results, tmp_path / "page.html").read_text())
+    assert [run["ghost"] for run in data["runs"]] == [False, False]
+    places = [each["text"] for each in data["labels"] if each["kind"] == "place"]
+    assert places == ["start north", "target north", "start south", "target south"]
+
+
+def test_only_the_last_run_of_each_vehicle_is_solid():
+    runs = label_runs(vehicles(["dob-cbf-qp", "dob-vcbf-qp"]))
+    assert [run.ghost for run in runs] == [True, True, False, False]
+    assert [run.label for run in runs][::3] == [
+        "north, DOB-CBF-QP",
+        "south, DOB-VCBF-QP",
+    ]
+    assert len({run.color for run in runs}) == 4
 
 
 def test_runs_of_one_method_are_told_apart():
@@ -262,7 +302,8 @@ VIEW = """(() => {
     target: plain(page.viewer.controls.target),
     labels: { start: label("start"), target: label("target") },
     pane: [seen.clientWidth, seen.clientHeight],
-    vehicle: page.viewer.scene_tree.find(["drake", "vehicle", "2"]).object.position.x,
+    vehicle: page.viewer.scene_tree.find(
+      ["drake", "vehicle", "2", "point"]).object.position.x,
     time: Math.max(...page.viewer.animator.actions.map((action) => action.time)),
   };
 })()"""
@@ -358,7 +399,7 @@ SCENE = """(() => {
     time: Math.max(...viewer.animator.actions.map((action) => action.time)),
     playing: viewer.animator.playing,
     failure: find("drake/failure/1").visible,
-    x: find("drake/vehicle/2").position.x,
+    x: find("drake/vehicle/2/point").position.x,
     drawn,
   };
 })()"""
@@ -471,5 +512,4 @@ def test_a_slack_that_is_nothing_makes_room_for_the_inputs(tmp_path, slack, thir
     data = page_data(write_replay([result], tmp_path / "page.html").read_text())
     assert data["plots"][2]["title"] == third
     if not slack:
-        limits = [lane["limits"] for lane in data["plots"][2]["lanes"]]
-        assert limits == [[-0.8, 0.8], [-0.7, 0.7]]
+        assert data["runs"][-1]["limits"] == [[-0.8, 0.8], [-0.7, 0.7]]

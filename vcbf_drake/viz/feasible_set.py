@@ -84,7 +84,7 @@ class FeasibleSet:
 def feasible_set_at(run: Run, time: float) -> FeasibleSet:
     """The feasible set at the last tick that is not after a time [s]."""
     tick = max(int(np.searchsorted(run.time, time + 1e-9)) - 1, 0)
-    return feasible_set_of_tick(run.result.log, run.result.scenario.input_set, tick)
+    return feasible_set_of_tick(run.log, run.scenario.input_set, tick)
 
 
 def moment(runs: Sequence[Run], time: float) -> str:
@@ -184,7 +184,7 @@ def telling_times(runs: Sequence[Run]) -> list[float]:
         end = min(float(run.time[-1]) for run in runs)
         return [min(2.0, 0.25 * end), 0.5 * end, 0.75 * end]
     first = min(failures)
-    period = float(runs[-1].result.scenario.period)
+    period = float(runs[-1].scenario.period)
     return sorted({min(2.0, 0.5 * first), first - period, first})
 
 
@@ -233,7 +233,7 @@ def feasible_set_figure(runs: Sequence[Run], times: Sequence[float]) -> Figure:
     panels = figure.subplots(
         len(runs), len(times), sharex=True, sharey=True, squeeze=False
     )
-    names = [*runs[-1].channels.input_labels, ""]
+    names = [*runs[-1].inputs, ""]
     for row, run in enumerate(reversed(runs)):
         for axes, time in zip(panels[row], times, strict=True):
             _draw_or_tell(axes, run, time)

@@ -160,8 +160,11 @@ def draw_plane(axes: Axes, runs: Sequence[Run], plane: tuple[int, int]) -> None:
         if run.failure_tick is not None:
             style = dict(ms=8, mfc=run.color, mec="white", zorder=5)
             axes.plot(*run.path[run.failure_tick, pair], "X", **style)
-    axes.plot(*last.path[0, pair], "o", ms=5, color=START, zorder=4)
-    axes.plot(*last.target[pair], "*", ms=11, mfc=TARGET, mec="white", zorder=4)
+    for run in runs:
+        if not run.ghost:
+            axes.plot(*run.path[0, pair], "o", ms=5, color=START, zorder=4)
+            mark: Style = dict(ms=11, mfc=TARGET, mec="white", zorder=4)
+            axes.plot(*run.target[pair], "*", **mark)
     low, high = (corner[pair] for corner in path_extent(runs))
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     axes.set(xlabel=NAMES[plane[0]], ylabel=NAMES[plane[1]])
@@ -169,7 +172,7 @@ def draw_plane(axes: Axes, runs: Sequence[Run], plane: tuple[int, int]) -> None:
 
 def path_extent(runs: Sequence[Run]) -> tuple[Array, Array]:
     """The corners of the space that holds paths and obstacles, shape (3,) each [m]."""
-    found = [runs[-1].target, *(run.path for run in runs)]
+    found = [each for run in runs for each in (run.target, run.path)]
     found += [solid.whole.surface for solid in solids_of(runs[-1].scenario)]
     points = np.vstack(found)
     low, high = points.min(axis=0), points.max(axis=0)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import json
 from threading import Condition, Thread
@@ -22,12 +23,13 @@ from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.safety import FilterStatus, SafetyFilter
 from vcbf_drake.simulation.result import Result
 from vcbf_drake.simulation.scenario import Scenario
-from vcbf_drake.viz.replay import body_path, draw_scene
-from vcbf_drake.viz.replay.page_data import Shown, run_data, stage_data, stage_words
-from vcbf_drake.viz.replay.pages import private_meshcat, whole_page
+from vcbf_drake.viz.replay import stage_data, stage_words
+from vcbf_drake.viz.replay.page import series_data, whole_page
 from vcbf_drake.viz.replay.recording import filter_values
+from vcbf_drake.viz.replay.scene import draw_stage, private_meshcat
 from vcbf_drake.viz.runs import Event
-from vcbf_drake.viz.stage import Stage, set_stage
+from vcbf_drake.viz.solids import in_space
+from vcbf_drake.viz.stage import Stage, body_path, set_stage
 
 _PLOTTED = 0.1  # Time between two points of the plots, at least [s].
 _NOTHING_YET = {
@@ -74,7 +76,7 @@ class LiveView:
             self._stage = set_stage([Result(self._scenario, _NOTHING_YET, log)])
             self._open(self._stage)
         for body, pose in self._scenario.vehicle.poses(x).items():
-            path = body_path(0, body, self._stage.motions[0])
+            path = body_path(0, body)
             self.meshcat.SetTransform(path, pose)
         for index, solid in enumerate(self._stage.solids):
             if solid.moves:
@@ -82,7 +84,7 @@ class LiveView:
                 self.meshcat.SetTransform(f"obstacles/{index}", offset)
         if now >= self._next_point:
             self._next_point = now + _PLOTTED
-            self._stream.send(self._point(self._stage, x, safety_filter, context))
+            self._stream.send([self._point(self._stage, x, safety_filter, context)])
         self._stream.wait_while_paused()
         early = self._lead + now - time.monotonic()
         time.sleep(max(early, 0.0))
@@ -93,7 +95,7 @@ class LiveView:
         self._stream.close()
 
     def _open(self, stage: Stage) -> None:
-        draw_scene(self.meshcat, stage)
+        draw_stage(self.meshcat, stage)
         data = stage_data(stage, live=True) | {
             "duration": self._scenario.duration,
             "sliders": bool(self.meshcat.GetSliderNames()),
@@ -125,14 +127,9 @@ class LiveView:
                 event = Event(now, kind, f"{kind} {words} {now:.1f} s")
                 self._events[kind] = event
                 found.append(event)
-        path = np.zeros((1, 3))
-        path[0, : place.shape[1]] = place[0]
         log = {name: np.array([each]) for name, each in values.items()}
-        limits = self._scenario.input_set
-        shown = Shown(
-            run.label, run.color, run.dashes, found, path, np.array([now]), log, limits
-        )
-        return run_data(shown)
+        present = replace(run, events=found, time=np.array([now]), log=log)
+        return series_data(present, in_space(place))
 
 
 class Stick(LeafSystem):
@@ -233,7 +230,7 @@ class _Stream:
         Thread(target=self._server.serve_forever, daemon=True).start()
         return f"http://127.0.0.1:{self._server.server_port}/"
 
-    def send(self, news: Mapping[str, Any]) -> None:
+    def send(self, news: Sequence[Mapping[str, Any]]) -> None:
         """Adds to every page that is open, or will be."""
         with self._changed:
             self._sent.append(json.dumps(news, allow_nan=False).encode())

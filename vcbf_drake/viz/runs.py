@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,12 +15,12 @@ from vcbf_drake.barriers import Barrier, StateLimit
 from vcbf_drake.checks import Array
 from vcbf_drake.plants.channels import Channels, channels_of
 from vcbf_drake.viz.solids import in_space
-from vcbf_drake.viz.style import METHOD_STYLES
+from vcbf_drake.viz.style import METHOD_STYLES, VEHICLE_COLORS
 
 if TYPE_CHECKING:
     from vcbf_drake.plants.vehicle import Vehicle
     from vcbf_drake.simulation.result import Result
-    from vcbf_drake.simulation.scenario import Scenario
+    from vcbf_drake.simulation.scenario import InputLimits, Scenario
 
 
 @dataclass(frozen=True)
@@ -38,20 +39,43 @@ class Event:
 
 
 @dataclass(frozen=True)
-class Run:
-    """One result and how it is drawn.
+class Drawn:
+    """What pictures have to know of a motion, whatever it comes from.
 
     Attributes:
-        result: The result.
-        label: A name that no other run in the picture has.
+        label: A name that no other one in the picture has.
         color: A hexadecimal colour.
         dashes: On and off lengths [points]; empty for a solid line.
+        ghost: Whether another one of the same vehicle is to be brought out.
+        events: What happened, in the order it happened.
+        time: The control ticks, shape (T,) [s].
+        log: The arrays of a `Result`'s log.
+        inputs: The inputs' names with units.
+        limits: The inputs' limits; None where the log has no filter's arrays.
     """
 
-    result: Result
     label: str
     color: str
     dashes: tuple[float, ...]
+    ghost: bool
+    events: Sequence[Event]
+    time: Array
+    log: Mapping[str, Array]
+    inputs: Sequence[str]
+    limits: InputLimits | None
+
+
+@dataclass(frozen=True)
+class Run(Drawn):
+    """A result of a scenario and how it is drawn.
+
+    Attributes:
+        result: The result.
+        name: The vehicle's, where there are several.
+    """
+
+    result: Result
+    name: str = ""
 
     @property
     def scenario(self) -> Scenario:
@@ -76,7 +100,7 @@ class Run:
     @cached_property
     def path(self) -> Array:
         """Where the vehicle is at every tick, shape (T, 3) [m]."""
-        return in_space(self.vehicle.positions(self.result.log["state"]))
+        return in_space(self.vehicle.positions(self.log["state"]))
 
     @property
     def target(self) -> Array:
@@ -84,19 +108,9 @@ class Run:
         return in_space(self.scenario.target)
 
     @property
-    def time(self) -> Array:
-        """The control ticks, shape (T,) [s]."""
-        return np.asarray(self.result.log["time"], dtype=float)
-
-    @property
     def least_barrier(self) -> Array:
         """The least barrier at every tick, shape (T,); nan where there is none."""
-        return least_barrier(self.result.log)
-
-    @property
-    def events(self) -> list[Event]:
-        """What happened, in the order it happened."""
-        return sorted(_events(self.result.summary), key=lambda event: event.time)
+        return least_barrier(self.log)
 
     @property
     def failure(self) -> Event | None:
@@ -151,7 +165,8 @@ def label_runs(results: Sequence[Result]) -> list[Run]:
     """Gives every result a label, a colour and dashes of its own.
 
     Runs of one method share its hue, from light to the method's own colour, and are
-    told apart by the scenario entries that differ between them.
+    told apart by the scenario entries that differ between them. Where there are several
+    vehicles, which their scenarios' names tell, each has a hue of its own.
 
     Args:
         results: The results, the one to bring out last.
@@ -161,16 +176,49 @@ def label_runs(results: Sequence[Result]) -> list[Run]:
     """
     if not results:
         raise ValueError("results: got none; at least one is needed")
-    methods = [result.scenario.method for result in results]
-    remarks = _differences([result.scenario for result in results])
+    names = [result.scenario.name for result in results]
+    hues = dict(zip(dict.fromkeys(names), cycle(VEHICLE_COLORS), strict=False))
     runs = []
-    for index, (result, method) in enumerate(zip(results, methods, strict=True)):
-        style = METHOD_STYLES[method]
-        same, rank = methods.count(method), methods[:index].count(method)
-        label = style.label + (f", {remarks[index]}" if same > 1 else "")
-        color = _tint(style.color, 0.6 * (1.0 - (rank + 1) / same))
-        runs.append(Run(result, label, color, style.dashes))
+    for index, name in enumerate(names):
+        own = [result for result in results if result.scenario.name == name]
+        run = _one_of(own, names[:index].count(name))
+        if len(hues) > 1:
+            run = _of_vehicle(run, name, hues[name], own)
+        runs.append(run)
     return runs
+
+
+def _one_of(own: Sequence[Result], index: int) -> Run:
+    """One of the results of a vehicle as a run."""
+    methods = [result.scenario.method for result in own]
+    method = methods[index]
+    style = METHOD_STYLES[method]
+    same, rank = methods.count(method), methods[:index].count(method)
+    label = style.label
+    if same > 1:
+        label += f", {_differences([result.scenario for result in own])[index]}"
+    color = _tint(style.color, 0.6 * (1.0 - (rank + 1) / same))
+    result = own[index]
+    return Run(
+        label,
+        color,
+        style.dashes,
+        ghost=index + 1 < len(own),
+        events=sorted(_events(result.summary), key=lambda event: event.time),
+        time=np.asarray(result.log["time"], dtype=float),
+        log=result.log,
+        inputs=channels_of(result.scenario.vehicle.make_plant()).input_labels,
+        limits=result.scenario.input_set,
+        result=result,
+    )
+
+
+def _of_vehicle(run: Run, name: str, hue: str, own: Sequence[Result]) -> Run:
+    """The run with its vehicle's name and hue, which is paler for a ghost."""
+    if len(own) == 1:
+        return replace(run, label=name, color=hue, dashes=(), name=name)
+    color = _tint(hue, 0.5) if run.ghost else hue
+    return replace(run, label=f"{name}, {run.label}", color=color, name=name)
 
 
 def _events(summary: Mapping[str, Any]) -> Iterator[Event]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 
 from pydrake.common.value import AbstractValue
 from pydrake.geometry import (
@@ -37,21 +36,8 @@ def rgba(color: str, alpha: float = 1.0) -> Rgba:
     return Rgba(red, green, blue, alpha)
 
 
-@dataclass(frozen=True)
-class Body:
-    """A rigid body to show.
-
-    Attributes:
-        name: Its frame's name; one of its kind in the scene.
-        parts: Its pieces, in the body frame.
-    """
-
-    name: str
-    parts: Sequence[Part]
-
-
 class PosedGeometry(LeafSystem):
-    """Registers bodies with a SceneGraph and poses them.
+    """Registers rigid bodies with a SceneGraph and poses them.
 
     .. pydrake_system::
 
@@ -63,8 +49,14 @@ class PosedGeometry(LeafSystem):
     `poses`; its input ports, if any, are its own.
     """
 
-    def __init__(self, scene_graph: SceneGraph, bodies: Sequence[Body]) -> None:
+    def __init__(
+        self, scene_graph: SceneGraph, bodies: Mapping[str, Sequence[Part]]
+    ) -> None:
         """Registers the bodies.
+
+        Args:
+            scene_graph: Where to.
+            bodies: Their pieces, by the name of each one's frame, one of its kind.
 
         Raises:
             RuntimeError: The SceneGraph refuses one.
@@ -72,7 +64,8 @@ class PosedGeometry(LeafSystem):
         super().__init__()
         self.source_id = scene_graph.RegisterSource()
         self.frame_ids = [
-            _register(scene_graph, self.source_id, body) for body in bodies
+            _register(scene_graph, self.source_id, name, parts)
+            for name, parts in bodies.items()
         ]
         self.DeclareAbstractOutputPort(
             "geometry_pose",
@@ -121,13 +114,9 @@ class VehicleGeometry(PosedGeometry):
         """
         parts = vehicle.geometry(color)
         self._bodies = list(dict.fromkeys(part.body for part in parts))
-        super().__init__(
-            scene_graph,
-            [
-                Body(f"{name}/{each}" if each else name, of_body(parts, each))
-                for each in self._bodies
-            ],
-        )
+        frames = [f"{name}/{each}" if each else name for each in self._bodies]
+        pieces = [of_body(parts, each) for each in self._bodies]
+        super().__init__(scene_graph, dict(zip(frames, pieces, strict=True)))
         size = state_port_of(vehicle.make_plant()).size()
         self._vehicle = vehicle
         self._state = self.DeclareVectorInputPort("state", size)
@@ -146,16 +135,7 @@ class VehicleGeometry(PosedGeometry):
         name: str,
         color: str = BLUE,
     ) -> VehicleGeometry:
-        """Adds a vehicle's geometry and connects it to its state and the SceneGraph.
-
-        Args:
-            builder: Holds the plant and the SceneGraph.
-            vehicle: Whose geometry and pose it has.
-            state_port: The vehicle's state.
-            scene_graph: What to register with.
-            name: The frame's name; give each vehicle its own.
-            color: A hexadecimal colour.
-        """
+        """Adds a vehicle's geometry and connects it to its state and the SceneGraph."""
         geometry = VehicleGeometry(scene_graph, vehicle, name, color)
         builder.AddNamedSystem(f"{name}_geometry", geometry)
         builder.Connect(state_port, geometry.get_input_port())
@@ -188,10 +168,8 @@ class ObstacleGeometry(PosedGeometry):
             name: What the frames are called; a number is added.
             color: A hexadecimal colour.
         """
-        bodies = [
-            Body(f"{name}_{i}", list(_parts(obstacle, color)))
-            for i, obstacle in enumerate(obstacles)
-        ]
+        pieces = [list(_parts(obstacle, color)) for obstacle in obstacles]
+        bodies = {f"{name}_{i}": each for i, each in enumerate(pieces)}
         super().__init__(scene_graph, bodies)
         self._obstacles = tuple(obstacles)
 
@@ -208,15 +186,7 @@ class ObstacleGeometry(PosedGeometry):
         name: str = "obstacle",
         color: str = OBSTACLE,
     ) -> ObstacleGeometry:
-        """Adds the obstacles' geometry and connects it to the SceneGraph.
-
-        Args:
-            builder: Holds the SceneGraph.
-            obstacles: What to show.
-            scene_graph: What to register with.
-            name: What the frames are called; a number is added.
-            color: A hexadecimal colour.
-        """
+        """Adds the obstacles' geometry and connects it to the SceneGraph."""
         geometry = ObstacleGeometry(scene_graph, obstacles, name, color)
         builder.AddNamedSystem(f"{name}_geometry", geometry)
         geometry.ConnectTo(builder, scene_graph)
@@ -240,11 +210,12 @@ def _parts(obstacle: Shape, color: str) -> Iterator[Part]:
         yield Part(name, body.shape, color, to_frame @ body.pose)
 
 
-def _register(scene_graph: SceneGraph, source: object, body: Body) -> object:
-    frame = scene_graph.RegisterFrame(source, GeometryFrame(body.name))
-    for part in body.parts:
-        name = f"{body.name}/{part.name}"
-        instance = GeometryInstance(part.pose, part.shape, name)
+def _register(
+    scene_graph: SceneGraph, source: object, name: str, parts: Sequence[Part]
+) -> object:
+    frame = scene_graph.RegisterFrame(source, GeometryFrame(name))
+    for part in parts:
+        instance = GeometryInstance(part.pose, part.shape, f"{name}/{part.name}")
         illustration, perception = IllustrationProperties(), PerceptionProperties()
         if part.color is not None:
             for properties in (illustration, perception):

@@ -44,7 +44,7 @@ def slack_figure(runs: Sequence[Run]) -> Figure:
 def disturbance_figure(runs: Sequence[Run]) -> Figure:
     """The last run's disturbance with its estimate, and the error under its bound."""
     run = runs[-1]
-    log, names = run.result.log, run.channels.disturbance_labels
+    log, names = run.log, run.channels.disturbance_labels
     figure = new_figure(PAGE_WIDTH, 0.6 + 1.15 * (len(names) + 1))
     panels = figure.subplots(len(names) + 1, 1, sharex=True)
     draw_estimate_error(panels[-1], run)
@@ -72,9 +72,10 @@ def disturbance_figure(runs: Sequence[Run]) -> Figure:
 
 
 def input_figure(runs: Sequence[Run]) -> Figure:
-    """The applied inputs of every run, the last run's reference, and the limits."""
-    last = runs[-1].result
-    names, limits = runs[-1].channels.input_labels, last.scenario.input_set
+    """The applied inputs of every run of such a vehicle, the last one's reference."""
+    last = runs[-1]
+    names, limits = last.inputs, last.scenario.input_set
+    alike = [run for run in runs if run.inputs == names]
     lower, upper = shown_inputs(last.log, limits)
     figure = new_figure(PAGE_WIDTH, 0.6 + 1.35 * len(names))
     panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
@@ -84,10 +85,10 @@ def input_figure(runs: Sequence[Run]) -> Figure:
             if np.isfinite(value):
                 axes.axhline(value, color=ALARM, lw=0.8, ls=(0, (4, 2)))
         reference = last.log["reference"][:, channel]
-        axes.plot(runs[-1].time, reference, color=MUTED, lw=0.8, label="reference")
-        for run in runs:
+        axes.plot(last.time, reference, color=MUTED, lw=0.8, label="reference")
+        for run in alike:
             style = run.line(lw=1.2, drawstyle="steps-post", label=run.caption)
-            axes.plot(run.time, run.result.log["input"][:, channel], **style)
+            axes.plot(run.time, run.log["input"][:, channel], **style)
         axes.set_ylabel(name)
         room = 0.12 * ((high - low) or 1.0)
         axes.set_ylim(low - room, high + room)
@@ -103,7 +104,7 @@ def draw_barriers(axes: Axes, runs: Sequence[Run], every: bool = False) -> None:
     """Draws the least barrier of every run, and thinly every barrier of the last."""
     if every:
         style: Style = dict(color=runs[-1].color, lw=0.6, alpha=0.45)
-        axes.plot(runs[-1].time, _lowest(runs[-1].result.log["barriers"]), **style)
+        axes.plot(runs[-1].time, _lowest(runs[-1].log["barriers"]), **style)
     for run in runs:
         axes.plot(run.time, run.least_barrier, **run.line(lw=2.0, label=run.caption))
     _mark_failures(axes, runs, [run.least_barrier for run in runs])
@@ -112,7 +113,7 @@ def draw_barriers(axes: Axes, runs: Sequence[Run], every: bool = False) -> None:
         axes.set_ylim(top=1.4 * highest)
     _shade_below_zero(axes, "unsafe")
     _time_axis(axes)
-    unit = barrier_unit(runs[-1].result.scenario)
+    unit = barrier_unit(runs[-1].scenario)
     axes.set(xlabel="time [s]", ylabel="barrier $h$" + f" [{unit}]" * bool(unit))
 
 
@@ -126,7 +127,7 @@ def _over_time(height: float, draw: Callable[[Axes], None]) -> Figure:
 
 
 def _draw_slack(axes: Axes, runs: Sequence[Run]) -> None:
-    series = [run.result.log["slack"] for run in runs]
+    series = [run.log["slack"] for run in runs]
     for run, values in zip(runs, series, strict=True):
         axes.plot(run.time, values, **run.line(label=run.caption))
     if not any(np.any(values) for values in series):
@@ -145,7 +146,7 @@ def _lowest(barriers: Array) -> Array:
 
 def draw_estimate_error(axes: Axes, run: Run) -> None:
     """Draws a run's error of the disturbance estimate and its bound, in decades."""
-    log = run.result.log
+    log = run.log
     error = np.linalg.norm(log["disturbance"] - log["disturbance_estimate"], axis=1)
     bound, low = log["error_bound"], 0.2 * float(np.median(error))
     bottom = np.full(len(bound), 1e-3 * low)
@@ -162,9 +163,9 @@ def draw_estimate_error(axes: Axes, run: Run) -> None:
 def draw_volume(axes: Axes, runs: Sequence[Run]) -> None:
     """Draws the volume barrier of every run."""
     for run in runs:
-        axes.plot(run.time, run.result.log["volume"], **run.line(label=run.caption))
-    _mark_failures(axes, runs, [run.result.log["volume"] for run in runs])
-    labels = {run.result.scenario.volume.label for run in runs}
+        axes.plot(run.time, run.log["volume"], **run.line(label=run.caption))
+    _mark_failures(axes, runs, [run.log["volume"] for run in runs])
+    labels = {run.scenario.volume.label for run in runs}
     is_volume = labels == {"volume"}
     _shade_below_zero(axes, r"less volume than $\xi$" if is_volume else "too little")
     _time_axis(axes)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from vcbf_drake.checks import Array
 from vcbf_drake.viz.runs import Run
 from vcbf_drake.viz.solids import hull, in_space
-from vcbf_drake.viz.stage import Stage, multiples, set_stage
+from vcbf_drake.viz.stage import Stage, View, set_stage
 from vcbf_drake.viz.style import (
     GRID,
     MUTED,
@@ -21,6 +21,7 @@ from vcbf_drake.viz.style import (
     TARGET,
     Axes,
     Style,
+    multiples,
 )
 
 LIGHT = np.array([-0.35, -0.45, 0.82])  # Towards the light, in the world.
@@ -32,11 +33,12 @@ LINES = 20  # Drawn after the balls, which hide lines by where they are.
 def draw_space(axes: Axes, runs: Sequence[Run]) -> None:
     """Draws paths in space, the obstacles and their shadows, on axes without lines."""
     stage = set_stage([run.result for run in runs])
-    way = stage.target - stage.start
+    (_, start, target) = stage.tasks[-1]
+    way = target - start
     azimuth = float(np.rad2deg(np.arctan2(way[1], way[0]))) - FROM_THE_WAY
     view = ParallelView.from_angles(azimuth, ELEVATION)
-    _draw_floor(axes, view, stage)
-    _draw_height(axes, view, stage)
+    _draw_floor(axes, view, stage.view)
+    _draw_height(axes, view, stage.view)
     _draw_shadows(axes, view, stage)
     bodies = [ConvexBody.of(solid.body.surface) for solid in stage.solids]
     for solid, body in zip(stage.solids, bodies, strict=True):
@@ -44,9 +46,10 @@ def draw_space(axes: Axes, runs: Sequence[Run]) -> None:
         if solid.keep_out is not None:
             _draw_shell(axes, view, solid.keep_out.surface)
     for run in runs:
-        _draw_path(axes, view, run, bodies, stage.low[2])
-    _draw_mark(axes, view, stage.start, marker="o", ms=6, color=START)
-    _draw_mark(axes, view, stage.target, marker="*", ms=12, mfc=TARGET, mec="white")
+        _draw_path(axes, view, run, bodies, stage.view.low[2])
+    for _, start, target in stage.tasks:
+        _draw_mark(axes, view, start, marker="o", ms=6, color=START)
+        _draw_mark(axes, view, target, marker="*", ms=12, mfc=TARGET, mec="white")
     axes.set_aspect("equal")
     axes.set_axis_off()
     axes.autoscale_view()
@@ -69,9 +72,9 @@ def _draw_path(
         _draw_mark(axes, view, place, marker="X", ms=9, mfc=run.color, mec="white")
 
 
-def _draw_floor(axes: Axes, view: ParallelView, stage: Stage) -> None:
+def _draw_floor(axes: Axes, view: ParallelView, room: View) -> None:
     """The floor with lines at round coordinates and their numbers at two edges."""
-    (x0, y0, z), (x1, y1) = stage.low, stage.high[:2]
+    (x0, y0, z), (x1, y1) = room.low, room.high[:2]
     corners = np.array([[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]])
     view.draw_face(axes, corners, fc=FLOOR, ec=GRID, lw=0.8, zorder=1)
     for axis, name in enumerate(("x [m]", "y [m]")):
@@ -82,23 +85,23 @@ def _draw_floor(axes: Axes, view: ParallelView, stage: Stage) -> None:
         below = abs(nearer) >= abs(right)
         end = int((nearer if below else right) > 0.0)
         style = dict(ha="center", va="top") if below else dict(ha="left", va="center")
-        for value in multiples(stage.low[axis], stage.high[axis], 2.0 * stage.cell):
-            line = np.array([stage.low, stage.high])
+        for value in multiples(room.low[axis], room.high[axis], 2.0 * room.cell):
+            line = np.array([room.low, room.high])
             line[:, axis], line[:, 2] = value, z
             view.draw_line(axes, line, color=GRID, lw=0.6, zorder=1)
             offset = (0, -4) if below else (5, -2)
             _write(axes, view, line[end], f"{value:g}", offset, **style)
-        middle = 0.5 * (stage.low + stage.high)
-        middle[other], middle[2] = (stage.low, stage.high)[end][other], z
+        middle = 0.5 * (room.low + room.high)
+        middle[other], middle[2] = (room.low, room.high)[end][other], z
         offset = (0, -15) if below else (36, -8)
         _write(axes, view, middle, name, offset, **style)
 
 
-def _draw_height(axes: Axes, view: ParallelView, stage: Stage) -> None:
+def _draw_height(axes: Axes, view: ParallelView, room: View) -> None:
     """A ruler for the height at the floor's leftmost corner."""
-    x, y, _ = np.where(view.right > 0.0, stage.low, stage.high)
-    marks = multiples(stage.low[2], stage.high[2], 2.0 * stage.cell)
-    pole = np.array([[x, y, stage.low[2]], [x, y, stage.high[2]]])
+    x, y, _ = np.where(view.right > 0.0, room.low, room.high)
+    marks = multiples(room.low[2], room.high[2], 2.0 * room.cell)
+    pole = np.array([[x, y, room.low[2]], [x, y, room.high[2]]])
     view.draw_line(axes, pole, color=MUTED, lw=0.8, zorder=1)
     for z in marks:
         place = np.array([x, y, z])
@@ -111,7 +114,7 @@ def _draw_shadows(axes: Axes, view: ParallelView, stage: Stage) -> None:
     """The shadows of the obstacles."""
     for solid in stage.solids:
         shadow = in_space(hull(solid.body.surface[:, :2]))
-        shadow[:, 2] = stage.low[2]
+        shadow[:, 2] = stage.view.low[2]
         view.draw_face(axes, shadow, fc=SHADOW, lw=0, zorder=1.5)
 
 

@@ -11,15 +11,76 @@ import numpy as np
 from pydrake.math import RigidTransform
 
 from vcbf_drake.checks import Array
-from vcbf_drake.plants.shapes import bounding_box, of_body
+from vcbf_drake.plants.shapes import Part, bounding_box, of_body
 from vcbf_drake.viz.runs import Run, label_runs
 from vcbf_drake.viz.solids import Solid, in_space, solids_of
 
 if TYPE_CHECKING:
-    from vcbf_drake.plants.vehicle import Vehicle
     from vcbf_drake.simulation.result import Result
 
 MAX_FRAMES = 300  # A page should stay small; the browser fills in between.
+
+
+@dataclass(frozen=True)
+class View:
+    """What a camera and the labels have to know of the scene.
+
+    Attributes:
+        points: What a view of the whole has to contain, shape (k, 3) [m].
+        low: The least corner of the floor, shape (3,) [m].
+        high: The greatest corner of what is shown, shape (3,) [m].
+        span: The measure of everything drawn for the eye [m].
+        toward: The direction of the eye, shape (3,).
+        rise: How far vehicles reach above their positions [m].
+        places: Named ones, shape (3,) each [m].
+        few: Whether there are so few things that balls may be finer than Meshcat's.
+    """
+
+    points: Array
+    low: Array
+    high: Array
+    span: float
+    toward: Array
+    rise: float
+    places: Sequence[tuple[str, Array]]
+    few: bool
+
+    @property
+    def mark(self) -> float:
+        """The radius of the balls that mark places [m]."""
+        return 0.009 * self.span
+
+    @property
+    def cell(self) -> float:
+        """The distance between the floor's lines [m]."""
+        return 1.0 if self.span > 4.0 else 0.5 if self.span > 2.0 else 0.1
+
+
+@dataclass(frozen=True)
+class Moving:
+    """A rigid body at every frame.
+
+    Attributes:
+        path: Where it is in Meshcat's tree.
+        parts: Its pieces, in its own frame.
+        poses: Where its frame is in the world, F of them.
+    """
+
+    path: str
+    parts: Sequence[Part]
+    poses: Sequence[RigidTransform]
+
+    @property
+    def moves(self) -> bool:
+        """Whether it moves at all."""
+        return not all(each.IsExactlyEqualTo(self.poses[0]) for each in self.poses)
+
+    @property
+    def reached(self) -> Array:
+        """The corners of boxes that hold it, at some of the frames, (k, 3) [m]."""
+        box = np.array([*product(*zip(*bounding_box(self.parts), strict=True))])
+        some = self.poses[:: max(len(self.poses) // 20, 1)]
+        return np.vstack([(pose @ box.T).T for pose in some])
 
 
 @dataclass(frozen=True)
@@ -29,12 +90,12 @@ class Motion:
     Attributes:
         time: The frames' times, shape (F,) [s].
         position: The vehicle's place, shape (F, 3) [m]; it rests once the run is over.
-        poses: The poses of the vehicle's bodies at each, by their names.
+        bodies: The vehicle's bodies.
     """
 
     time: Array
     position: Array
-    poses: list[dict[str, RigidTransform]]
+    bodies: Sequence[Moving]
 
     def position_at(self, time: float) -> Array:
         """The vehicle's place at a time [s], shape (3,) [m]."""
@@ -43,27 +104,24 @@ class Motion:
 
 @dataclass(frozen=True)
 class Stage:
-    """What a replay shows.
+    """What a replay of a scenario shows.
 
     Attributes:
         runs: The runs, the one to bring out last.
         motions: One a run.
+        tasks: Of each vehicle that is no ghost its name, its start and its target,
+            shape (3,) [m].
         solids: The obstacles.
-        low: The least corner of the floor, shape (3,) [m].
-        high: The greatest corner of what is shown, shape (3,) [m].
-        bodies: What a robot of several bodies reaches, shape (k, 3) [m].
-        fraction: The vehicle is drawn at the scale 1 to this.
-        rise: How far it is drawn above its position [m].
+        fraction: Vehicles are drawn at the scale 1 to this.
+        view: The scene around them.
     """
 
-    runs: list[Run]
-    motions: list[Motion]
-    solids: list[Solid]
-    low: Array
-    high: Array
-    bodies: Array
+    runs: Sequence[Run]
+    motions: Sequence[Motion]
+    tasks: Sequence[tuple[str, Array, Array]]
+    solids: Sequence[Solid]
     fraction: int
-    rise: float
+    view: View
 
     @property
     def run(self) -> Run:
@@ -71,55 +129,9 @@ class Stage:
         return self.runs[-1]
 
     @property
-    def target(self) -> Array:
-        """The place to reach, shape (3,) [m]."""
-        return self.run.target
-
-    @property
     def duration(self) -> float:
         """The time of the last frame [s]."""
         return float(self.motions[-1].time[-1])
-
-    @property
-    def frames_per_second(self) -> float:
-        """How many frames a second the motions have."""
-        return 1.0 / float(self.motions[-1].time[1])
-
-    @property
-    def start(self) -> Array:
-        """Where the run to bring out starts, shape (3,) [m]."""
-        start: Array = self.motions[-1].position[0]
-        return start
-
-    @property
-    def span(self) -> float:
-        """The length of the way [m], the measure of everything drawn for the eye."""
-        return max(0.5, float(np.linalg.norm(self.target - self.start)))
-
-    @property
-    def mark(self) -> float:
-        """The radius of the balls that mark places [m]."""
-        return 0.009 * self.span
-
-    @property
-    def reach(self) -> float:
-        """Half the vehicle's drawn length [m]; without one, a few marks."""
-        return 0.5 * self.run.vehicle.length / self.fraction or 3.0 * self.mark
-
-    @property
-    def outline(self) -> Array:
-        """The points that a view of the whole has to contain, shape (k, 3) [m]."""
-        low, high = self.low, self.high
-        floor = [[x, y, low[2]] for x in (low[0], high[0]) for y in (low[1], high[1])]
-        tops = [_highest(solid.whole.surface) for solid in self.solids]
-        up = np.array([0.0, 0.0, self.rise])
-        paths = [motion.position[::5] + up for motion in self.motions]
-        return np.vstack([*paths, self.bodies, self.target, floor, *tops])
-
-    @property
-    def cell(self) -> float:
-        """The distance between the floor's lines [m]."""
-        return cell_size(self.span)
 
 
 def set_stage(results: Sequence[Result]) -> Stage:
@@ -133,27 +145,49 @@ def set_stage(results: Sequence[Result]) -> Stage:
     """
     runs = label_runs(results)
     duration = max(float(run.time[-1]) for run in runs)
-    motions = [_motion(run, duration) for run in runs]
-    vehicle, span = runs[-1].vehicle, runs[-1].target - motions[-1].position[0]
-    height = 0.04 * max(0.5, float(np.linalg.norm(span)))
-    solids = solids_of(results[-1].scenario, height)
-    fraction = _fraction(vehicle.length, solids)
-    bodies = np.vstack([_body_corners(vehicle, motion) for motion in motions])
-    low, high = _extent(motions, solids, runs[-1], bodies)
-    _, top = bounding_box(of_body(vehicle.geometry("#000000")))
+    motions = [_motion(run, index, duration) for index, run in enumerate(runs)]
+    run, start = runs[-1], motions[-1].position[0]
+    span = max(0.5, float(np.linalg.norm(run.target - start)))
+    solids = solids_of(run.scenario, 0.04 * span)
+    fraction = _fraction(run.vehicle.length, solids)
+    # Of a robot of one body, the position and its height are all that matters.
+    bodies = [body for each in motions if len(each.bodies) > 1 for body in each.bodies]
+    reached = np.vstack([np.empty((0, 3)), *(body.reached for body in bodies)])
+    low, high = _extent(runs, motions, solids, reached)
+    _, top = bounding_box(of_body(run.vehicle.geometry("#000000")))
     rise = float(top[2]) / fraction
-    return Stage(runs, motions, solids, low, high, bodies, fraction, rise)
+    floor = [[x, y, low[2]] for x in (low[0], high[0]) for y in (low[1], high[1])]
+    tops = [_highest(solid.whole.surface) for solid in solids]
+    up = np.array([0.0, 0.0, rise])
+    paths = [motion.position[::5] + up for motion in motions]
+    targets = [each.target for each in runs]
+    angle = np.arctan2(*(run.target - start)[1::-1]) - np.deg2rad(90.0 + 22.0)
+    steep = np.tan(np.deg2rad(38.0 if run.is_flat else 24.0))
+    tasks = [
+        (each.name, motion.position[0], each.target)
+        for each, motion in zip(runs, motions, strict=True)
+        if not each.ghost
+    ]
+    view = View(
+        points=np.vstack([*paths, reached, *targets, floor, *tops]),
+        low=low,
+        high=high,
+        span=span,
+        toward=np.array([np.cos(angle), np.sin(angle), steep]),
+        rise=rise,
+        places=[
+            (f"{word} {name}".strip(), place)
+            for name, *ends in tasks
+            for word, place in zip(("start", "target"), ends, strict=True)
+        ],
+        few=len(solids) < 100,
+    )
+    return Stage(runs, motions, tasks, solids, fraction, view)
 
 
-def cell_size(span: float) -> float:
-    """The distance between the floor's lines for a way of a length [m]."""
-    return 1.0 if span > 4.0 else 0.5 if span > 2.0 else 0.1
-
-
-def multiples(low: float, high: float, step: float) -> Array:
-    """The multiples of a step between two bounds, shape (k,)."""
-    first, last = np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9)
-    return np.arange(first, last + 1.0) * step + 0.0  # Adding 0 turns -0 into 0.
+def body_path(index: int, body: str) -> str:
+    """Where a body of a run's vehicle is in Meshcat's tree."""
+    return f"vehicle/{index}/{body or 'point'}"
 
 
 def _fraction(length: float, solids: Sequence[Solid]) -> int:
@@ -167,8 +201,8 @@ def _fraction(length: float, solids: Sequence[Solid]) -> int:
     return max(1, int(np.ceil(0.5 * length / (0.75 * least) - 1e-6)))
 
 
-def _motion(run: Run, duration: float) -> Motion:
-    state = np.array(run.result.log["state"], dtype=float)
+def _motion(run: Run, index: int, duration: float) -> Motion:
+    state = np.array(run.log["state"], dtype=float)
     rate = 10.0 if 10.0 * duration <= MAX_FRAMES else max(1.0, MAX_FRAMES // duration)
     # The last frame is not before the end, where the vehicle rests.
     frames = max(int(np.ceil(duration * rate - 1e-9)), 1) + 1
@@ -176,8 +210,12 @@ def _motion(run: Run, duration: float) -> Motion:
     angles = list(run.channels.angles)
     state[:, angles] = np.unwrap(state[:, angles], axis=0)
     shown = np.stack([np.interp(time, run.time, each) for each in state.T], axis=1)
-    poses = [run.vehicle.poses(each) for each in shown]
-    return Motion(time, in_space(run.vehicle.positions(shown)), poses)
+    poses, parts = [*map(run.vehicle.poses, shown)], run.vehicle.geometry(run.color)
+    bodies = [
+        Moving(body_path(index, name), of_body(parts, name), [p[name] for p in poses])
+        for name in poses[0]
+    ]
+    return Motion(time, in_space(run.vehicle.positions(shown)), bodies)
 
 
 def _highest(points: Array) -> Array:
@@ -185,38 +223,25 @@ def _highest(points: Array) -> Array:
     return top
 
 
-def _body_corners(vehicle: Vehicle, motion: Motion) -> Array:
-    """The corners of what the bodies of a robot with several reach, (k, 3) [m]."""
-    parts = vehicle.geometry("#000000")
-    some = motion.poses[:: max(len(motion.poses) // 20, 1)]
-    names = [] if len(some[0]) == 1 else [*some[0]]
-    corners = {
-        name: np.array(
-            [*product(*zip(*bounding_box(of_body(parts, name)), strict=True))]
-        )
-        for name in names
-    }
-    found = [(poses[name] @ corners[name].T).T for poses in some for name in names]
-    return np.vstack([np.empty((0, 3)), *found])
-
-
 def _extent(
-    motions: Sequence[Motion], solids: Sequence[Solid], run: Run, bodies: Array
+    runs: Sequence[Run],
+    motions: Sequence[Motion],
+    solids: Sequence[Solid],
+    reached: Array,
 ) -> tuple[Array, Array]:
     """The corners of the box around everything, with a floor below it."""
-    found = [run.target, bodies, *(motion.position for motion in motions)]
+    found = [reached, *(run.target for run in runs)]
+    found += [motion.position for motion in motions]
     for solid in solids:
         places = map(solid.offset_at, solid.key_times(motions[-1].time[-1]))
         found += [solid.whole.surface + offset for offset in places]
     points = np.vstack(found)
     low, high = points.min(axis=0), points.max(axis=0)
     border = 0.06 * float(np.linalg.norm(high - low))
-    if run.is_flat:
+    if runs[-1].is_flat:
         low[2], high[2] = 0.0, 0.0
-    else:
+    elif not len(reached):  # Bodies on joints stand on something.
         low[2] -= border
-    if len(bodies):  # Bodies on joints stand on something.
-        low[2] += border
     # A floor much narrower than it is long would look like a plank.
     narrow = 0.5 * np.maximum(0.36 * (high - low)[1::-1] - (high - low)[:2], 0.0)
     low[:2] -= border + narrow

@@ -8,6 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
+
+from vcbf_drake.checks import Array
+
 Style = dict[str, Any]  # The keyword arguments of something drawn.
 # Of matplotlib, whose import takes time that most programs need not spend.
 Figure: TypeAlias = Any
@@ -51,6 +55,9 @@ METHOD_STYLES = {
     "optimal-decay": MethodStyle("Optimal decay", "#56b4e9", (9.0, 1.6, 3.0, 1.6)),
     "backup": MethodStyle("Backup CBF-QP", "#117733", (1.6, 1.6)),
 }
+
+# Of several vehicles in one scenario.
+VEHICLE_COLORS = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56606e"
 
 RC_PARAMS: dict[str, Any] = {
     "axes.axisbelow": True,
@@ -127,6 +134,12 @@ def legend_above(axes: Axes) -> None:
     """Puts a legend above axes that are as wide as the page."""
     options = legend_in_a_row(axes.get_legend_handles_labels()[1])
     axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), borderpad=0.1, **options)
+
+
+def multiples(low: float, high: float, step: float) -> Array:
+    """The multiples of a step between two bounds, shape (k,)."""
+    first, last = np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9)
+    return np.arange(first, last + 1.0) * step + 0.0  # Adding 0 turns -0 into 0.
 
 
 def save_figure(figure: Figure, directory: Path, name: str) -> list[Path]:

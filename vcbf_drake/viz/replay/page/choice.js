@@ -5,7 +5,7 @@ class Choice {
   constructor(container, data) {
     this.data = data;
     const figure = container.appendChild(document.createElement("figure"));
-    figure.title = `The set, the largest ellipsoid in it, the reference and the choice; ${data.choice.note}`;
+    this.figure = figure;
     const caption = figure.appendChild(document.createElement("figcaption"));
     caption.innerHTML = "Feasible inputs <small>○ reference ● choice</small>";
     const attributes = { role: "img", "aria-label": "Feasible inputs" };
@@ -15,7 +15,10 @@ class Choice {
   /** Draws everything but the sets for the present size. */
   draw() {
     const { width, height } = this.svg.getBoundingClientRect();
-    const { names, low, high } = this.data.choice;
+    const { names, low, high, note } = this.data.primary.axes;
+    this.figure.title =
+      `The set, the largest ellipsoid in it, the reference and the choice${note}`;
+    this.runs = alike(this.data);
     const [left, right, top, bottom] = [52, width - 6, 5, height - 29];
     const room = [0, 1].map((axis) => 0.16 * (high[axis] - low[axis]) || 1);
     const scale = (axis, from, to) => (value) =>
@@ -52,12 +55,12 @@ class Choice {
   /** Draws the sets of a time [s]. */
   show(time) {
     if (!this.pane) return; // A page in a frame that is not shown has no size yet.
-    const ticks = this.data.runs.map((run) => lastIndexUpTo(run.sets.time, time));
+    const ticks = this.runs.map((run) => lastIndexUpTo(run.sets.time, time));
     if (ticks.join() === this.shown) return;
     this.shown = ticks.join();
     this.pane.replaceChildren();
-    this.data.runs.forEach((run, index) =>
-      this.drawSet(run, run.sets, ticks[index], run === this.data.runs.at(-1)));
+    this.runs.forEach((run, index) =>
+      this.drawSet(run, run.sets, ticks[index], run === this.data.primary));
   }
 
   drawSet(run, sets, k, primary) {
@@ -72,11 +75,11 @@ class Choice {
       if (!primary) style["stroke-dasharray"] = run.dashes;
       element("polygon", style, group);
     } else {
-      // The last run's word stands in the middle, the others' in the corner.
+      // The chosen run's word stands in the middle, the others' in the corner.
       const { left, right, top, bottom } = this.box;
       const place = primary
         ? { x: (left + right) / 2, y: (top + bottom) / 2 + 4, "text-anchor": "middle" }
-        : { x: left + 3, y: bottom - 4 - 12 * this.data.runs.indexOf(run) };
+        : { x: left + 3, y: bottom - 4 - 12 * this.runs.indexOf(run) };
       const word = sets.eased[k] ? "faster decay" : "empty";
       element("text", { class: "empty", ...place, style: primary ? "" : `fill: ${run.color}` }, group)
         .textContent = primary ? word : `${run.label}: ${word}`;

@@ -1,12 +1,13 @@
 // The clock of the page: it plays, seeks, and tells the scene and the plots the time.
 
 const data = JSON.parse(document.getElementById("replay-data").textContent);
+data.primary = data.runs.at(-1); // What the camera follows and the inputs are shown of.
 const byId = (name) => document.getElementById(name);
 const pane = byId("meshcat-pane");
 const scene = new ReplayScene(data, pane, byId("labels"));
 const plots = [
   ...data.plots.map((plot) => new Plot(byId("plots"), plot, data, seek)),
-  ...(data.choice ? [new Choice(byId("plots"), data)] : []),
+  ...(data.plots.length ? [new Choice(byId("plots"), data)] : []),
 ];
 const icons = {
   play: '<svg width="12" height="14"><path d="M0 0L12 7L0 14Z" fill="currentColor"/></svg>',
@@ -20,7 +21,9 @@ let lastFrame = null; // When the last frame was drawn [ms].
 function fillLegend() {
   for (const run of [...data.runs].reverse()) {
     const item = byId("legend").appendChild(document.createElement("li"));
-    item.className = run === data.runs.at(-1) ? "primary" : "";
+    item.title = "Bring this one out";
+    item.addEventListener("click", () => setPrimary(run));
+    run.item = item;
     const swatch = item.appendChild(element("svg", { width: 30, height: 10 }));
     element("line", {
       x1: 1, x2: 29, y1: 5, y2: 5, stroke: run.color, "stroke-width": 3.2,
@@ -33,6 +36,14 @@ function fillLegend() {
       run[name + "Cell"] = cell;
     }
   }
+}
+
+/** Chooses the run that the camera follows and whose inputs are shown. */
+function setPrimary(run) {
+  data.primary = run;
+  data.runs.forEach((each) => each.item.classList.toggle("primary", each === run));
+  plots.forEach((plot) => plot.draw());
+  show();
 }
 
 /** Tells the legend and the labels how every run fares at the present time. */
@@ -77,10 +88,9 @@ function setPlaying(on) {
 function listen() {
   const stream = new EventSource("stream");
   stream.onmessage = (message) => {
-    const run = data.runs.at(-1);
-    append(run, JSON.parse(message.data));
-    time = run.time.at(-1);
-    data.frames_per_second = (run.path.length - 1) / Math.max(time, 1e-6);
+    JSON.parse(message.data).forEach((news, k) => append(data.runs[k], news));
+    time = data.primary.time.at(-1);
+    data.frames_per_second = (data.primary.path.length - 1) / Math.max(time, 1e-6);
     plots.forEach((plot) => plot.draw());
     show();
   };
@@ -178,6 +188,7 @@ const KEYS = {
 };
 
 fillLegend();
+data.primary.item.classList.add("primary");
 document.documentElement.classList.toggle("bare", !data.plots.length);
 const folded = withMemory((memory) => memory.getItem("vcbf_drake.folded"));
 const small = window.innerWidth < 1400 || window.innerHeight < 760;

@@ -42,6 +42,11 @@ function pathThrough(times, values, x, y) {
   return path;
 }
 
+/** The runs whose inputs are those of the chosen one. */
+function alike({ runs, primary }) {
+  return runs.filter((run) => run.inputs.join() === primary.inputs.join());
+}
+
 /** The least and the greatest value of a lane, its limits or 0 included, with some room. */
 function rangeOf(runs, { key, limits }) {
   const values = runs.flatMap((run) => run[key].filter((value) => value !== null));
@@ -74,6 +79,13 @@ class Plot {
     this.svg.addEventListener("pointermove", follow);
   }
 
+  /** What is drawn in lanes of their own: every input of the chosen run, or one series. */
+  lanes() {
+    if (this.plot.key !== "input") return [{ key: this.plot.key, name: "", limits: null }];
+    const { inputs, limits } = this.data.primary;
+    return inputs.map((name, k) => ({ key: `input${k}`, name, limits: limits[k] }));
+  }
+
   /** The time under a horizontal place [pixels]. */
   timeAt(pixel) {
     const fraction = (pixel - MARGIN.left) / (this.right - MARGIN.left);
@@ -88,12 +100,14 @@ class Plot {
     this.x = (t) => MARGIN.left + (t / this.data.duration) * (this.right - MARGIN.left);
     this.svg.replaceChildren();
     this.svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
-    const clip = element("clipPath", { id: `past-${this.plot.lanes[0].key}` }, this.svg);
+    const clip = element("clipPath", { id: `past-${this.plot.key}` }, this.svg);
     this.past = element("rect", { x: 0, y: 0, height }, clip);
-    const count = this.plot.lanes.length;
+    const lanes = this.lanes();
+    this.runs = this.plot.key === "input" ? alike(this.data) : this.data.runs;
+    const count = lanes.length;
     const gap = count > 1 ? 5 : 0;
     const share = (bottom - MARGIN.top + gap) / count;
-    this.dots = this.plot.lanes.map((lane, k) => {
+    this.dots = lanes.map((lane, k) => {
       const top = MARGIN.top + k * share;
       return this.drawLane(lane, top, top + share - gap);
     });
@@ -111,7 +125,7 @@ class Plot {
 
   /** Draws a lane between two heights; its dots, one a run. */
   drawLane(lane, top, bottom) {
-    const [low, high] = rangeOf(this.data.runs, lane);
+    const [low, high] = rangeOf(this.runs, lane);
     const y = (v) => bottom + ((v - low) / (high - low)) * (top - bottom);
     const left = MARGIN.left;
     if (this.plot.below) {
@@ -132,7 +146,7 @@ class Plot {
       const place = { class: "lane", x: this.right - 2, y: top + 11, "text-anchor": "end" };
       element("text", place, this.svg).textContent = lane.name;
     }
-    return this.data.runs.map((run) => ({
+    return this.runs.map((run) => ({
       run, y, values: run[lane.key],
       node: element("circle", { r: 3.5, fill: run.color, class: "stop" }, this.svg),
     }));
@@ -149,10 +163,10 @@ class Plot {
 
   /** Every curve twice: pale as a whole, and strong up to the cursor. */
   drawCurves(lane, y) {
-    const clip = `url(#past-${this.plot.lanes[0].key})`;
+    const clip = `url(#past-${this.plot.key})`;
     const ahead = element("g", { class: "ahead" }, this.svg);
     const past = element("g", { "clip-path": clip }, this.svg);
-    for (const run of this.data.runs) {
+    for (const run of this.runs) {
       const d = pathThrough(run.time, run[lane.key], this.x, y);
       const style = { class: "curve", d, stroke: run.color, "stroke-dasharray": run.dashes };
       element("path", style, ahead);

@@ -3,7 +3,7 @@
 
 const THREE = MeshCat.THREE;
 const FILLED = 0.94; // How much of the pane the scene fills.
-const GHOST = 0.35; // The opacity of the vehicles that are not the last run's.
+const GHOST = 0.35; // The opacity of ghosts.
 const OUTLINE = 2.5; // How thick the outlines of ghosts are [pixels].
 
 /** A point of Drake's world, z up, as Three.js has it, y up. */
@@ -24,7 +24,7 @@ class ReplayScene {
     this.pane = pane;
     this.follows = false;
     this.fitted = true;
-    this.trail = new THREE.Mesh(); // Of a run that goes on.
+    this.trails = data.runs.map(() => new THREE.Mesh()); // Of runs that go on.
     this.pixel = { value: 0 }; // The size of a pixel at a distance of 1 m [m].
     // The colours on the screen are those of the legend.
     viewer.renderer.toneMapping = THREE.NoToneMapping;
@@ -49,7 +49,7 @@ class ReplayScene {
     this.finishMaterials();
     this.outlineGhosts();
     if (this.data.live) {
-      this.drawTrail();
+      this.drawTrails();
     } else {
       viewer.animator.pause();
       viewer.animator.seek(time);
@@ -86,11 +86,12 @@ class ReplayScene {
   }
 
   /**
-   * Gives every vehicle but the last an outline in its colour: a hull behind it, thicker
-   * by some pixels. So both are seen where one is inside the other.
+   * Gives every ghost an outline in its colour: a hull behind it, thicker by some pixels.
+   * So both are seen where it is inside the vehicle that it is a ghost of.
    */
   outlineGhosts() {
-    this.data.runs.slice(0, -1).forEach((run, index) => {
+    this.data.runs.forEach((run, index) => {
+      if (!run.ghost) return;
       const node = viewer.scene_tree.find(["drake", "vehicle", String(index)]);
       const meshes = [];
       node.object.traverse((mesh) => {
@@ -133,22 +134,24 @@ class ReplayScene {
     });
   }
 
-  /** Draws the way of a run that goes on, through places that are apart. */
-  drawTrail() {
-    const run = this.data.runs.at(-1);
+  /** Draws the ways of runs that go on, through places that are apart. */
+  drawTrails() {
     const radius = 0.0022 * this.data.camera.span;
-    const places = [];
-    for (const place of run.path.map((values) => new THREE.Vector3(...values))) {
-      if (!places.length || place.distanceTo(places.at(-1)) > radius) places.push(place);
-    }
-    if (places.length < 2 || this.drawn === places.length) return;
-    this.drawn = places.length;
-    viewer.scene.remove(this.trail); // Its axes are Drake's.
-    this.trail.geometry.dispose();
-    const way = new THREE.CatmullRomCurve3(places);
-    const geometry = new THREE.TubeGeometry(way, 2 * places.length, radius, 6);
-    this.trail = new THREE.Mesh(geometry, new THREE.MeshPhongMaterial({ color: run.color }));
-    viewer.scene.add(this.trail);
+    this.data.runs.forEach((run, k) => {
+      const places = [];
+      for (const place of run.path.map((values) => new THREE.Vector3(...values))) {
+        if (!places.length || place.distanceTo(places.at(-1)) > radius) places.push(place);
+      }
+      if (places.length < 2 || run.drawn === places.length) return;
+      run.drawn = places.length;
+      viewer.scene.remove(this.trails[k]); // Its axes are Drake's.
+      this.trails[k].geometry.dispose();
+      const way = new THREE.CatmullRomCurve3(places);
+      const geometry = new THREE.TubeGeometry(way, 2 * places.length, radius, 6);
+      const material = new THREE.MeshPhongMaterial({ color: run.color });
+      this.trails[k] = new THREE.Mesh(geometry, material);
+      viewer.scene.add(this.trails[k]);
+    });
   }
 
   /** Marks the runs that have less than the least volume at present. */
@@ -163,13 +166,15 @@ class ReplayScene {
   placeLabels(time) {
     const frame = time * this.data.frames_per_second;
     const taken = [];
-    const last = this.data.runs.length - 1;
-    this.placeLabel(this.runLabels[last], pointAt(this.data.runs[last].path, frame), -1, taken);
+    const place = (ghost, side) => this.data.runs.forEach((run, k) => {
+      if (run.ghost === ghost) {
+        this.placeLabel(this.runLabels[k], pointAt(run.path, frame), side, taken);
+      }
+    });
+    place(false, -1);
     this.data.labels.forEach((label, k) =>
       this.placeLabel(this.labels[k], label.position, label.side, taken));
-    for (let k = 0; k < last; k++) {
-      this.placeLabel(this.runLabels[k], pointAt(this.data.runs[k].path, frame), 1, taken);
-    }
+    place(true, 1);
   }
 
   /**
@@ -286,19 +291,19 @@ class ReplayScene {
     viewer.set_dirty();
   }
 
-  /** Starts or ends following the last run's vehicle. */
+  /** Starts or ends following the chosen run's vehicle. */
   setFollow(on, time) {
     if (!on) return this.fit();
     this.follows = true;
     this.fitted = false;
     const frame = time * this.data.frames_per_second;
-    const target = toThree(pointAt(this.data.runs.at(-1).path, frame));
+    const target = toThree(pointAt(this.data.primary.path, frame));
     const toward = toThree(this.data.camera.direction).normalize();
     this.look(target, toward.multiplyScalar(0.5 * this.data.camera.span));
   }
 
   followTo(frame) {
-    const target = toThree(pointAt(this.data.runs.at(-1).path, frame));
+    const target = toThree(pointAt(this.data.primary.path, frame));
     const offset = viewer.camera.position.clone().sub(viewer.controls.target);
     this.look(target, offset);
   }

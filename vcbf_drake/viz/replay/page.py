@@ -1,0 +1,257 @@
+"""The replay's page around Meshcat's own: card, clock, plots, and what they show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+import html
+from importlib.resources import files
+import json
+from pathlib import Path
+from string import Template
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vcbf_drake.checks import Array
+from vcbf_drake.viz.feasible_set import (
+    FeasibleSet,
+    feasible_set_of_tick,
+    shadow,
+    shown_inputs,
+)
+from vcbf_drake.viz.runs import Drawn, least_barrier
+from vcbf_drake.viz.solids import hull
+from vcbf_drake.viz.stage import View
+from vcbf_drake.viz.style import multiples
+
+if TYPE_CHECKING:
+    from vcbf_drake.simulation.scenario import InputLimits
+
+MAX_SAMPLES = 800  # A plot is a few hundred pixels wide.
+MAX_SETS = 400
+_UNSAFE_BELOW = "barrier", "volume"  # What is below 0 is shaded.
+SCRIPTS = "plots.js", "choice.js", "scene.js", "player.js"
+MESHCAT_TITLE = "<title>Drake MeshCat</title>"
+PHONES = '<meta name="viewport" content="width=device-width, initial-scale=1">'
+
+
+@dataclass(frozen=True)
+class Words:
+    """What the card says.
+
+    Attributes:
+        title: The first line, and the page's title.
+        description: What is shown.
+        remark: What has to be said for the picture to be read rightly.
+    """
+
+    title: str
+    description: str = ""
+    remark: str = ""
+
+
+def write_page(page: str, words: Words, data: Mapping[str, Any], path: Path) -> Path:
+    """Writes the page of a replay; its directory is made. Returns the path.
+
+    Args:
+        page: Meshcat's page with its recording.
+        words: What the card says.
+        data: What the scripts show, JSON values only.
+        path: The file to write.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(whole_page(page, words, data).encode("utf-8"))
+    return path
+
+
+def whole_page(page: str, words: Words, data: Mapping[str, Any]) -> str:
+    """Meshcat's page with the card, the plots and the player over it."""
+    # In JSON inside HTML only "<" could end the element early.
+    text = json.dumps(data, allow_nan=False, separators=(",", ":"))
+    overlay = Template(_text("page.html")).substitute(
+        title=html.escape(words.title),
+        description=html.escape(words.description),
+        remark=html.escape(words.remark),
+        style=_text("page.css"),
+        data=text.replace("<", "\\u003c"),
+        script="\n".join(map(_text, SCRIPTS)),
+    )
+    title = f"{PHONES}<title>{html.escape(words.title)} - vcbf_drake</title>"
+    head, tail = page.replace(MESHCAT_TITLE, title).rsplit("</body>", 1)
+    return f"{head}{overlay}</body>{tail}"
+
+
+def page_data(
+    shown: Sequence[tuple[Drawn, Array]],
+    view: View,
+    duration: float,
+    unit: str,
+    live: bool = False,
+) -> dict[str, Any]:
+    """What the page's scripts show; ``None`` where a number is missing.
+
+    Args:
+        shown: The runs, the one to bring out last, and where each one's label is at
+            every frame, shape (F, 3) [m].
+        view: The scene.
+        duration: How long the motion lasts [s].
+        unit: The barriers' unit; empty where they have several.
+        live: Whether more is to come: nobody knows of the slack yet.
+    """
+    return {
+        "duration": duration,
+        "frames_per_second": (len(shown[-1][1]) - 1) / duration,
+        "live": live,
+        "runs": [_run_data(*each) for each in shown],
+        "plots": _plots([run for run, _ in shown], unit, live),
+        "camera": {
+            "points": view.points.round(4).tolist(),
+            "span": view.span,
+            "direction": view.toward.round(6).tolist(),
+        },
+        "sizes": {"vehicle": view.rise, "marker": view.mark},
+        "labels": [_label(*each, "place", 1) for each in view.places] + _ticks(view),
+        "round": view.few,
+    }
+
+
+def _run_data(run: Drawn, path: Array) -> dict[str, Any]:
+    """A run as the page has it."""
+    data: dict[str, Any] = {
+        "label": run.label,
+        "color": run.color,
+        "dashes": " ".join(map(str, run.dashes)),
+        "ghost": run.ghost,
+        "inputs": list(run.inputs),
+    }
+    if run.limits is not None:
+        pairs = zip(run.limits.lower, run.limits.upper, strict=True)
+        data["limits"] = [[*p] if np.isfinite(p).all() else None for p in pairs]
+        data["axes"] = _choice_axes(run, run.limits)
+    return data | series_data(run, path)
+
+
+def series_data(run: Drawn, path: Array) -> dict[str, Any]:
+    """What grows of a run as it goes on; its path has a place for every frame."""
+    kept, log = _kept(len(run.time), MAX_SAMPLES), run.log
+    data: dict[str, Any] = {
+        "events": [vars(event) for event in run.events],
+        "path": path.round(3).tolist(),
+        "time": _finite(run.time[kept]),
+    }
+    if run.limits is None:
+        return data
+    inputs = np.asarray(log["input"], dtype=float)[kept]
+    return data | {
+        "barrier": _finite(least_barrier(log)[kept]),
+        "volume": _finite(np.asarray(log["volume"], dtype=float)[kept]),
+        "slack": _finite(np.asarray(log["slack"], dtype=float)[kept]),
+        **{f"input{k}": _finite(each) for k, each in enumerate(inputs.T)},
+        "sets": _sets(run, run.limits),
+    }
+
+
+def _plots(shown: Sequence[Drawn], unit: str, live: bool) -> list[dict[str, Any]]:
+    """The plots: barrier, volume, and the slack, or the inputs where it is nothing."""
+    if shown[-1].limits is None:
+        return []
+    barrier = f"Barrier min h [{unit}]" if unit else "Barrier min h"
+    slack = [np.asarray(run.log["slack"], float) for run in shown]
+    if any(np.any(np.abs(each[np.isfinite(each)]) > 1e-9) for each in slack):
+        third = "Slack δ [-]", "how far the volume row gave way", "slack"
+    else:
+        note = "and limits" if live else "and limits; the slack is 0 throughout"
+        third = "Inputs", note, "input"
+    return [
+        {"title": title, "note": note, "key": key, "below": key in _UNSAFE_BELOW}
+        for title, note, key in (
+            (barrier, "unsafe below 0", "barrier"),
+            ("Volume barrier Vᵥ [-]", "room left for inputs", "volume"),
+            third,
+        )
+    ]
+
+
+def _choice_axes(run: Drawn, limits: InputLimits) -> dict[str, Any]:
+    """The plane of the first two inputs, in which the feasible sets are shown."""
+    names, (low, high) = list(run.inputs), shown_inputs(run.log, limits)
+    if len(names) == 1:  # A band, for the eye.
+        low, high, names = np.append(low, -1.0), np.append(high, 1.0), [*names, ""]
+    note = "; their shadow on two inputs" if len(names) > 2 else ""
+    note += f"; the other {len(names) - 2} not shown" if len(names) > 3 else ""
+    ends = {"low": _rounded(low[:2]), "high": _rounded(high[:2])}
+    return {"names": names[:2], **ends, "note": note}
+
+
+def _sets(run: Drawn, limits: InputLimits) -> dict[str, list[Any]]:
+    """The feasible sets of a run over time, as shadows on the first two inputs.
+
+    An ellipse is its centre and the lower triangle that takes the unit circle to it.
+    """
+    kept = _kept(len(run.time), MAX_SETS)
+    sets = [feasible_set_of_tick(run.log, limits, int(tick)) for tick in kept]
+    return {
+        "time": _finite(run.time[kept]),
+        "outline": [_outline(each) for each in sets],
+        "eased": [int(each.empty and each.has_choice) for each in sets],
+        "ellipse": [_ellipse(each) for each in sets],
+        "reference": [_place(each.reference[:2]) for each in sets],
+        "input": [_rounded(each.input[:2]) for each in sets],
+    }
+
+
+def _outline(feasible: FeasibleSet) -> list[float]:
+    """The outline's corners, one coordinate after the other; nothing when empty."""
+    return [] if feasible.empty else _rounded(hull(feasible.corners[:, :2]).ravel())
+
+
+def _ellipse(feasible: FeasibleSet) -> list[float] | None:
+    shape = feasible.shape
+    if feasible.empty or not np.all(np.isfinite(shape)):
+        return None
+    return _rounded([*feasible.center[:2], *shadow(shape)[np.tril_indices(2)]])
+
+
+def _place(values: Array) -> list[float] | None:
+    """A place in the plane, or nothing where it is not finite."""
+    return _rounded(values) if np.isfinite(values).all() else None
+
+
+def _kept(ticks: int, most: int) -> NDArray[np.int_]:
+    """Which of so many ticks are shown, the first and the last included."""
+    kept: NDArray[np.int_] = np.unique(
+        np.linspace(0, ticks - 1, min(ticks, most)).astype(int)
+    )
+    return kept
+
+
+def _ticks(view: View) -> list[dict[str, Any]]:
+    """Numbers along the floor's edge that is nearer to the eye."""
+    low, high, cell = view.low, view.high, view.cell
+    edge = low[1] - 0.25 * cell if view.toward[1] < 0.0 else high[1] + 0.25 * cell
+    return [
+        _label(f"{x:g} m", np.array([x, edge, low[2]]), "tick", 0)
+        for x in multiples(low[0], high[0], 5.0 * cell)
+    ]
+
+
+def _label(text: str, place: Array, kind: str, side: int) -> dict[str, Any]:
+    """A label above (side -1), on (0) or below (1) a place."""
+    position = place.round(3).tolist()
+    return {"text": text, "position": position, "kind": kind, "side": side}
+
+
+def _finite(values: Array) -> list[float | None]:
+    return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values]
+
+
+def _rounded(values: ArrayLike) -> list[float]:
+    return [float(f"{value:.4g}") for value in np.asarray(values)]
+
+
+def _text(name: str) -> str:
+    page = files("vcbf_drake.viz.replay") / "page" / name
+    return page.read_text(encoding="utf-8")
