@@ -28,7 +28,7 @@ def watched(act: Callable[[str], Any], **changes: Any) -> tuple[Result, Any]:
     scenario = load_scenario("car-avoidance", SHORT | changes)
     with ThreadPoolExecutor() as beside:
         found: list[Future[Any]] = []
-        view = LiveView(scenario, lambda url: found.append(beside.submit(act, url)))
+        view = LiveView([scenario], lambda url: found.append(beside.submit(act, url)))
         result = simulate(scenario, step_time=False, watch=view)
         view.close()
         return result, found[0].result(60.0)
@@ -99,7 +99,7 @@ def test_watching_changes_nothing() -> None:
 
 def test_a_person_at_the_sliders_takes_the_controllers_place() -> None:
     scenario = load_scenario("car-avoidance", {"duration": 1.0})
-    view = LiveView(scenario, lambda address: None)
+    view = LiveView([scenario], lambda address: None)
     stick = Stick(view.meshcat, scenario)
     force, turn = view.meshcat.GetSliderNames()
     assert (force, turn) == ("acceleration force [N]", "turn rate [rad/s]")
@@ -112,7 +112,7 @@ def test_a_person_at_the_sliders_takes_the_controllers_place() -> None:
 def test_a_slider_needs_limits() -> None:
     changes = {"method": "cbf-qp", "input_set": {"lower": [float("-inf"), -4.5]}}
     scenario = load_scenario("car-avoidance", changes)
-    view = LiveView(scenario, lambda address: None)
+    view = LiveView([scenario], lambda address: None)
     with pytest.raises(InvalidValueError, match=r"input_set.*finite, for a slider"):
         Stick(view.meshcat, scenario)
 

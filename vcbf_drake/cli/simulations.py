@@ -196,7 +196,7 @@ def _simulate_live(
     def tell(address: str) -> None:
         typer.echo(f"open {address} in a browser; the run begins there", err=True)
 
-    view = LiveView(scenario, tell)
+    view = LiveView([scenario], tell)
     try:
         controller = Stick(view.meshcat, scenario) if by_hand else None
         return simulate(

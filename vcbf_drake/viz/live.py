@@ -17,10 +17,10 @@ from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context, Diagram, LeafSystem
 
-from vcbf_drake.checks import require
+from vcbf_drake.checks import Array, require
 from vcbf_drake.model.interface import state_port_of
 from vcbf_drake.plants.channels import channels_of
-from vcbf_drake.safety import FilterStatus, SafetyFilter
+from vcbf_drake.safety import FilterStatus
 from vcbf_drake.simulation.result import Result
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.viz.replay import stage_data, stage_words
@@ -48,43 +48,47 @@ class LiveView:
     paused, and to real time.
     """
 
-    def __init__(self, scenario: Scenario, tell: Callable[[str], None]) -> None:
+    def __init__(
+        self, scenarios: Sequence[Scenario], tell: Callable[[str], None]
+    ) -> None:
         """Starts the page's server, which this computer alone can see.
 
         Args:
-            scenario: What will run.
+            scenarios: What will run: that of each vehicle.
             tell: Called with the page's address, once.
         """
         self.meshcat = private_meshcat()
-        self._scenario, self._tell = scenario, tell
+        self._scenarios, self._tell = scenarios, tell
         self._stage: Stage | None = None
-        self._events: dict[str, Event] = {}
+        self._known: set[tuple[int, str]] = set()  # Whose events have been told.
         self._next_point = 0.0
         self._lead = 0.0  # The wall clock less the time of the motion [s].
         self._stream = _Stream()
 
     def __call__(self, diagram: Diagram, context: Context) -> None:
         """Shows the present; returns when it is time to go on."""
-        plant = diagram.GetSubsystemByName("plant")
-        x = state_port_of(plant).Eval(plant.GetMyContextFromRoot(context))
-        safety_filter = diagram.GetSubsystemByName("filter")
+        loops = [diagram]
+        if len(self._scenarios) > 1:
+            loops = [diagram.GetSubsystemByName(each.name) for each in self._scenarios]
         now = context.get_time()
         if self._stage is None:
-            values = filter_values(safety_filter, context)
-            log = {name: np.array([each]) for name, each in values.items()}
-            log |= {"time": np.array([now]), "state": np.array([x])}
-            self._stage = set_stage([Result(self._scenario, _NOTHING_YET, log)])
+            logs = [_present(loop, context) for loop in loops]
+            pairs = zip(self._scenarios, logs, strict=True)
+            self._stage = set_stage([Result(s, _NOTHING_YET, log) for s, log in pairs])
             self._open(self._stage)
-        for body, pose in self._scenario.vehicle.poses(x).items():
-            path = body_path(0, body)
-            self.meshcat.SetTransform(path, pose)
+        for index, (scenario, loop) in enumerate(
+            zip(self._scenarios, loops, strict=True)
+        ):
+            for body, pose in scenario.vehicle.poses(_state(loop, context)).items():
+                self.meshcat.SetTransform(body_path(index, body), pose)
         for index, solid in enumerate(self._stage.solids):
             if solid.moves:
                 offset = RigidTransform(solid.offset_at(now))
                 self.meshcat.SetTransform(f"obstacles/{index}", offset)
         if now >= self._next_point:
             self._next_point = now + _PLOTTED
-            self._stream.send([self._point(self._stage, x, safety_filter, context)])
+            logs = [_present(loop, context) for loop in loops]
+            self._stream.send([self._point(k, log) for k, log in enumerate(logs)])
         self._stream.wait_while_paused()
         early = self._lead + now - time.monotonic()
         time.sleep(max(early, 0.0))
@@ -97,7 +101,7 @@ class LiveView:
     def _open(self, stage: Stage) -> None:
         draw_stage(self.meshcat, stage)
         data = stage_data(stage, live=True) | {
-            "duration": self._scenario.duration,
+            "duration": self._scenarios[0].duration,
             "sliders": bool(self.meshcat.GetSliderNames()),
         }
         address = self.meshcat.web_url()
@@ -109,27 +113,37 @@ class LiveView:
         self._stream.wait_for_a_browser()
         self._lead = time.monotonic()
 
-    def _point(
-        self, stage: Stage, x: Any, safety_filter: SafetyFilter, context: Context
-    ) -> dict[str, Any]:
-        """What the page does not know yet."""
-        now, run = context.get_time(), stage.run
-        values = filter_values(safety_filter, context)
-        place = stage.run.vehicle.positions(np.atleast_2d(x))
-        away = float(np.linalg.norm(place[0] - self._scenario.target))
+    def _point(self, index: int, log: dict[str, Array]) -> dict[str, Any]:
+        """What the page does not know yet of a vehicle."""
+        assert self._stage is not None  # There is no point before the stage.
+        now, run = float(log["time"][0]), self._stage.runs[index]
+        place = run.vehicle.positions(log["state"])
+        away = float(np.linalg.norm(place[0] - run.scenario.target))
         found = []
         for kind, holds, words in (
-            ("infeasible", values["status"] >= FilterStatus.INFEASIBLE, "since"),
-            ("collision", np.nanmin(values["barriers"], initial=0.0) < 0.0, "at"),
-            ("reached", away <= self._scenario.arrival_distance, "at"),
+            ("infeasible", log["status"][0] >= FilterStatus.INFEASIBLE, "since"),
+            ("collision", np.nanmin(log["barriers"], initial=0.0) < 0.0, "at"),
+            ("reached", away <= run.scenario.arrival_distance, "at"),
         ):
-            if holds and kind not in self._events:
-                event = Event(now, kind, f"{kind} {words} {now:.1f} s")
-                self._events[kind] = event
-                found.append(event)
-        log = {name: np.array([each]) for name, each in values.items()}
-        present = replace(run, events=found, time=np.array([now]), log=log)
+            if holds and (index, kind) not in self._known:
+                self._known.add((index, kind))
+                found.append(Event(now, kind, f"{kind} {words} {now:.1f} s"))
+        present = replace(run, events=found, time=log["time"], log=log)
         return series_data(present, in_space(place))
+
+
+def _state(loop: Diagram, context: Context) -> Array:
+    """The state of a loop's plant."""
+    plant = loop.GetSubsystemByName("plant")
+    state: Array = state_port_of(plant).Eval(plant.GetMyContextFromRoot(context))
+    return state
+
+
+def _present(loop: Diagram, context: Context) -> dict[str, Array]:
+    """The arrays of a log of the present alone."""
+    values = filter_values(loop.GetSubsystemByName("filter"), context)
+    values |= {"time": context.get_time(), "state": _state(loop, context)}
+    return {name: np.array([each], dtype=float) for name, each in values.items()}
 
 
 class Stick(LeafSystem):

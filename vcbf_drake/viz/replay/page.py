@@ -35,6 +35,7 @@ _UNSAFE_BELOW = "barrier", "volume"  # What is below 0 is shaded.
 SCRIPTS = "plots.js", "choice.js", "scene.js", "player.js"
 MESHCAT_TITLE = "<title>Drake MeshCat</title>"
 PHONES = '<meta name="viewport" content="width=device-width, initial-scale=1">'
+NO_ICON = '<link rel="icon" href="data:,">'  # Or the browser asks for one.
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ def whole_page(page: str, words: Words, data: Mapping[str, Any]) -> str:
         data=text.replace("<", "\\u003c"),
         script="\n".join(map(_text, SCRIPTS)),
     )
-    title = f"{PHONES}<title>{html.escape(words.title)} - vcbf_drake</title>"
+    title = f"{PHONES}{NO_ICON}<title>{html.escape(words.title)} - vcbf_drake</title>"
     head, tail = page.replace(MESHCAT_TITLE, title).rsplit("</body>", 1)
     return f"{head}{overlay}</body>{tail}"
 
