@@ -69,7 +69,7 @@ def ticks(draw, entries, input_sets=(BOX, TRIANGLE)):
     )
 
 
-@settings(max_examples=4000, deadline=None, derandomize=True)
+@settings(max_examples=1500, deadline=None, derandomize=True)
 @given(ticks(numbers))
 def test_nothing_illegal_leaves(tick):
     decision = decide(tick)
@@ -81,13 +81,13 @@ def test_nothing_illegal_leaves(tick):
     assert set(broken_promises(tick, decision)) <= {UNSOLVED}
 
 
-@settings(max_examples=4000, deadline=None, derandomize=True)
+@settings(max_examples=1500, deadline=None, derandomize=True)
 @given(ticks(tame))
 def test_every_promise_is_kept(tick):
     assert broken_promises(tick, decide(tick)) == ()
 
 
-@settings(max_examples=12_000, deadline=None, derandomize=True)
+@settings(max_examples=3000, deadline=None, derandomize=True)
 @given(st.sampled_from(range(len(ALL_KINDS))), st.integers(0, 2**40))
 def test_every_promise_is_kept_on_hostile_ticks(kind, number):
     example = make_example(1, kind + number * len(ALL_KINDS))

@@ -165,12 +165,11 @@ def test_optimality_conditions(m):
         np.testing.assert_allclose(np.linalg.norm(v, axis=0), 1.0, rtol=1e-9)
 
 
-@pytest.mark.slow
 def test_never_wrong_on_hard_polytopes():
-    """2000 polytopes: the volume exact to 1e-7, by two oracles, or an honest error."""
+    """600 polytopes: the volume exact to 1e-7, by two oracles, or an honest error."""
     rng = np.random.default_rng(2024)
     refused = 0
-    for _ in range(2000):
+    for _ in range(600):
         (A, b), (image, b_image), log_det = hard_polytope(rng)
         try:
             e = inscribed_ellipsoid(image, b_image)
@@ -183,7 +182,7 @@ def test_never_wrong_on_hard_polytopes():
         original = inscribed_ellipsoid(A, b).log_det
         assert e.log_det == pytest.approx(original + log_det, abs=1e-7)
         assert (e.multipliers >= 0.0).all()
-    assert refused <= 2
+    assert refused == 0
 
 
 def test_volume_is_exact_in_forty_digits():
