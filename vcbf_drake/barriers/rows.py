@@ -15,6 +15,7 @@ from vcbf_drake.barriers.chain import TIME, Chain, Formula, Symbols, class_k_for
 from vcbf_drake.barriers.limits import EarlyInputLimit, StateInputLimit
 from vcbf_drake.barriers.multibody_rows import multibody_row
 from vcbf_drake.barriers.relative_degree import early_levels
+from vcbf_drake.barriers.subsystem import Subsystem
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.compiled import CompiledFunction, compile_nodes
@@ -169,22 +170,26 @@ def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctio
         return RowFunctions(
             moved.row, moved.gradient, constants, moved.value, parameters, r
         )
-    formula = barrier_formula(model, barrier)
+    formula, part = Subsystem.of(barrier_formula(model, barrier))
     try:
-        early = early_levels(model, Chain.of(formula), barrier)
+        early = early_levels(model, Chain.of(formula), barrier, part)
         row, gradient, value = _compile_barrier(formula)
     except ValueError as error:
         raise ModelError(
             "function(x, t, p) cannot be differentiated as often as needed: write it"
             f" without abs and without the root of a square ({error})"
         ) from None
+    row, gradient = part.row(row, r), part.gradient(gradient)
+    value = part.value(value)
     return RowFunctions(row, gradient, constants, value, parameters, r, early)
 
 
 def early_functions(model: ControlAffineModel, limit: EarlyInputLimit) -> RowFunctions:
     """Returns the functions of the row of an early level (E8a)."""
     barrier, k = limit.barrier, limit.level
-    row, gradient = _compile_early(barrier_formula(model, barrier), k)
+    formula, part = Subsystem.of(barrier_formula(model, barrier))
+    row, gradient = _compile_early(formula, k)
+    row, gradient = part.row(row, 0), part.gradient(gradient)
     parameters = tuple(barrier.parameters.tolist())
     return RowFunctions(row, gradient, barrier.constants, _no_value, parameters, 0)
 
