@@ -22,7 +22,6 @@ from vcbf_drake.hil import (
     BusError,
     CommandMode,
     Inbox,
-    Outbox,
     VehicleMode,
     check_bus,
     command_format,
@@ -60,7 +59,7 @@ def drive(url: str) -> None:
     bus = Bus(DrakeLcm(url), name="car-avoidance")
     driver, last = WaypointDriver(), None
     states = Inbox(bus, state_format(num_states=4, num_inputs=2), max_age=0.1)
-    commands = Outbox(bus, command_format(num_inputs=2).channel)
+    channel = command_format(num_inputs=2).channel
     while last is None or last.mode != VehicleMode.ENDED:
         if not bus.wait(bus.clock.utime() + 30_000_000):
             sys.exit("no vehicle spoke for 30 s")
@@ -69,9 +68,9 @@ def drive(url: str) -> None:
             continue
         dt = state.time - last.time if last else 0.0
         u = driver.input(*state.state, dt)
-        commands.send(command_message(u, CommandMode.APPLY, state))
+        bus.send(channel, command_message(u, CommandMode.APPLY, state))
         last = state
-    print(f"my controller answered {commands.sent} states; {states.lost} were lost")
+    print(f"my controller answered {bus.sent[channel]} states; {states.lost} were lost")
 
 
 def main() -> None:

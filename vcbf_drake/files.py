@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import Field
 import json
 import math
 import os
 from pathlib import Path
+import queue
 import shutil
+from threading import Thread
 from types import MappingProxyType
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Generic, TypeVar
+
+_T = TypeVar("_T")
 
 # The metadata of a dataclass's field that names a file: ``field(metadata=IS_FILE)``. In
 # a scenario file its path is relative to that file.
@@ -118,3 +122,59 @@ def _plain(value: Any) -> Any:
         return [_plain(item) for item in value]
     finite = not isinstance(value, float) or math.isfinite(value)
     return value if finite else None
+
+
+class WriterThread(Generic[_T]):
+    """A thread that writes what it is given, so that a slow reader stops nobody.
+
+    Args:
+        write: Called with one item after the other, in that thread.
+        capacity: How many items may wait.
+        patience: How long `close` waits for the last one [s].
+        end: Called after it, in that thread.
+
+    Attributes:
+        lost: How many found no room.
+    """
+
+    def __init__(
+        self,
+        write: Callable[[_T], object],
+        capacity: int,
+        patience: float,
+        end: Callable[[], object] = lambda: None,
+    ) -> None:
+        self.lost = 0
+        self._write, self._end, self._patience = write, end, patience
+        self._queue: queue.Queue[_T | None] = queue.Queue(capacity)
+        self._closing = False
+        self._thread = Thread(target=self._work, daemon=True)
+        self._thread.start()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether something still waits to be written, or it is not closed."""
+        return self._thread.is_alive()
+
+    def __call__(self, item: _T) -> None:
+        """Has an item written, or counts it as lost."""
+        try:
+            self._queue.put_nowait(item)
+        except queue.Full:
+            self.lost += 1
+
+    def close(self) -> None:
+        """Writes what waits, as long as the patience lasts."""
+        self._closing = True
+        with suppress(queue.Full):
+            self._queue.put_nowait(None)  # Wakes the thread.
+        self._thread.join(self._patience)
+        if self._thread.is_alive():
+            self.lost += self._queue.qsize()
+
+    def _work(self) -> None:
+        while not (self._closing and self._queue.empty()):
+            item = self._queue.get()
+            if item is not None:
+                self._write(item)
+        self._end()

@@ -21,7 +21,7 @@ class _Silent:
 
     clock = SimulatedClock(NOW)
 
-    def subscribe(self, channel: str, handler: object, refuse: object) -> None:
+    def subscribe(self, channel: str, handler: object) -> None:
         pass
 
 

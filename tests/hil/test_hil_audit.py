@@ -8,8 +8,8 @@ import pytest
 from tests.helpers.relayed_loop import RelayedLoop
 from vcbf_drake import load_scenario
 from vcbf_drake.hil import CommandMode, InProcess, LinkFaults, VehicleMode
-from vcbf_drake.hil.live_audit import FINDINGS
 from vcbf_drake.hil.messages import vcbf_status
+from vcbf_drake.hil.prediction import FINDINGS
 
 ESTIMATE, MOTION, FROZEN, NO_TIME = FINDINGS
 

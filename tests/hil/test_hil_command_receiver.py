@@ -13,14 +13,12 @@ from vcbf_drake.hil import (
     Bus,
     CommandMode,
     InProcess,
-    Outbox,
     SimulatedClock,
     VehicleMode,
     command_format,
 )
 from vcbf_drake.hil.messages import vcbf_command
-from vcbf_drake.hil.timing import Timeline
-from vcbf_drake.hil.vehicle_side import CommandReceiver
+from vcbf_drake.hil.vehicle_side import CommandReceiver, Timeline
 from vcbf_drake.simulation.scenario import Hardware
 
 CAR = ControlAffineModel.from_system(Car())
@@ -33,8 +31,7 @@ class Vehicle:
 
     def __init__(self) -> None:
         self.clock, lcm = SimulatedClock(), MemoryLcm()
-        self.bus, sender = Bus(lcm, self.clock), Bus(lcm, self.clock)
-        self._outbox = Outbox(sender, command_format(2).channel)
+        self.bus, self._sender = Bus(lcm, self.clock), Bus(lcm, self.clock)
         self._timeline = Timeline(self.clock)
         self.receiver = CommandReceiver(
             self.bus,
@@ -54,7 +51,7 @@ class Vehicle:
         message.mode, message.num_inputs = int(mode), 2
         message.state_session, message.state_utime = self.bus.session, self.clock.now
         message.input = [float(number), 0.0]
-        self._outbox.send(message)
+        self._sender.send(command_format(2).channel, message)
         self.bus.poll()
 
     def wait_until(self, instant: int) -> None:
@@ -164,7 +161,6 @@ def test_a_vehicle_that_wakes_late_follows_its_controller() -> None:
     run.advance_to(0.2)
     run.kill_controller()
     sender = Bus(run.lcm, run.clock)
-    outbox = Outbox(sender, command_format(3).channel)
     receiver = run.plant.diagram.GetSubsystemByName("command_receiver")
     context = receiver.GetMyContextFromRoot(run.plant.context)
     start = run.clock.now
@@ -176,7 +172,7 @@ def test_a_vehicle_that_wakes_late_follows_its_controller() -> None:
         message.state_session = run.plant.bus.session
         message.state_utime = run.clock.now
         message.takes_over = True
-        outbox.send(message)
+        sender.send(command_format(3).channel, message)
         run.plant.bus.poll()
         run.plant.advance_to(0.2 + tick * 0.01)
         u = receiver.GetOutputPort("input").Eval(context)

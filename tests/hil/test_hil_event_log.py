@@ -107,10 +107,10 @@ def test_a_disk_that_stalls_costs_log_and_not_flight(tmp_path) -> None:
     path = tmp_path / "pipe"
     os.mkfifo(path)
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
-    log = EventLogWriter(path, capacity=50)
+    log = EventLogWriter(path, capacity=50, patience=0.05)
     for number in range(1000):
         log(number, "A", bytes(4096))  # More than pipe and queue hold.
-    log.close(patience=0.05)
+    log.close()
     assert 800 < log.lost < 1000
     assert (
         log.failure == f"{path}: the disk was too slow, {log.lost} events are missing"

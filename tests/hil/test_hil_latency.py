@@ -9,8 +9,7 @@ from pydrake.systems.primitives import ConstantVectorSource
 import pytest
 
 from vcbf_drake import Blimp, Car, ControlAffineModel, load_scenario
-from vcbf_drake.hil import InProcess, LinkFaults
-from vcbf_drake.hil.state_receiver import StatePredictor
+from vcbf_drake.hil import InProcess, LinkFaults, StatePredictor
 
 CAR = ControlAffineModel.from_system(Car())
 BLIMP = ControlAffineModel.from_system(Blimp())

@@ -11,7 +11,7 @@ import sys
 import numpy as np
 import pytest
 
-from vcbf_drake.hil.decoding import (
+from vcbf_drake.hil import (
     MessageFormat,
     Reason,
     Rejection,

@@ -11,12 +11,12 @@ import pytest
 from tests.helpers.memory_bus import OneSlotLcm
 from tests.helpers.relayed_loop import RelayedLoop
 from vcbf_drake import load_scenario, simulate
+from vcbf_drake.errors import UserCodeError
 from vcbf_drake.hil import (
     Bus,
     CommandMode,
     InProcess,
     LinkFaults,
-    Outbox,
     PlantProcess,
     Reason,
     SimulatedClock,
@@ -382,6 +382,68 @@ def test_a_rate_that_is_not_kept_is_said_and_when_it_is_again() -> None:
     assert found[1] == "the rate is kept again"
 
 
+def test_a_slow_vehicle_is_not_called_a_slow_controller() -> None:
+    """Every state is answered; of each second period the vehicle tells nothing."""
+    slow = load_scenario(CAR, {"period": 0.04})
+    run = RelayedLoop(slow, lambda message: message, known=load_scenario(CAR))
+    said: list[str] = []
+    run.controller.tell = said.append
+    for tick in range(100):
+        run.advance_to(0.04 * tick)
+        run.controller._say()
+    rates = [line for line in said if "rate" in line or "slow" in line]
+    assert rates == ["the vehicle is slow: 25 of 50 periods had no state"]
+    assert run.controller.report()["deadlines_missed"] == 0
+
+
+class RunningClock(SimulatedClock):
+    """Goes on by 1 ms whenever somebody looks at it."""
+
+    def utime(self) -> int:
+        self.now += 1000
+        return self.now
+
+
+def test_a_second_vehicle_of_the_name_speaks_once_a_second() -> None:
+    """What speaks as often as the first displaces that one's states on a real bus."""
+    lcm, clock = DrakeLcm("memq://"), RunningClock()
+    vehicle = PlantProcess(load_scenario(CAR), Bus(lcm, clock))
+    controller, states = Bus(lcm, clock), heard(lcm, vcbf_state)
+    begin = clock.now
+    while clock.now < begin + 3_000_000:
+        vehicle._stand()
+    lcm.HandleSubscriptions(0)
+    alone = len(states)
+    command = vcbf_command()
+    command.state_session, command.num_inputs, command.input = 5, 2, [0.0, 0.0]
+    begin = clock.now
+    while clock.now < begin + 3_000_000:
+        controller.send("VCBF_COMMAND", command)
+        vehicle._stand()
+    lcm.HandleSubscriptions(0)
+    assert alone > 60
+    assert 3 <= len(states) - alone <= 5
+
+
+def test_a_controller_that_fails_says_farewell_first() -> None:
+    run = InProcess(load_scenario(CAR))
+    run.advance_to(0.5)
+
+    def fail(context: object) -> None:
+        raise RuntimeError("out of fuel")
+
+    run.controller.tick_taps.append(fail)
+    run.clock.now += 20_000
+    run.plant.advance_to(0.52)
+    with pytest.raises(UserCodeError, match=r"test_hil_several.py:\d+: RuntimeError"):
+        run.controller.run()
+    assert run.controller.ending == "error"
+    assert run.controller.mode is CommandMode.END
+    run.plant.bus.poll()
+    run.plant.advance_to(0.54)
+    assert run.plant.mode is VehicleMode.FALLBACK
+
+
 # Perceived obstacles ---------------------------------------------------------------
 
 
@@ -504,13 +566,13 @@ def test_what_another_session_says_of_obstacles_is_not_taken(source) -> None:
     """Of a vehicle of the same name, or of the one that was there before."""
     run = InProcess(load_scenario(CAR, {"hardware": {"obstacles": source}}))
     run.advance_to(0.2)
-    stranger = Outbox(Bus(run.lcm, run.clock), "VCBF_OBSTACLES")
+    stranger = Bus(run.lcm, run.clock)
     for tick in range(11, 150):
         far = vcbf_obstacles()
         far.time, far.num_obstacles, far.num_coordinates = 0.0, 2, 4
         far.radius, far.valid = [0.5, 0.5], [True, True]
         far.position, far.velocity = [50.0] * 4, [0.0] * 4
-        stranger.send(far)
+        stranger.send("VCBF_OBSTACLES", far)
         run.advance_to(0.02 * tick)
         assert run.controller.mode is CommandMode.APPLY
     alone = InProcess(load_scenario(CAR, {"hardware": {"obstacles": source}}))
@@ -547,9 +609,9 @@ def test_a_vehicle_of_one_s_own_is_controlled_as_it_is_simulated() -> None:
     run = InProcess(loaded)
     run.advance_to(4.0)
     assert not run.controller.report()["findings"]
-    known = load_scenario(ROOT / "examples" / "own_robot.py", {"duration": 4.0})
-    expected = simulate(known, step_time=False).log
+    expected = simulate(load_scenario(ROOT / "examples" / "own_robot.py")).log
     log = run.plant.diagram.GetSubsystemByName("log_path").FindLog(run.plant.context)
+    ticks = expected["time"] <= 4.0
     for k, state in enumerate(log.data()):
-        found = np.interp(expected["time"], log.sample_times(), state)
-        np.testing.assert_allclose(found, expected["state"][:, k], atol=1e-9)
+        found = np.interp(expected["time"][ticks], log.sample_times(), state)
+        np.testing.assert_allclose(found, expected["state"][ticks, k], atol=1e-9)

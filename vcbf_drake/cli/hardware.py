@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
 import math
 import os
 from pathlib import Path
-import queue
 import sys
-from threading import Thread
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TextIO
+from typing import TYPE_CHECKING, Annotated, NamedTuple, TextIO
 
 import typer
 
@@ -21,7 +19,7 @@ from vcbf_drake.cli.options import (
     ScenarioArgument,
     load,
 )
-from vcbf_drake.files import json_text
+from vcbf_drake.files import WriterThread, json_text
 from vcbf_drake.interrupts import SIGNALS, end_at_once, handle
 
 if TYPE_CHECKING:
@@ -32,6 +30,7 @@ if TYPE_CHECKING:
 _MOST_LINES, _LAST_WORDS = 1000, 0.5
 # Of a run without an end; it has to fit into a computer.
 _MOST_TICKS = 9e6
+Tell = Callable[[str], None]
 _UrlOption = Annotated[
     str | None,
     typer.Option(
@@ -135,7 +134,7 @@ def plant(
     bus = _open_bus(chosen, lcm_url, name, LinkOptions(drop, delay, jitter, fault_seed))
     from vcbf_drake.hil import PlantProcess
 
-    with _Teller() as tell, _logging(bus, chosen, log, force, tell):
+    with _telling() as tell, _logging(bus, chosen, log, force, tell):
         process = PlantProcess(chosen, bus)
         status = _run(process, "vehicle", chosen, wait, as_json, tell)
     raise typer.Exit(status)
@@ -176,7 +175,7 @@ def controller(
     bus = _open_bus(chosen, lcm_url, name, LinkOptions(drop, delay, jitter, fault_seed))
     from vcbf_drake.hil import controller_of
 
-    with _Teller() as tell, _logging(bus, chosen, log, force, tell):
+    with _telling() as tell, _logging(bus, chosen, log, force, tell):
         process = controller_of(chosen, bus)
         process.takes_over = take_over
         if duration is not None:
@@ -256,7 +255,7 @@ def _open_bus(
 
 @contextmanager
 def _logging(
-    bus: Bus, scenario: Scenario, path: Path | None, force: bool, tell: _Teller
+    bus: Bus, scenario: Scenario, path: Path | None, force: bool, tell: Tell
 ) -> Iterator[None]:
     """Logs what the bus sends and receives, if that is wanted."""
     if path is None:
@@ -279,33 +278,19 @@ def _logging(
             tell(log.failure)
 
 
-class _Teller:
+def _write_line(line: str) -> None:
+    with suppress(OSError):  # Not sys.stderr, whose lock would block the end.
+        os.write(2, f"{line}\n".encode())
+
+
+@contextmanager
+def _telling() -> Iterator[Tell]:
     """Lines on stderr, from a thread of its own.
 
     Whoever reads them may stall, or be gone: that costs lines and no flight.
     """
-
-    def __init__(self) -> None:
-        self._lines: queue.Queue[str | None] = queue.Queue(_MOST_LINES)
-        self._thread = Thread(target=self._write, daemon=True)
-        self._thread.start()
-
-    def __call__(self, line: str) -> None:
-        with suppress(queue.Full):
-            self._lines.put_nowait(line)
-
-    def _write(self) -> None:
-        while (line := self._lines.get()) is not None:
-            with suppress(OSError):  # Not sys.stderr, whose lock would block the end.
-                os.write(2, f"{line}\n".encode())
-
-    def __enter__(self) -> _Teller:
-        return self
-
-    def __exit__(self, *_: Any) -> None:
-        with suppress(queue.Full):
-            self._lines.put_nowait(None)
-        self._thread.join(_LAST_WORDS)
+    with closing(WriterThread(_write_line, _MOST_LINES, _LAST_WORDS)) as tell:
+        yield tell
 
 
 @contextmanager
@@ -325,7 +310,7 @@ def _run(
     scenario: Scenario,
     patience: float,
     as_json: bool,
-    tell: _Teller,
+    tell: Tell,
 ) -> int:
     """Runs a process and returns the exit status of its ending."""
     from vcbf_drake.hil import EXIT_STATUSES

@@ -17,22 +17,12 @@ from vcbf_drake.hil.bus import (
     vehicle_name,
 )
 from vcbf_drake.hil.command_sender import CommandSender, command_message
-from vcbf_drake.hil.controller_process import (
-    ControllerProcess,
+from vcbf_drake.hil.controller_process import ControllerProcess
+from vcbf_drake.hil.controller_side import (
     InProcess,
+    VehicleLink,
     controller_of,
-)
-from vcbf_drake.hil.controller_side import VehicleLink, make_hardware_loop
-from vcbf_drake.hil.decoding import (
-    CommandMode,
-    MessageFormat,
-    Reason,
-    Rejection,
-    VehicleMode,
-    command_format,
-    obstacles_format,
-    state_format,
-    status_format,
+    make_hardware_loop,
 )
 from vcbf_drake.hil.event_log import (
     Event,
@@ -43,23 +33,27 @@ from vcbf_drake.hil.event_log import (
     read_event_log,
     start_log,
 )
-from vcbf_drake.hil.live_audit import LiveAudit
-from vcbf_drake.hil.log_replay import LoggedController, LogReplay, replay_log
-from vcbf_drake.hil.mailbox import Inbox, Outbox
-from vcbf_drake.hil.processes import (
-    EXIT_STATUSES,
-    HardwareProcess,
-    PlantProcess,
-    say_farewell,
+from vcbf_drake.hil.inbox import (
+    CommandMode,
+    Inbox,
+    MessageFormat,
+    VehicleMode,
+    command_format,
+    obstacles_format,
+    state_format,
+    status_format,
 )
-from vcbf_drake.hil.state_receiver import StateReceiver
-from vcbf_drake.hil.vehicle_side import make_vehicle
-from vcbf_drake.hil.watchdogs import (
+from vcbf_drake.hil.log_replay import LoggedController, LogReplay, replay_log
+from vcbf_drake.hil.prediction import LiveAudit, StatePredictor
+from vcbf_drake.hil.processes import EXIT_STATUSES, PlantProcess, say_farewell
+from vcbf_drake.hil.receivers import (
     ObstacleReceiver,
-    StateWatchdog,
+    StateReceiver,
     Verdict,
     Watchdog,
 )
+from vcbf_drake.hil.senders import Reason, Rejection
+from vcbf_drake.hil.vehicle_side import make_vehicle
 
 __all__ = [
     "DEFAULT_URL",
@@ -73,7 +67,6 @@ __all__ = [
     "EventLog",
     "EventLogError",
     "EventLogWriter",
-    "HardwareProcess",
     "InProcess",
     "Inbox",
     "LinkFaults",
@@ -82,13 +75,12 @@ __all__ = [
     "LoggedController",
     "MessageFormat",
     "ObstacleReceiver",
-    "Outbox",
     "PlantProcess",
     "Reason",
     "Rejection",
     "SimulatedClock",
+    "StatePredictor",
     "StateReceiver",
-    "StateWatchdog",
     "VehicleLink",
     "VehicleMode",
     "Verdict",

@@ -2,25 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 import heapq
 import hmac
 import ipaddress
-import itertools
 import math
 import os
 from pathlib import Path
 import re
 import socket
 import time
-from typing import Protocol
+from typing import Any, Protocol
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 import numpy as np
 from pydrake.lcm import DrakeLcm
 
-from vcbf_drake.errors import VcbfError
+from vcbf_drake.checks import check_parameter
+from vcbf_drake.errors import InvalidValueError, VcbfError
+
+# Multicast, as LCM's own default; a time to live of 0 keeps it on this computer.
+DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
+VERSION = 2  # Of the messages.
+SIGNATURE_BYTES = 32  # HMAC-SHA256's, after the message.
+
+# Takes a message's bytes and the time of its arrival [us]; None are bytes without the
+# signature that they must have.
+Handler = Callable[[bytes | None, int], None]
+# Takes the time [us], the channel and the bytes of a message.
+Tap = Callable[[int, str, bytes], None]
+
+_LEAST_KEY, _MOST_KEY = 16, 65_536  # Bytes.
+_LONGEST_NAME = 48  # LCM's channels have at most 63 characters.
+_MOST_DRAINED = 100
+# What LCM knows of a multicast URL, and the greatest value of each.
+_UDPM_OPTIONS = {"ttl": 255, "recv_buf_size": 2**31 - 1}
+_CHECK_CHANNEL, _CHECK_PATIENCE = "VCBF_BUS_CHECK", 1.0  # [s]
+
+
+class BusError(VcbfError):
+    """The bus does not carry messages; the text says how to mend it."""
 
 
 class Clock(Protocol):
@@ -68,7 +91,7 @@ class LinkFaults:
         seed: Of the generator.
 
     Raises:
-        ValueError: A number is outside what is allowed.
+        InvalidValueError: A number is outside what is allowed.
     """
 
     drop: float = 0.0
@@ -77,81 +100,12 @@ class LinkFaults:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.drop <= 1.0:
-            raise ValueError(f"drop is {self.drop:g}; it must be between 0 and 1")
-        if not (math.isfinite(self.delay) and self.delay >= 0.0):
-            raise ValueError(
-                f"delay is {self.delay:g} s; it must be finite and not below 0"
-            )
-        if not 0.0 <= self.jitter <= self.delay:
-            raise ValueError(
-                f"jitter is {self.jitter:g} s; it must be between 0 and the delay,"
-                f" {self.delay:g} s"
-            )
-
-
-class FaultyLink:
-    """Drops and delays messages as its faults say.
-
-    Args:
-        faults: What to inject.
-    """
-
-    def __init__(self, faults: LinkFaults) -> None:
-        self._faults = faults
-        self._generator = np.random.default_rng(faults.seed)
-        self._on_the_way: list[tuple[int, int, str, bytes]] = []
-        self._number = itertools.count()
-
-    def put(self, now: int, channel: str, data: bytes) -> None:
-        """Takes a message that came at the time `now` [us]."""
-        faults = self._faults
-        if faults.drop and self._generator.random() < faults.drop:
-            return
-        due = now
-        if faults.delay:
-            jitter = self._generator.uniform(-faults.jitter, faults.jitter)
-            due += round(1e6 * (faults.delay + jitter))
-        heapq.heappush(self._on_the_way, (due, next(self._number), channel, data))
-
-    def due(self, now: int) -> Iterator[tuple[str, bytes]]:
-        """Yields channel and bytes of what has arrived at the time `now` [us]."""
-        while self._on_the_way and self._on_the_way[0][0] <= now:
-            _, _, channel, data = heapq.heappop(self._on_the_way)
-            yield channel, data
-
-    def clear(self) -> None:
-        """Forgets what is on the way."""
-        self._on_the_way.clear()
-
-    def next_due(self) -> float:
-        """Returns when the next message arrives [us]; infinite for none."""
-        return self._on_the_way[0][0] if self._on_the_way else math.inf
-
-
-# Multicast, as LCM's own default; a time to live of 0 keeps it on this computer.
-DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
-
-# Takes a message's bytes and the time of its arrival [us].
-Handler = Callable[[bytes, int], None]
-# Told that a message came at a time [us] without the signature that it must have.
-Refusal = Callable[[int], None]
-# Takes the time [us], the channel and the bytes of a message.
-Tap = Callable[[int, str, bytes], None]
-
-_BETWEEN_PROCESSES = ("udpm://", "tcpq://")
-SIGNATURE_BYTES = 32  # HMAC-SHA256's, after the message.
-_LEAST_KEY, _MOST_KEY = 16, 65_536  # Bytes.
-_LONGEST_NAME = 48  # LCM's channels have at most 63 characters.
-_MOST_DRAINED = 100
-# The greatest value of each.
-_UDPM_OPTIONS = {"ttl": 255, "recv_buf_size": 2**31 - 1}
-_CHECK_CHANNEL = "VCBF_BUS_CHECK"
-_CHECK_PATIENCE = 1.0  # [s]
-
-
-class BusError(VcbfError):
-    """The bus does not carry messages; the text says how to mend it."""
+        check_parameter("delay", self.delay, zero_allowed=True)
+        for name, most in (("drop", 1.0), ("jitter", self.delay)):
+            value = getattr(self, name)
+            if not 0.0 <= value <= most:
+                must = f"it must be between 0 and {most:g}"
+                raise InvalidValueError(name, f"{value:g}; {must}")
 
 
 class Bus:
@@ -174,6 +128,7 @@ class Bus:
         clock: The clock.
         session: When what is sent now began [us]: when the bus was opened, or
             `begin_session` called.
+        sent: How many messages `send` sent in it, by channel.
         taps: Called with everything that is published, and with everything that
             arrives on a subscribed channel, after the faults.
     """
@@ -191,15 +146,14 @@ class Bus:
         self.name, self._key = name, key
         self.lcm = lcm or DrakeLcm(DEFAULT_URL)
         self.clock = clock or WallClock()
-        self.session = self.clock.utime()
         self.taps: list[Tap] = []
-        self._link = FaultyLink(faults or LinkFaults())
-        self._handlers: dict[str, list[tuple[Handler, Refusal]]] = {}
-
-    @property
-    def subscribed(self) -> tuple[str, ...]:
-        """The channels that someone listens to here."""
-        return tuple(self._handlers)
+        self._handlers: dict[str, list[Handler]] = {}
+        self._faults = faults or LinkFaults()
+        self._generator = np.random.default_rng(self._faults.seed)
+        # What is on its way: when it arrives [us], its number, its channel, its bytes.
+        self._arriving: list[tuple[int, int, str, bytes]] = []
+        self._came = 0
+        self.begin_session()
 
     def channel(self, base: str) -> str:
         """Returns what a channel is called on this bus: with the vehicle's name."""
@@ -208,6 +162,14 @@ class Bus:
     def begin_session(self) -> None:
         """Makes what is sent from now on newer than anything that others send now."""
         self.session = self.clock.utime()
+        self.sent: Counter[str] = Counter()
+
+    def send(self, channel: str, message: Any) -> None:
+        """Fills in a message's version, session, number and time, and publishes it."""
+        message.version, message.session = VERSION, self.session
+        message.sequence, message.utime = self.sent[channel], self.clock.utime()
+        self.publish(channel, message.encode())
+        self.sent[channel] += 1
 
     def publish(self, channel: str, data: bytes) -> None:
         """Sends the bytes on a channel, given without the vehicle's name."""
@@ -215,35 +177,25 @@ class Bus:
         self._tell_taps(self.clock.utime(), full, data)
         self.lcm.Publish(full, data + self._signature(full, data))
 
-    def subscribe(
-        self, channel: str, handler: Handler, refuse: Refusal = lambda now: None
-    ) -> None:
+    def subscribe(self, channel: str, handler: Handler) -> None:
         """Calls the handler with whatever bytes arrive on the channel.
 
         Args:
             channel: Without the vehicle's name.
             handler: Gets the bytes, without their signature.
-            refuse: Told of bytes that have not the right signature.
         """
         full = self.channel(channel)
         if full not in self._handlers:
             self._handlers[full] = []
-            self.lcm.Subscribe(
-                full, lambda data: self._link.put(self.clock.utime(), full, data)
-            )
-        self._handlers[full].append((handler, refuse))
-
-    def _signature(self, channel: str, data: bytes) -> bytes:
-        if not self._key:
-            return b""
-        return hmac.digest(self._key, channel.encode() + b"\0" + data, "sha256")
+            self.lcm.Subscribe(full, lambda data: self._take(full, data))
+        self._handlers[full].append(handler)
 
     def drain(self) -> None:
         """Throws away what has arrived so far, told to nobody."""
         for _ in range(_MOST_DRAINED):
             if not self.lcm.HandleSubscriptions(0):
                 break
-        self._link.clear()
+        self._arriving.clear()
 
     def poll(self) -> int:
         """Handles what has arrived and returns how many messages that were."""
@@ -257,7 +209,8 @@ class Bus:
             How many messages arrived.
         """
         while True:
-            remaining = min(until, self._link.next_due()) - self.clock.utime()
+            next_due = self._arriving[0][0] if self._arriving else math.inf
+            remaining = min(until, next_due) - self.clock.utime()
             # LCM waits for whole milliseconds; what is left of one is slept.
             if remaining >= 1000.0:
                 self.lcm.HandleSubscriptions(math.floor(remaining / 1000.0))
@@ -267,51 +220,45 @@ class Bus:
             if arrived or self.clock.utime() >= until:
                 return arrived
 
+    def _take(self, channel: str, data: bytes) -> None:
+        """Takes what LCM brings, as the faults say."""
+        faults, due = self._faults, self.clock.utime()
+        if faults.drop and self._generator.random() < faults.drop:
+            return
+        if faults.delay:
+            jitter = self._generator.uniform(-faults.jitter, faults.jitter)
+            due += round(1e6 * (faults.delay + jitter))
+        self._came += 1
+        heapq.heappush(self._arriving, (due, self._came, channel, data))
+
     def _deliver(self) -> int:
-        arrived = 0
-        for channel, data in self._link.due(self.clock.utime()):
+        arrived, until = 0, self.clock.utime()
+        while self._arriving and self._arriving[0][0] <= until:
             arrived += 1
-            now = self.clock.utime()
-            if self._key:
-                data, signature = data[:-SIGNATURE_BYTES], data[-SIGNATURE_BYTES:]
-                if not hmac.compare_digest(signature, self._signature(channel, data)):
-                    for _, refuse in self._handlers[channel]:
-                        refuse(now)
-                    continue
-            self._tell_taps(now, channel, data)
-            for handler, _ in self._handlers[channel]:
+            *_, channel, signed = heapq.heappop(self._arriving)
+            now, data = self.clock.utime(), self._verified(channel, signed)
+            if data is not None:
+                self._tell_taps(now, channel, data)
+            for handler in self._handlers[channel]:
                 handler(data, now)
         return arrived
+
+    def _verified(self, channel: str, signed: bytes) -> bytes | None:
+        """The bytes without their signature; None if that is not the right one."""
+        if not self._key:
+            return signed
+        data, signature = signed[:-SIGNATURE_BYTES], signed[-SIGNATURE_BYTES:]
+        is_right = hmac.compare_digest(signature, self._signature(channel, data))
+        return data if is_right else None
+
+    def _signature(self, channel: str, data: bytes) -> bytes:
+        if not self._key:
+            return b""
+        return hmac.digest(self._key, channel.encode() + b"\0" + data, "sha256")
 
     def _tell_taps(self, now: int, channel: str, data: bytes) -> None:
         for tap in self.taps:
             tap(now, channel, data)
-
-
-class Neighbours:
-    """Listens for the other vehicles' names on a bus while nobody speaks under ours.
-
-    Args:
-        bus: The bus; it hears nothing of a ``memq://`` in one process.
-        base: A channel without a name: what whoever is waited for would send on.
-
-    Attributes:
-        names: What was heard.
-    """
-
-    def __init__(self, bus: Bus, base: str) -> None:
-        self.names: set[str] = set()
-        self._ours, self._lcm = bus.channel(base), DrakeLcm(bus.lcm.get_lcm_url())
-        self._lcm.SubscribeMultichannel(f"{base}(/.*)?", self._hear)
-
-    def listen(self) -> str:
-        """Returns what was heard so far, in words; empty for nobody."""
-        self._lcm.HandleSubscriptions(0)
-        return ", ".join(name or "one without a name" for name in sorted(self.names))
-
-    def _hear(self, channel: str, data: bytes) -> None:
-        if channel != self._ours:
-            self.names.add(channel.partition("/")[2])
 
 
 def check_name(name: str) -> None:
@@ -365,12 +312,9 @@ def check_bus(url: str, patience: float = _CHECK_PATIENCE) -> None:
         BusError: Nothing arrived, or the URL is not one of a bus between processes, or
             not one at all.
     """
-    if not url.startswith(_BETWEEN_PROCESSES):
-        allowed = " and ".join(_BETWEEN_PROCESSES)
-        raise BusError(f"{url} is no bus between processes; {allowed} are")
-    address, port = _parsed(url)
+    address = _parsed(url)
     if address.scheme == "tcpq":
-        _check_server(url, address.hostname or "localhost", port or 7700)
+        _check_server(url, address)
     sender, receiver = DrakeLcm(url), DrakeLcm(url)
     token = f"{os.getpid()} {time.monotonic_ns()}".encode()
     arrived: list[bytes] = []
@@ -383,40 +327,40 @@ def check_bus(url: str, patience: float = _CHECK_PATIENCE) -> None:
         receiver.HandleSubscriptions(20)
 
 
-def _parsed(url: str) -> tuple[SplitResult, int | None]:
-    """Returns the parts of a bus's URL, and its port, where it has one.
-
-    LCM takes what it does not understand for 0, or for what it likes.
+def _parsed(url: str) -> SplitResult:
+    """Returns the parts of a bus's URL: LCM takes what it does not understand for 0.
 
     Raises:
         BusError: It is no URL, or a port or an option makes no sense.
     """
+    if not url.startswith(("udpm://", "tcpq://")):
+        raise BusError(f"{url} is no bus between processes; udpm:// and tcpq:// are")
     try:
         address = urlsplit(url)
         port = address.port
     except ValueError as error:
         raise BusError(f"{url}: {error}") from None
-    example = f"as in {DEFAULT_URL}"
     is_multicast = address.scheme == "udpm"
     if port == 0 or (is_multicast and address.hostname and port is None):
-        raise BusError(f"{url}: needs a port, 1 to 65535, {example}")
+        raise BusError(f"{url}: needs a port, 1 to 65535, as in {DEFAULT_URL}")
     options = parse_qsl(address.query, keep_blank_values=True) if is_multicast else ()
     for option, value in options:
-        most = _UDPM_OPTIONS.get(option)
-        if most is None:
+        most = _UDPM_OPTIONS.get(option, -1)
+        if most < 0:
             known = " and ".join(_UDPM_OPTIONS)
-            raise BusError(f"{url}: no option {option}; there are {known}, {example}")
+            raise BusError(f"{url}: no option {option}; there are {known}")
         if not (value.isascii() and value.isdigit() and int(value) <= most):
-            raise BusError(f"{url}: {option} must be 0 to {most}, {example}")
-    return address, port
+            raise BusError(f"{url}: {option} must be 0 to {most}")
+    return address
 
 
-def _check_server(url: str, host: str, port: int) -> None:
+def _check_server(url: str, address: SplitResult) -> None:
+    place = address.hostname or "localhost", address.port or 7700
     try:
-        socket.create_connection((host, port), timeout=_CHECK_PATIENCE).close()
+        socket.create_connection(place, timeout=_CHECK_PATIENCE).close()
     except OSError as error:
         raise BusError(
-            f"{url}: no LCM server answers at {host}:{port}"
+            f"{url}: no LCM server answers at {place[0]}:{place[1]}"
             f" ({error.strerror or error}); start one there, for example"
             " lcm-tcpq-server or java -cp lcm.jar lcm.lcm.TCPService"
         ) from None
@@ -425,19 +369,15 @@ def _check_server(url: str, host: str, port: int) -> None:
 def _probable_cause(address: SplitResult) -> str:
     if address.scheme == "tcpq":
         return "what answers there is probably no LCM server"
-    if not _is_multicast(address.hostname or ""):
-        return (
-            f"{address.hostname} is no multicast address; udpm needs one,"
-            " 224.0.0.0 to 239.255.255.255"
-        )
+    host = address.hostname or ""
+    try:
+        is_multicast = ipaddress.ip_address(host).is_multicast
+    except ValueError:
+        is_multicast = False
+    if not is_multicast:
+        allowed = "224.0.0.0 to 239.255.255.255"
+        return f"{host} is no multicast address; udpm needs one, {allowed}"
     return (
         "there is probably no route for multicast. On Linux: sudo ip link set lo up;"
         " sudo ip route add 224.0.0.0/4 dev lo"
     )
-
-
-def _is_multicast(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_multicast
-    except ValueError:
-        return False

@@ -2,33 +2,19 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
 from collections.abc import Sequence
 import math
-from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import (
-    Context,
-    DiscreteValues,
-    LeafSystem,
-)
+from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceEstimate
 from vcbf_drake.hil.bus import Bus
-from vcbf_drake.hil.decoding import (
-    CommandMode,
-    ModeChange,
-    command_format,
-    status_format,
-)
-from vcbf_drake.hil.live_audit import FINDINGS
-from vcbf_drake.hil.mailbox import Outbox
+from vcbf_drake.hil.inbox import CommandMode, command_format, status_format
 from vcbf_drake.hil.messages import vcbf_command, vcbf_state, vcbf_status
-from vcbf_drake.hil.state_receiver import StateReceiver, StateStamp
-from vcbf_drake.hil.timing import median_and_p99
-from vcbf_drake.hil.watchdogs import StateWatchdog, Verdict, Watchdog
+from vcbf_drake.hil.prediction import FINDINGS
+from vcbf_drake.hil.receivers import StateReceiver, StateStamp, Verdict, Watchdog
 from vcbf_drake.safety import (
     METHODS,
     FilterStatus,
@@ -73,9 +59,9 @@ class CommandSender(LeafSystem):
         safety_filter: The filter whose ports are connected.
         delta1: What is declared of the disturbance (E16, bounds of the disturbance).
         period: The control period [s].
-        receiver: Where states arrive, for the status.
-        settings: How old a state may be, and what a finding of the audit leads to.
-        watchdogs: Asked before the one of the state's age.
+        receiver: Where states arrive; it knows how old they are.
+        settings: What a finding of the audit leads to.
+        watchdogs: Further ones, asked before that of the state's age.
 
     Attributes:
         ending: Whether the controller is about to end.
@@ -102,17 +88,17 @@ class CommandSender(LeafSystem):
         self.last_status: vcbf_status | None = None
         self.deadlines_missed = 0
         self._bus, self._filter, self._receiver = bus, safety_filter, receiver
-        self._delta1, self._settings = delta1, settings
+        self._delta1, self._audit = delta1, settings.audit
+        self._longest_silence = _SHARE * settings.command_timeout
         self._showed_itself_at = -math.inf
         self._watchdogs = tuple(watchdogs)
         self._method = next(
             name for name, each in METHODS.items() if each is safety_filter.method
         )
-        self._state_watchdog = StateWatchdog(receiver.inbox, bus.clock, settings)
         m, n_barriers = safety_filter.model.num_inputs, safety_filter.barrier_set.size
         q = safety_filter.model.num_disturbances
-        self._commands = Outbox(bus, command_format(m).channel)
-        self._statuses = Outbox(bus, status_format(m, n_barriers, q).channel)
+        self._commands = command_format(m).channel
+        self._statuses = status_format(m, n_barriers, q).channel
         self._input = self.DeclareVectorInputPort("input", m)
         sizes = {
             "reference": m,
@@ -125,37 +111,35 @@ class CommandSender(LeafSystem):
             "stamp": len(StateStamp._fields),
             "finding": 1,
         }
-        self._sampled = [
-            self.DeclareVectorInputPort(name, size) for name, size in sizes.items()
-        ]
-        self._ends = dict(zip(sizes, np.cumsum(list(sizes.values())), strict=True))
-        self._sizes = sizes
-        self.DeclareDiscreteState(np.full(sum(sizes.values()), np.nan))
+        # What is sampled: each one's port, and where it is held.
+        self._sampled = {
+            name: (
+                self.DeclareVectorInputPort(name, size),
+                self.DeclareDiscreteState(np.full(size, np.nan)),
+            )
+            for name, size in sizes.items()
+        }
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._sample)
         self.DeclarePeriodicPublishEvent(period, 0.0, self._send)
         self.DeclareForcedPublishEvent(self._send)
-
-    def states_are_old(self) -> bool:
-        """Returns whether the newest state is too old to act on."""
-        return self._state_watchdog.verdict().mode is not CommandMode.APPLY
 
     def verdict(self, context: Context) -> Verdict:
         """Returns what is asked of the vehicle now, and why."""
         if self.ending:
             return Verdict(CommandMode.END, "the controller ends")
-        verdict = self._state_watchdog.verdict()
+        verdict = self._receiver.verdict()
         if verdict.mode is CommandMode.FALLBACK:
             return verdict
         for watchdog in self._watchdogs:
-            theirs = watchdog.verdict()
+            theirs = watchdog()
             if theirs.mode is not CommandMode.APPLY:
                 return theirs
         findings = self.findings(context)
-        if findings and self._settings.audit == "fallback":
+        if findings and self._audit == "fallback":
             return Verdict(CommandMode.FALLBACK, f"refuted: {findings[0]}")
         stops = self._filter.settings.infeasible == "stop"
         if verdict.mode is CommandMode.APPLY and stops:
-            status = self._sample_of(context)["status"][0]
+            status = self._held(context, "status")[0]
             reason = trouble_of_filter(status, self.conflicts(context))
             if reason:
                 return Verdict(CommandMode.FALLBACK, reason)
@@ -163,55 +147,54 @@ class CommandSender(LeafSystem):
 
     def findings(self, context: Context) -> tuple[str, ...]:
         """Returns what the measurements refuted at the last tick, in words."""
-        finding = self._sample_of(context)["finding"][0]
+        finding = self._held(context, "finding")[0]
         return (FINDINGS[int(finding)],) if finding >= 0.0 else ()
 
     def conflicts(self, context: Context) -> tuple[str, ...]:
         """Returns the rows that excluded each other at the last tick, by name."""
-        sample = self._sample_of(context)
-        if sample["status"][0] != FilterStatus.INFEASIBLE:
+        if self._held(context, "status")[0] != FilterStatus.INFEASIBLE:
             return ()
         packed = unpack_feasible_set(
-            sample["feasible_set"], self._filter.num_rows, self._filter.model.num_inputs
+            self._held(context, "feasible_set"),
+            self._filter.num_rows,
+            self._filter.model.num_inputs,
         )
         return self._filter.row_names.in_conflict(packed.A, packed.b)
 
     def _sample(self, context: Context, discrete: DiscreteValues) -> None:
-        discrete.set_value(np.concatenate([p.Eval(context) for p in self._sampled]))
+        for port, index in self._sampled.values():
+            discrete.set_value(index, port.Eval(context))
 
-    def _sample_of(self, context: Context) -> dict[str, Array]:
-        values = context.get_discrete_state_vector().CopyToVector()
-        return {
-            name: values[end - self._sizes[name] : end]
-            for name, end in self._ends.items()
-        }
+    def _held(self, context: Context, name: str) -> Array:
+        """What an input port said at the last tick; nan before the first."""
+        _, index = self._sampled[name]
+        held: Array = context.get_discrete_state(index).CopyToVector()
+        return held
 
     def _send(self, context: Context) -> None:
-        sample = self._sample_of(context)
-        stamp = StateStamp(*sample["stamp"].tolist())
+        stamp = StateStamp(*self._held(context, "stamp").tolist())
         verdict, u = self.verdict(context), self._input.Eval(context)
         is_ticking = not math.isnan(stamp.sequence)
         if is_ticking and self._speaks(stamp):
             command = command_message(u, verdict.mode, stamp)
             command.state_age = self._held_for(stamp)
             command.takes_over = self.takes_over
-            self._commands.send(command)
-        status = self._status(sample, u if is_ticking else np.zeros_like(u), stamp)
+            self._bus.send(self._commands, command)
+        status = self._status(context, u if is_ticking else np.zeros_like(u), stamp)
         status.mode = int(verdict.mode)
         status.conflicts = list(self.conflicts(context))
         status.num_conflicts = len(status.conflicts)
         status.reason = self._reason(verdict, is_ticking, status)
         status.findings = list(self.findings(context))
         status.num_findings = len(status.findings)
-        self._statuses.send(status)
+        self._bus.send(self._statuses, status)
         self.last_status = status
 
     def _speaks(self, stamp: StateStamp) -> bool:
         """Whether a command is sent; told by what the states say alone."""
-        lately = _SHARE * self._settings.command_timeout
         followed = self._receiver.inbox.newest.command_session
         overrules = self.takes_over and self._bus.session > followed
-        if overrules or not self._receiver.follows_another(lately):
+        if overrules or not self._receiver.follows_another(self._longest_silence):
             self._showed_itself_at = -math.inf
         elif stamp.utime - self._showed_itself_at < _BETWEEN_SIGNS:
             return False
@@ -237,40 +220,38 @@ class CommandSender(LeafSystem):
             notices.append(self._receiver.inbox.complaint(now))
         return "; ".join(each for each in notices if each)
 
-    def _status(
-        self, sample: dict[str, Array], u: Array, stamp: StateStamp
-    ) -> vcbf_status:
-        message, inbox = vcbf_status(), self._receiver.inbox
+    def _status(self, context: Context, u: Array, stamp: StateStamp) -> vcbf_status:
+        message, receiver = vcbf_status(), self._receiver
+        inbox, clock = receiver.inbox, receiver.inbox.peer_clock
+        held = {name: self._held(context, name) for name in self._sampled}
         message.method = self._method
         is_ticking = not math.isnan(stamp.sequence)
         message.state_sequence = int(stamp.sequence) if is_ticking else -1
         message.time = stamp.time if is_ticking else 0.0
-        age = self._state_watchdog.state_age()
+        age = receiver.state_age()
         message.state_age = age if math.isfinite(age) else math.nan
-        message.followed = self._receiver.is_followed
-        message.filter_status = int(np.nan_to_num(sample["status"][0]))
+        message.followed = receiver.is_followed
+        message.filter_status = int(np.nan_to_num(held["status"][0]))
         message.num_inputs, message.input = len(u), u.tolist()
-        message.reference = sample["reference"].tolist()
-        message.slack = float(sample["slack"][0])
-        message.volume = float(sample["volume"][0])
-        message.barriers = sample["barriers"].tolist()
+        message.reference = held["reference"].tolist()
+        message.slack = float(held["slack"][0])
+        message.volume = float(held["volume"][0])
+        message.barriers = held["barriers"].tolist()
         message.num_barriers = len(message.barriers)
-        estimate = DisturbanceEstimate.unpack(sample["estimate"])
+        estimate = DisturbanceEstimate.unpack(held["estimate"])
         message.disturbance_estimate = estimate.disturbance.tolist()
         message.num_disturbances = len(message.disturbance_estimate)
         message.error_bound = float(estimate.error_bound)
         message.disturbance_bound = self._delta1
         message.refused_intervals = int(np.nan_to_num(estimate.refused_intervals))
-        message.states_accepted = inbox.accepted
-        message.states_lost = inbox.lost
-        message.states_late = inbox.late
-        message.states_rejected = inbox.rejected
+        message.states_accepted, message.states_lost = inbox.accepted, inbox.lost
+        message.states_late, message.states_rejected = inbox.late, inbox.rejected
         message.deadlines_missed = self.deadlines_missed
         message.clock_offset = message.clock_uncertainty = math.nan
-        if inbox.peer_clock is not None:
-            message.clock_offset = 1e-6 * inbox.peer_clock.offset
-            if math.isfinite(inbox.peer_clock.uncertainty):
-                message.clock_uncertainty = 1e-6 * inbox.peer_clock.uncertainty
+        if clock is not None:
+            message.clock_offset = 1e-6 * clock.offset
+            if math.isfinite(clock.uncertainty):
+                message.clock_uncertainty = 1e-6 * clock.uncertainty
         return message
 
 
@@ -305,58 +286,3 @@ def command_message(
     message.num_inputs = len(u)
     message.input = [float(each) if applies else 0.0 for each in u]
     return message
-
-
-_REMEMBERED = 65_536
-
-
-class ControllerRecord:
-    """Collects what was sent, tick by tick, in bounded memory.
-
-    Attributes:
-        changes: What was asked of the vehicle, in time; the last 1000 changes.
-    """
-
-    def __init__(self) -> None:
-        self.changes: deque[ModeChange] = deque(maxlen=1000)
-        self._ticks: Counter[FilterStatus] = Counter()
-        self._findings: Counter[str] = Counter()
-        self._durations: deque[float] = deque(maxlen=_REMEMBERED)
-        self._method, self._refused_intervals = "", 0
-        self._least_volume, self._greatest_slack = np.inf, 0.0
-
-    def add_tick(self, status: vcbf_status | None, duration: float) -> None:
-        """Adds a tick that took so long [s], and what it sent."""
-        if status is None:
-            return
-        self._ticks[FilterStatus(status.filter_status)] += 1
-        self._least_volume = float(np.fmin(self._least_volume, status.volume))
-        self._greatest_slack = float(np.fmax(self._greatest_slack, abs(status.slack)))
-        self._durations.append(duration)
-        self._method = status.method
-        self._findings.update(status.findings)
-        self._refused_intervals = max(self._refused_intervals, status.refused_intervals)
-
-    def add_mode(self, status: vcbf_status) -> None:
-        """Adds what was asked of the vehicle, if that is new."""
-        mode = CommandMode(status.mode).name.lower()
-        if not self.changes or self.changes[-1]["mode"] != mode:
-            self.changes.append(
-                ModeChange(time=status.time, mode=mode, reason=status.reason)
-            )
-
-    def report(self) -> dict[str, Any]:
-        """Returns what the filter did."""
-        ticks = self._ticks.total()
-        return {
-            "method": self._method,
-            "ticks": ticks,
-            "infeasible_ticks": self._ticks[FilterStatus.INFEASIBLE],
-            "failed_ticks": self._ticks[FilterStatus.FAILED],
-            "min_volume": self._least_volume if ticks else None,
-            "max_abs_slack": self._greatest_slack,
-            "tick_ms": median_and_p99(1e3 * np.array(self._durations)),
-            "refused_intervals": self._refused_intervals,
-            "findings": dict(self._findings),
-            "changes": list(self.changes),
-        }

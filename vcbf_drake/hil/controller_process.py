@@ -1,34 +1,28 @@
-"""ControllerProcess: a hardware loop driven by states; InProcess: with its vehicle."""
+"""ControllerProcess: a hardware loop that is driven by the states that come."""
 
 from __future__ import annotations
 
+from collections import Counter, deque
 from collections.abc import Callable
 import math
 import time
 from typing import Any
 
 import numpy as np
-from pydrake.lcm import DrakeLcm
 from pydrake.systems.framework import Context, Diagram
 
 from vcbf_drake.errors import ModelError, naming_user_code
-from vcbf_drake.hil.bus import Bus, LinkFaults, Neighbours, SimulatedClock, Tap
-from vcbf_drake.hil.command_sender import (
-    CommandSender,
-    ControllerRecord,
-    trouble_of_filter,
-)
-from vcbf_drake.hil.controller_side import make_hardware_loop
-from vcbf_drake.hil.decoding import CommandMode, VehicleMode
+from vcbf_drake.hil.bus import Bus
+from vcbf_drake.hil.command_sender import CommandSender, trouble_of_filter
+from vcbf_drake.hil.inbox import CommandMode, VehicleMode
 from vcbf_drake.hil.messages import vcbf_status
 from vcbf_drake.hil.processes import (
     HardwareProcess,
-    PlantProcess,
-    arrivals,
+    ModeChange,
+    median_and_p99,
     say_farewell,
 )
-from vcbf_drake.hil.state_receiver import StateReceiver
-from vcbf_drake.hil.timing import median_and_p99
+from vcbf_drake.hil.receivers import StateReceiver
 from vcbf_drake.safety import (
     FilterStatus,
     chebyshev_ball,
@@ -36,7 +30,14 @@ from vcbf_drake.safety import (
     inscribed_ellipsoid,
 )
 from vcbf_drake.safety.projection import nearest_point
-from vcbf_drake.simulation.scenario import Scenario
+
+# What a hardware loop consists of, and what adds it.
+_NEEDED = {
+    "state_receiver": "a VehicleLink adds it",
+    "command_sender": "VehicleLink.answer adds it, before the diagram is built",
+}
+# How long every row must be satisfied before that is told [us].
+_TO_RECOVER = 1_000_000
 
 
 def warm_up(num_inputs: int) -> None:
@@ -57,15 +58,56 @@ def warm_up(num_inputs: int) -> None:
     emptiness_certificate(A, -b)
 
 
-# What a hardware loop consists of, and what adds it.
-_NEEDED = {
-    "state_receiver": "a VehicleLink adds it",
-    "command_sender": "VehicleLink.answer adds it, before the diagram is built",
-}
+class _Record:
+    """Collects what was sent, tick by tick, in bounded memory.
 
+    Attributes:
+        changes: What was asked of the vehicle, in time; the last 1000 changes.
+    """
 
-# How long every row must be satisfied before that is told [us].
-_TO_RECOVER = 1_000_000
+    def __init__(self) -> None:
+        self.changes: deque[ModeChange] = deque(maxlen=1000)
+        self._ticks: Counter[FilterStatus] = Counter()
+        self._findings: Counter[str] = Counter()
+        self._durations: deque[float] = deque(maxlen=65_536)
+        self._method, self._refused_intervals = "", 0
+        self._least_volume, self._greatest_slack = np.inf, 0.0
+
+    def add_tick(self, status: vcbf_status | None, duration: float) -> None:
+        """Adds a tick that took so long [s], and what it sent."""
+        if status is None:
+            return
+        self._ticks[FilterStatus(status.filter_status)] += 1
+        self._least_volume = float(np.fmin(self._least_volume, status.volume))
+        self._greatest_slack = float(np.fmax(self._greatest_slack, abs(status.slack)))
+        self._durations.append(duration)
+        self._method = status.method
+        self._findings.update(status.findings)
+        self._refused_intervals = max(self._refused_intervals, status.refused_intervals)
+
+    def add_mode(self, status: vcbf_status) -> None:
+        """Adds what was asked of the vehicle, if that is new."""
+        mode = CommandMode(status.mode).name.lower()
+        if not self.changes or self.changes[-1]["mode"] != mode:
+            self.changes.append(
+                ModeChange(time=status.time, mode=mode, reason=status.reason)
+            )
+
+    def report(self) -> dict[str, Any]:
+        """Returns what the filter did."""
+        ticks = self._ticks.total()
+        return {
+            "method": self._method,
+            "ticks": ticks,
+            "infeasible_ticks": self._ticks[FilterStatus.INFEASIBLE],
+            "failed_ticks": self._ticks[FilterStatus.FAILED],
+            "min_volume": self._least_volume if ticks else None,
+            "max_abs_slack": self._greatest_slack,
+            "tick_ms": median_and_p99(1e3 * np.array(self._durations)),
+            "refused_intervals": self._refused_intervals,
+            "findings": dict(self._findings),
+            "changes": list(self.changes),
+        }
 
 
 class ControllerProcess(HardwareProcess):
@@ -94,7 +136,7 @@ class ControllerProcess(HardwareProcess):
     """
 
     def __init__(self, diagram: Diagram, bus: Bus, duration: float = math.inf) -> None:
-        super().__init__(bus)
+        super().__init__(bus, "vehicle", "VCBF_STATE")
         self.diagram, self.duration = diagram, duration
         named = self.diagram.GetSubsystemByName
         for name, remedy in _NEEDED.items():
@@ -111,8 +153,8 @@ class ControllerProcess(HardwareProcess):
         self.context = self.diagram.CreateDefaultContext()
         self.tick_taps: list[Callable[[Context], None]] = []
         self.takes_over = False
-        self._record = ControllerRecord()
-        self._sent_at = self._troubled_at = 0
+        self._record = _Record()
+        self._sent_at = self._troubled_at = self._starved = 0
         self._session, self._began = 0, 0.0
 
     @property
@@ -128,17 +170,12 @@ class ControllerProcess(HardwareProcess):
             return None
         return CommandMode(status.mode)
 
-    def run(self, patience: float = math.inf) -> None:
-        """Runs until its vehicle ends, the duration is over, or `stop`.
-
-        Args:
-            patience: How long to wait for a first state [s].
-        """
+    def _run(self, patience: float) -> None:
         if self._session == 0:
             self._forget_the_start(self._receiver.inbox)
             self.bus.begin_session()  # Later than that of whom it takes over from.
         self._sender.takes_over = self.takes_over
-        if not self._wait_for_state(patience):
+        if not self._wait_for_peer(self._go_on, lambda: self._session > 0, patience):
             return
         while not (self._stopping or self._is_over()):
             self._go_on()
@@ -146,22 +183,14 @@ class ControllerProcess(HardwareProcess):
             self.ending = "stopped"
         elif self._is_infeasible():
             self.ending = "infeasible"
-        self._sender.ending = True
-        say_farewell(self._send)
 
-    def _wait_for_state(self, patience: float) -> bool:
-        """Sends a status until a state comes; returns whether not in vain."""
-        began = self.bus.clock.utime()
-        neighbours = Neighbours(self.bus, "VCBF_STATE")
-        while self._session == 0 and not self._stopping:
-            self._go_on()
-            self._tell_neighbours(neighbours, began)
-            waited = self.bus.clock.utime() - began
-            if self._session == 0 and waited > 1e6 * patience:
-                self.ending = "no peer"
-                self.tell(f"no vehicle was heard for {patience:g} s")
-                return False
-        return True
+    def _say_farewell(self) -> None:
+        """Asks for the fallback, of a vehicle that was commanded."""
+        if self._session > 0:
+            self._sender.ending = True
+            context = self._sender.GetMyContextFromRoot(self.context)
+            say_farewell(lambda: self._sender.ForcedPublish(context))
+            self._note_mode()
 
     def _go_on(self) -> None:
         self.bus.wait(self.bus.clock.utime() + self._period)
@@ -174,39 +203,46 @@ class ControllerProcess(HardwareProcess):
         if self._is_due():
             with naming_user_code(lambda: self.time):
                 self._tick()
-        elif self._sender.states_are_old() and self._has_been_silent():
-            self._send()
+        elif self._receiver.verdict().mode is not CommandMode.APPLY:
+            if self.bus.clock.utime() - self._sent_at >= self._period:
+                self._send()
 
     def report(self) -> dict[str, Any]:
         """Returns what the filter did, and how the states arrived."""
         return {
             **self._record.report(),
             "deadlines_missed": self._sender.deadlines_missed,
-            "round_trip_ms": median_and_p99(self._receiver.round_trip.milliseconds),
-            "arrived": arrivals(self._receiver.inbox),
+            "round_trip_ms": median_and_p99(self._receiver.inbox.round_trips),
+            "arrived": self._receiver.inbox.report(),
         }
 
     def _is_due(self) -> bool:
-        context = self._receiver_context()
+        context = self._receiver.GetMyContextFromRoot(self.context)
         if not self._receiver.has_news(context):
             return False
-        newest, last = self._receiver.inbox.newest, self._receiver.message(context)
-        if last is None or newest.session != last.session or newest.time == last.time:
+        newest, last = self._receiver.inbox.newest, self._receiver.stamp(context)
+        if newest.session != last.session or newest.time == last.time:
             return True
         return bool(newest.time - last.time > 0.9e-6 * self._period)
 
     def _tick(self) -> None:
         """Takes the state over, updates filter, hold and observer, and sends."""
-        started, last = time.perf_counter(), self.time
+        started, receiver = time.perf_counter(), self._receiver
+        context = receiver.GetMyContextFromRoot(self.context)
+        last = receiver.stamp(context)
         self.diagram.ExecuteForcedEvents(self.context, publish=False)
-        newest = self._receiver.message(self._receiver_context())
+        newest = receiver.stamp(context)
         self.context.SetTime(newest.time)
         if newest.session == self._session:
-            periods = round(1e6 * (newest.time - last) / self._period)
-            self._sender.deadlines_missed += max(0, periods - 1)
+            # Of the periods since, those with a state were missed here, and without one
+            # by the vehicle.
+            periods = max(1, round(1e6 * (newest.time - last.time) / self._period))
+            sent = min(periods, int(newest.sequence - last.sequence))
+            self._sender.deadlines_missed += sent - 1
+            self._starved += periods - sent
         else:
-            self._session, self._began = newest.session, newest.time
-            self._receiver.inbox.forget_the_start()
+            self._session, self._began = int(newest.session), newest.time
+            receiver.inbox.forget_the_start()
         for tap in self.tick_taps:
             tap(self.context)
         self.context.SetDiscreteState(
@@ -219,11 +255,11 @@ class ControllerProcess(HardwareProcess):
         """Sends a status, and a command if there was a tick already."""
         self.diagram.ForcedPublish(self.context)
         self._sent_at = self.bus.clock.utime()
+        self._note_mode()
+
+    def _note_mode(self) -> None:
         if self.mode is not None and self._sender.last_status is not None:
             self._record.add_mode(self._sender.last_status)
-
-    def _has_been_silent(self) -> bool:
-        return self.bus.clock.utime() - self._sent_at >= self._period
 
     def _is_over(self) -> bool:
         newest = self._receiver.inbox.newest
@@ -271,8 +307,9 @@ class ControllerProcess(HardwareProcess):
                 f"{status.time:8.1f} s  {mode}  {inbox.accepted} states,"
                 f" {inbox.lost} lost, V_v {status.volume:.3f}"
             ),
-            self._sender.deadlines_missed,
             self._sender.period,
+            ours=self._sender.deadlines_missed,
+            theirs=self._starved,
         )
 
     def _say_trouble(self, status: vcbf_status, when: str) -> None:
@@ -284,96 +321,3 @@ class ControllerProcess(HardwareProcess):
             self._tell_change("filter", "in trouble", f"{when}{trouble}")
         elif now - self._troubled_at > _TO_RECOVER:
             self._tell_change("filter", "", f"{when}every row is satisfied again")
-
-    def _receiver_context(self) -> Any:
-        return self._receiver.GetMyContextFromRoot(self.context)
-
-
-def controller_of(scenario: Scenario, bus: Bus) -> ControllerProcess:
-    """Returns the process that controls a scenario's vehicle.
-
-    Args:
-        scenario: A validated scenario.
-        bus: Carries the messages.
-    """
-    diagram = make_hardware_loop(scenario, bus)
-    return ControllerProcess(diagram, bus, scenario.duration)
-
-
-class InProcess:
-    """Drives a vehicle and its controller in lockstep over ``memq://``.
-
-    The clock stands still while either side computes, so without faults a command
-    reaches the vehicle at the instant its state was measured: the run is that of
-    `simulate`. With faults, messages arrive on a grid of time.
-
-    Args:
-        scenario: A validated scenario.
-        vehicle_faults: Injected into the commands.
-        controller_faults: Injected into the states.
-        grid: How many times in a control period messages are handled.
-        tap: Told of everything that the controller's side sends and receives.
-        name: The vehicle's, where several share a bus.
-        lcm: That bus; one of its own by default.
-        key: What messages are signed with; nothing by default.
-
-    Attributes:
-        clock: What both sides take for the time.
-        lcm: The bus both are on.
-        plant: The vehicle's side.
-        controller: The controller's side; None while it is dead.
-    """
-
-    def __init__(
-        self,
-        scenario: Scenario,
-        vehicle_faults: LinkFaults | None = None,
-        controller_faults: LinkFaults | None = None,
-        grid: int = 1,
-        tap: Tap | None = None,
-        *,
-        name: str = "",
-        lcm: DrakeLcm | None = None,
-        key: bytes = b"",
-    ) -> None:
-        self.clock = SimulatedClock()
-        self.lcm = lcm or DrakeLcm("memq://")
-        self._name, self._key = name, key
-        self.controller: ControllerProcess | None = None
-        self._scenario, self._faults = scenario, controller_faults
-        self._grid, self._instant, self._tap = grid, 0, tap
-        self._epoch = self.clock.now
-        self.start_controller()
-        self.plant = PlantProcess(scenario, self._bus(vehicle_faults))
-        self._exchange()
-
-    def start_controller(self) -> None:
-        """Starts a controller, or another one, which knows nothing of the first."""
-        bus = self._bus(self._faults)
-        if self._tap is not None:
-            bus.taps.append(self._tap)
-        self.controller = controller_of(self._scenario, bus)
-
-    def kill_controller(self) -> None:
-        """Ends the controller without a farewell."""
-        self.controller = None
-
-    def advance_to(self, time: float) -> None:
-        """Runs both sides up to a time [s], or to a collision."""
-        while not self.plant.collided:
-            step, part = divmod(self._instant + 1, self._grid)
-            instant = (step + part / self._grid) * self._scenario.period
-            if instant > time + 1e-9:
-                return
-            self._instant += 1
-            self.clock.now = self._epoch + round(1e6 * instant)
-            self.plant.advance_to(instant)
-            self._exchange()
-
-    def _bus(self, faults: LinkFaults | None) -> Bus:
-        return Bus(self.lcm, self.clock, faults, name=self._name, key=self._key)
-
-    def _exchange(self) -> None:
-        if self.controller is not None:
-            self.controller.step()
-        self.plant.bus.poll()

@@ -1,25 +1,31 @@
-"""The controller's side of the bus: a vehicle's link, and the loop of a scenario."""
+"""The controller's side of the bus: a vehicle's link, and the loop of a scenario.
+
+`InProcess` has both sides, in lockstep.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from pydrake.systems.framework import (
-    Diagram,
-    DiagramBuilder,
-    OutputPort,
-)
+from pydrake.lcm import DrakeLcm
+from pydrake.systems.framework import Diagram, DiagramBuilder, OutputPort
 
 from vcbf_drake.add_safety_filter import AddedSafetyFilter
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
-from vcbf_drake.hil.bus import Bus
+from vcbf_drake.hil.bus import Bus, LinkFaults, SimulatedClock, Tap
 from vcbf_drake.hil.command_sender import CommandSender
-from vcbf_drake.hil.live_audit import LiveAudit
-from vcbf_drake.hil.state_receiver import StatePredictor, StateReceiver
-from vcbf_drake.hil.timing import check_timing
-from vcbf_drake.hil.watchdogs import ObstacleReceiver, ObstacleWatch, Watchdog
+from vcbf_drake.hil.controller_process import ControllerProcess
+from vcbf_drake.hil.prediction import LiveAudit, StatePredictor
+from vcbf_drake.hil.processes import PlantProcess
+from vcbf_drake.hil.receivers import (
+    ObstacleReceiver,
+    ObstacleWatch,
+    StateReceiver,
+    Watchdog,
+)
+from vcbf_drake.hil.senders import check_timing
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.simulation.fault_systems import lose_answers
 from vcbf_drake.simulation.loop import (
@@ -174,9 +180,9 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
             ObstacleReceiver(bus, perceived_spheres(scenario), states, settings),
         )
         obstacles = seeing.get_output_port()
-        watchdogs.append(seeing)
+        watchdogs.append(seeing.verdict)
     else:
-        watchdogs.append(ObstacleWatch(bus, scenario, states))
+        watchdogs.append(ObstacleWatch(bus, scenario, states).verdict)
     observer = builder.AddNamedSystem(
         "filter_observer",
         make_observer(
@@ -227,3 +233,93 @@ def _connect_predictor(
     }
     for name, port in ports.items():
         builder.Connect(port, predictor.GetInputPort(name))
+
+
+def controller_of(scenario: Scenario, bus: Bus) -> ControllerProcess:
+    """Returns the process that controls a scenario's vehicle.
+
+    Args:
+        scenario: A validated scenario.
+        bus: Carries the messages.
+    """
+    diagram = make_hardware_loop(scenario, bus)
+    return ControllerProcess(diagram, bus, scenario.duration)
+
+
+class InProcess:
+    """Drives a vehicle and its controller in lockstep over ``memq://``.
+
+    The clock stands still while either side computes, so without faults a command
+    reaches the vehicle at the instant its state was measured: the run is that of
+    `simulate`. With faults, messages arrive on a grid of time.
+
+    Args:
+        scenario: A validated scenario.
+        vehicle_faults: Injected into the commands.
+        controller_faults: Injected into the states.
+        grid: How many times in a control period messages are handled.
+        tap: Told of everything that the controller's side sends and receives.
+        name: The vehicle's, where several share a bus.
+        lcm: That bus; one of its own by default.
+        key: What messages are signed with; nothing by default.
+
+    Attributes:
+        clock: What both sides take for the time.
+        lcm: The bus both are on.
+        plant: The vehicle's side.
+        controller: The controller's side; None while it is dead.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        vehicle_faults: LinkFaults | None = None,
+        controller_faults: LinkFaults | None = None,
+        grid: int = 1,
+        tap: Tap | None = None,
+        *,
+        name: str = "",
+        lcm: DrakeLcm | None = None,
+        key: bytes = b"",
+    ) -> None:
+        self.clock = SimulatedClock()
+        self.lcm = lcm or DrakeLcm("memq://")
+        self._name, self._key = name, key
+        self.controller: ControllerProcess | None = None
+        self._scenario, self._faults = scenario, controller_faults
+        self._grid, self._instant, self._tap = grid, 0, tap
+        self._epoch = self.clock.now
+        self.start_controller()
+        self.plant = PlantProcess(scenario, self._bus(vehicle_faults))
+        self._exchange()
+
+    def start_controller(self) -> None:
+        """Starts a controller, or another one, which knows nothing of the first."""
+        bus = self._bus(self._faults)
+        if self._tap is not None:
+            bus.taps.append(self._tap)
+        self.controller = controller_of(self._scenario, bus)
+
+    def kill_controller(self) -> None:
+        """Ends the controller without a farewell."""
+        self.controller = None
+
+    def advance_to(self, time: float) -> None:
+        """Runs both sides up to a time [s], or to a collision."""
+        while not self.plant.collided:
+            step, part = divmod(self._instant + 1, self._grid)
+            instant = (step + part / self._grid) * self._scenario.period
+            if instant > time + 1e-9:
+                return
+            self._instant += 1
+            self.clock.now = self._epoch + round(1e6 * instant)
+            self.plant.advance_to(instant)
+            self._exchange()
+
+    def _bus(self, faults: LinkFaults | None) -> Bus:
+        return Bus(self.lcm, self.clock, faults, name=self._name, key=self._key)
+
+    def _exchange(self) -> None:
+        if self.controller is not None:
+            self.controller.step()
+        self.plant.bus.poll()

@@ -14,19 +14,16 @@ The format is that of ``lcm-logger``; every number in it is big-endian:
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from io import FileIO
 import itertools
 import mmap
 import os
 from pathlib import Path
-import queue
 import struct
-import threading
-from types import TracebackType
 from typing import NamedTuple
 
 from vcbf_drake.errors import ScenarioError, VcbfError
+from vcbf_drake.files import WriterThread
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.simulation.loading import dump_scenario, parse_scenario
 from vcbf_drake.simulation.scenario import Scenario
@@ -70,25 +67,31 @@ class EventLogWriter:
             FILE.02, ..., much as with ``lcm-logger --increment``.
         force: Whether to replace it all the same.
         capacity: How many events may wait for the disk.
+        patience: How long `close` waits for it [s].
 
     Attributes:
         path: The file that is written.
-        lost: How many events found the queue full.
 
     Raises:
         EventLogError: The file cannot be written.
     """
 
     def __init__(
-        self, path: str | Path, *, force: bool = False, capacity: int = _CAPACITY
+        self,
+        path: str | Path,
+        *,
+        force: bool = False,
+        capacity: int = _CAPACITY,
+        patience: float = _PATIENCE,
     ) -> None:
-        self.lost = 0
         self._error, self._count = "", 0
         self.path, self._file = _opened(Path(path), force)
-        self._queue: queue.Queue[Event | None] = queue.Queue(capacity)
-        self._closing = False
-        self._thread = threading.Thread(target=self._write, daemon=True)
-        self._thread.start()
+        self._thread = WriterThread(self._write, capacity, patience, self._file.close)
+
+    @property
+    def lost(self) -> int:
+        """How many events found the queue full."""
+        return self._thread.lost
 
     @property
     def failure(self) -> str:
@@ -103,26 +106,20 @@ class EventLogWriter:
     @property
     def is_open(self) -> bool:
         """Whether something still waits to be written, or the log is not closed."""
-        return self._thread.is_alive()
+        return self._thread.is_open
 
     def __call__(self, utime: int, channel: str, data: bytes) -> None:
         """Appends an event, unless the log has failed or its queue is full."""
+        if not self._error:
+            self._thread(Event(utime, channel, data))
+
+    def close(self) -> None:
+        """Writes what waits, as long as the patience lasts, and closes the file."""
+        self._thread.close()
+
+    def _write(self, event: Event) -> None:
         if self._error:
             return
-        try:
-            self._queue.put_nowait(Event(utime, channel, data))
-        except queue.Full:
-            self.lost += 1
-
-    def _write(self) -> None:
-        """Writes what is in the queue, until the log is closed and the queue empty."""
-        with self._file:
-            while not (self._closing and self._queue.empty()):
-                event = self._queue.get()
-                if event is not None and not self._error:
-                    self._write_event(event)
-
-    def _write_event(self, event: Event) -> None:
         name = event.channel.encode()
         sizes = len(name), len(event.data)
         header = _HEADER.pack(_SYNC, self._count, event.utime, *sizes)
@@ -132,24 +129,10 @@ class EventLogWriter:
         except OSError as error:
             self._error = str(error.strerror)
 
-    def close(self, patience: float = _PATIENCE) -> None:
-        """Writes what waits, at the longest for `patience` [s], and closes the file."""
-        self._closing = True
-        with suppress(queue.Full):
-            self._queue.put_nowait(None)  # Wakes the thread.
-        self._thread.join(patience)
-        if self._thread.is_alive():
-            self.lost += self._queue.qsize()
-
     def __enter__(self) -> EventLogWriter:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
@@ -184,7 +167,8 @@ def read_event_log(path: str | Path) -> EventLog:
     """Reads an event log, and passes over what in it is not events.
 
     A log whose writer was killed ends amid an event, and disks fail: after bytes that
-    are not an event, reading goes on at the next one.
+    are not an event, reading goes on at the next one. (LCM's own reader ends there, or
+    the process with it, where a header promises gigabytes.)
 
     Args:
         path: The file.

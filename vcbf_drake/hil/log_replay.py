@@ -16,14 +16,8 @@ from pydrake.systems.framework import Context
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceObserver
 from vcbf_drake.hil.bus import Bus, SimulatedClock
-from vcbf_drake.hil.controller_process import ControllerProcess, controller_of
-from vcbf_drake.hil.decoding import (
-    CommandMode,
-    Rejection,
-    VehicleMode,
-    command_format,
-    state_format,
-)
+from vcbf_drake.hil.controller_process import ControllerProcess
+from vcbf_drake.hil.controller_side import controller_of
 from vcbf_drake.hil.event_log import (
     Event,
     EventLogError,
@@ -31,8 +25,15 @@ from vcbf_drake.hil.event_log import (
     of_one_vehicle,
     read_event_log,
 )
-from vcbf_drake.hil.mailbox import Inbox
+from vcbf_drake.hil.inbox import (
+    CommandMode,
+    Inbox,
+    VehicleMode,
+    command_format,
+    state_format,
+)
 from vcbf_drake.hil.messages import vcbf_command, vcbf_state, vcbf_status
+from vcbf_drake.hil.senders import Rejection
 from vcbf_drake.safety import Assumption, SafetyFilter
 from vcbf_drake.simulation.collision_monitor import TOUCH
 from vcbf_drake.simulation.log import finish_log
@@ -211,74 +212,6 @@ def _difference(logged: vcbf_command, made: vcbf_command) -> float:
     return float(np.max(np.abs(np.subtract(logged.input, made.input)), initial=0.0))
 
 
-class TickRecorder:
-    """Records what a hardware loop's ports say at every tick.
-
-    Of several ticks at one time, as while a vehicle waits, the last one is kept; when
-    time goes back, because a vehicle has started again, everything before is dropped.
-
-    Attributes:
-        rows: The time of each tick [s], and what the ports said.
-    """
-
-    def __init__(self) -> None:
-        self.rows: list[tuple[float, dict[str, Array]]] = []
-
-    def watch(self, controller: ControllerProcess) -> None:
-        """Records a controller from now on, after those that were watched before."""
-        named = controller.diagram.GetSubsystemByName
-        self._filter: SafetyFilter = named("filter")
-        self._observer: DisturbanceObserver = named("filter_observer")
-        receiver = named("state_receiver")
-        self._ports = {
-            "state": receiver.GetOutputPort("state"),
-            "applied_input": receiver.GetOutputPort("applied_input"),
-            **logged_ports(named("controller"), self._filter, self._observer),
-        }
-        controller.tick_taps.append(self._record)
-
-    def _record(self, context: Context) -> None:
-        now = context.get_time()
-        while self.rows and self.rows[-1][0] >= now:
-            self.rows.pop()
-        row = {
-            name: port.Eval(port.get_system().GetMyContextFromRoot(context)).copy()
-            for name, port in self._ports.items()
-        }
-        self.rows.append((now, row))
-
-    def log(self) -> dict[str, Array]:
-        """Returns the arrays of a `Result`, one row a tick.
-
-        Nobody tells what the disturbance was: `disturbance` is what the states tell
-        with hindsight, from the intervals before and after a tick.
-        """
-        log = {
-            name: np.array([row[name] for _, row in self.rows]) for name in self._ports
-        }
-        log["time"] = np.array([time for time, _ in self.rows])
-        applied = log.pop("applied_input")
-        log["disturbance"] = self._disturbances(log["time"], log["state"], applied)
-        return finish_log(log, self._filter)
-
-    def _disturbances(self, times: Array, states: Array, applied: Array) -> Array:
-        """The disturbance at the ticks, (T, q): between the means of d over intervals.
-
-        A mean (E29) is what d is in the middle of its interval, but for its curvature.
-        """
-        means = [
-            self._observer.mean_disturbance(
-                states[k - 1], states[k], applied[k], times[k] - times[k - 1]
-            ).disturbance
-            for k in range(1, len(times))
-        ]
-        if not means:
-            return np.zeros((len(times), self._filter.model.num_disturbances))
-        middles = (times[1:] + times[:-1]) / 2
-        channels = np.transpose(means)
-        return np.transpose([np.interp(times, middles, mean) for mean in channels])
-
-
 @dataclass(frozen=True)
 class LogReplay:
     """A run on hardware, as its log tells it.
@@ -319,12 +252,12 @@ def replay_log(
     events = of_one_vehicle(path, events, name)
     scenario = scenario or logged_scenario(path, events)
     logged = LoggedController(scenario, events)
-    account = _Account(scenario)
-    logged.on_start, logged.on_state = account.add_controller, account.add_state
+    recorder = _Recorder(scenario)
+    logged.on_start, logged.on_state = recorder.add_controller, recorder.add_state
     logged.run()
     reports = [controller.report() for controller in logged.controllers]
     arrived = _total([report["arrived"] for report in reports])
-    if not account.recorder.rows:
+    if not recorder.rows:
         raise EventLogError(_no_states(path, scenario, arrived["rejected"]))
     differences = logged.differences()
     about = {
@@ -338,31 +271,55 @@ def replay_log(
             "largest_difference": max(differences, default=0.0),
         },
     }
-    return LogReplay(account.result(), damage, about)
+    return LogReplay(recorder.result(), damage, about)
 
 
-class _Account:
-    """What is needed of a run for its result."""
+class _Recorder:
+    """What a vehicle said, and what a hardware loop's ports said at every tick.
+
+    Of several ticks at one time, as while a vehicle waits, the last one is kept; when
+    time goes back, because a vehicle has started again, everything before is dropped.
+
+    Attributes:
+        rows: The time of each tick [s], and what the ports said.
+    """
 
     def __init__(self, scenario: Scenario) -> None:
-        self.recorder = TickRecorder()
+        self.rows: list[tuple[float, dict[str, Array]]] = []
         self._scenario = scenario
         self._assumptions: tuple[Assumption, ...] = ()
         self._path: list[Any] = []
 
     def add_controller(self, controller: ControllerProcess) -> None:
+        """Records a controller from now on, after those that were watched before."""
         self._diagram = controller.diagram
-        if not self.recorder.rows:
-            controller.tick_taps.append(self._assume)
-        self.recorder.watch(controller)
+        named = self._diagram.GetSubsystemByName
+        self._filter: SafetyFilter = named("filter")
+        self._observer: DisturbanceObserver = named("filter_observer")
+        receiver = named("state_receiver")
+        self._ports = {
+            "state": receiver.GetOutputPort("state"),
+            "applied_input": receiver.GetOutputPort("applied_input"),
+            **logged_ports(named("controller"), self._filter, self._observer),
+        }
+        controller.tick_taps.append(self._add_tick)
 
-    def _assume(self, context: Context) -> None:
-        """Takes the hypotheses down, at the first tick."""
+    def _add_tick(self, context: Context) -> None:
+        # The hypotheses are those of the first tick.
         self._assumptions = self._assumptions or loop_assumptions(
             self._scenario, self._diagram, context
         )
+        now = context.get_time()
+        while self.rows and self.rows[-1][0] >= now:
+            self.rows.pop()
+        row = {
+            name: port.Eval(port.get_system().GetMyContextFromRoot(context)).copy()
+            for name, port in self._ports.items()
+        }
+        self.rows.append((now, row))
 
     def add_state(self, state: Any) -> None:
+        """Records a state that was accepted."""
         if self._path and state.session != self._path[-1].session:
             self._path.clear()
         is_last = state.mode == VehicleMode.ENDED and bool(self._path)
@@ -373,30 +330,56 @@ class _Account:
         self._path.append(state)
 
     def result(self) -> Result:
-        safety_filter: SafetyFilter = self._diagram.GetSubsystemByName("filter")
-        log = self.recorder.log()
+        """Returns the run, as `simulate` does, as far as a log tells it."""
+        log = self._log()
         times = np.array([state.time for state in self._path])
         path = np.array([state.state for state in self._path])
-        heights = safety_filter.barrier_set.values_along(path, times)
-        ending = _ending(times, heights)
+        heights = self._filter.barrier_set.values_along(path, times)
+        crossed = times[np.any(heights < -TOUCH, axis=1)]
+        ending = Ending(float(times[-1]), "")
+        if len(crossed):
+            ending = Ending(float(crossed[0]), COLLISION_MONITOR)
         summary = summarise(
-            self._scenario, safety_filter, log, times, path, heights, ending
+            self._scenario, self._filter, log, times, path, heights, ending
         )
         summary["assumptions"] = [vars(assumption) for assumption in self._assumptions]
-        summary["step_cpu_ms"] = step_cpu_time(safety_filter, log)
+        summary["step_cpu_ms"] = step_cpu_time(self._filter, log)
         first, last = self._path[0], self._path[-1]
         elapsed = 1e-6 * (last.utime_measured - first.utime_measured)
         rate = (last.time - first.time) / elapsed if elapsed else np.nan
         summary["real_time_factor"] = rate
         return Result(self._scenario, summary, log)
 
+    def _log(self) -> dict[str, Array]:
+        """The arrays of a `Result`, one row a tick.
 
-def _ending(times: Array, heights: Array) -> Ending:
-    """The first state where a barrier is crossed, or the last state."""
-    hits = np.flatnonzero(np.any(heights < -TOUCH, axis=1))
-    if len(hits):
-        return Ending(float(times[hits[0]]), COLLISION_MONITOR)
-    return Ending(float(times[-1]), "")
+        Nobody tells what the disturbance was: `disturbance` is what the states tell
+        with hindsight, from the intervals before and after a tick.
+        """
+        log = {
+            name: np.array([row[name] for _, row in self.rows]) for name in self._ports
+        }
+        log["time"] = np.array([time for time, _ in self.rows])
+        applied = log.pop("applied_input")
+        log["disturbance"] = self._disturbances(log["time"], log["state"], applied)
+        return finish_log(log, self._filter)
+
+    def _disturbances(self, times: Array, states: Array, applied: Array) -> Array:
+        """The disturbance at the ticks, (T, q): between the means of d over intervals.
+
+        A mean (E29) is what d is in the middle of its interval, but for its curvature.
+        """
+        means = [
+            self._observer.mean_disturbance(
+                states[k - 1], states[k], applied[k], times[k] - times[k - 1]
+            ).disturbance
+            for k in range(1, len(times))
+        ]
+        if not means:
+            return np.zeros((len(times), self._filter.model.num_disturbances))
+        middles = (times[1:] + times[:-1]) / 2
+        channels = np.transpose(means)
+        return np.transpose([np.interp(times, middles, mean) for mean in channels])
 
 
 def _total(arrived: Sequence[dict[str, Any]]) -> dict[str, Any]:

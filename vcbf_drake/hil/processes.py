@@ -2,42 +2,70 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Collection
+from contextlib import suppress
 import math
 import time
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
+from pydrake.lcm import DrakeLcm
 from pydrake.systems.analysis import SimulatorStatus
 from pydrake.systems.framework import Context
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import naming_user_code
-from vcbf_drake.hil.bus import Bus, Neighbours
-from vcbf_drake.hil.decoding import ModeChange, VehicleMode
-from vcbf_drake.hil.mailbox import Inbox
-from vcbf_drake.hil.timing import Timeline, median_and_p99
-from vcbf_drake.hil.vehicle_side import CommandReceiver, StateSender, make_vehicle
+from vcbf_drake.hil.bus import Bus
+from vcbf_drake.hil.inbox import Inbox, VehicleMode
+from vcbf_drake.hil.senders import Reason
+from vcbf_drake.hil.vehicle_side import (
+    CommandReceiver,
+    StateSender,
+    Timeline,
+    make_vehicle,
+)
 from vcbf_drake.simulation.collision_monitor import CollisionMonitor
 from vcbf_drake.simulation.loop import COLLISION_MONITOR, LOG_PREFIX
 from vcbf_drake.simulation.run import make_simulator
 from vcbf_drake.simulation.scenario import Scenario
 
 _TIMES, _PAUSE = 10, 0.05  # [s]
-# How long nobody is heard before others are told of [us].
-_LONELY = 1_000_000
+# How often progress is told and a vehicle that is not controlled shows itself, and how
+# long nobody is heard before others are told of [us].
+_SECOND = 1_000_000
 # The share of control periods, of a second's, that may be missed without a word.
 _MOST_MISSED = 0.1
+# What is said of periods that were missed, by whom.
+_MISSED = {
+    "ours": ("the rate is not kept", "were missed", "the rate is kept again"),
+    "theirs": ("the vehicle is slow", "had no state", "the vehicle keeps the rate"),
+}
 
 # Why a process ended, and its exit status.
 EXIT_STATUSES = {
     "duration": 0,
     "vehicle ended": 0,
+    "error": 1,
     "collision": 3,
     "infeasible": 4,
     "no peer": 5,
     "stopped": 128,  # And the signal's number.
 }
+
+
+class ModeChange(TypedDict):
+    """When something else began, and why.
+
+    Attributes:
+        time: Since the motion began [s].
+        mode: What began: the name of a `CommandMode` or `VehicleMode`.
+        reason: Why; empty where the mode says it all.
+    """
+
+    time: float
+    mode: str
+    reason: str
 
 
 def say_farewell(send: Callable[[], None]) -> None:
@@ -57,6 +85,11 @@ def say_farewell(send: Callable[[], None]) -> None:
 class HardwareProcess:
     """What both processes share: how they end, and what they say on the way.
 
+    Args:
+        bus: Carries the messages.
+        peer: What the other side is called.
+        channel: On which it speaks, without a name.
+
     Attributes:
         bus: The bus.
         ending: Why `run` ended, one of the keys of `EXIT_STATUSES`; empty before.
@@ -64,18 +97,69 @@ class HardwareProcess:
         progress: Called with a line once a second.
     """
 
-    def __init__(self, bus: Bus) -> None:
+    def __init__(self, bus: Bus, peer: str, channel: str) -> None:
         self.bus = bus
         self.ending = ""
         self.tell: Callable[[str], None] = lambda line: None
         self.progress: Callable[[str], None] = lambda line: None
-        self._stopping = False
+        self._peer, self._channel, self._stopping = peer, channel, False
         self._told: dict[str, str] = {}
-        self._progress_at = self._missed = 0
+        self._neighbours: set[str] = set()
+        self._progress_at, self._missed = 0, Counter[str]()
+
+    def run(self, patience: float = math.inf) -> None:
+        """Runs in real time to its end or `stop`, and says farewell, come what may.
+
+        Args:
+            patience: How long to wait for the other side [s].
+        """
+        try:
+            self._run(patience)
+        except BaseException:
+            self.ending = "error"
+            with suppress(Exception):  # What failed may fail again.
+                self._say_farewell()
+            raise
+        self._say_farewell()
 
     def stop(self, *_: object) -> None:
         """Makes `run` end soon; fit to be a signal's handler."""
         self._stopping = True
+
+    def _run(self, patience: float) -> None:
+        raise NotImplementedError
+
+    def _say_farewell(self) -> None:
+        raise NotImplementedError
+
+    def _wait_for_peer(
+        self, go_on: Callable[[], None], is_there: Callable[[], bool], patience: float
+    ) -> bool:
+        """Goes on until the other side is there; returns whether not in vain."""
+        began = self.bus.clock.utime()
+        lcm = DrakeLcm(self.bus.lcm.get_lcm_url())
+        lcm.SubscribeMultichannel(f"{self._channel}(/.*)?", self._hear_anybody)
+        while not is_there():
+            if self._stopping:
+                self.ending = "stopped"
+                return False
+            go_on()
+            lcm.HandleSubscriptions(0)
+            waited = self.bus.clock.utime() - began
+            if waited > _SECOND and self._neighbours:
+                names = ", ".join(sorted(self._neighbours))
+                line = f"on this bus under other names: {names} (--name chooses)"
+                self._tell_change("neighbours", names, line)
+            if waited > 1e6 * patience and not is_there():
+                self.ending = "no peer"
+                self.tell(f"no {self._peer} was heard for {patience:g} s")
+                return False
+        return True
+
+    def _hear_anybody(self, channel: str, data: bytes) -> None:
+        if channel != self.bus.channel(self._channel):
+            name = channel.partition("/")[2]
+            self._neighbours.add(name or "one without a name")
 
     def _forget_the_start(self, inbox: Inbox) -> None:
         """What came before is no loss: nobody listened."""
@@ -88,47 +172,38 @@ class HardwareProcess:
             self._told[subject] = text
             self.tell(line)
 
-    def _tell_neighbours(self, neighbours: Neighbours, began: int) -> None:
-        """Tells who else is on the bus, after waiting a while since `began` [us]."""
-        names = neighbours.listen()
-        if names and self.bus.clock.utime() - began > _LONELY:
-            line = f"on this bus under other names: {names} (--name chooses)"
-            self._tell_change("neighbours", names, line)
-
     def _tell_progress(
-        self, line: Callable[[], str], missed: int, period: float
+        self, line: Callable[[], str], period: float, **missed: int
     ) -> None:
-        """Tells once a second how things go, and whether the rate is kept.
+        """Tells once a second how things go, and who does not keep the rate.
 
         Args:
             line: How things go.
-            missed: How many control periods were missed so far.
             period: The control period [s].
+            missed: How many control periods were missed so far, by whom.
         """
         now = self.bus.clock.utime()
-        if now - self._progress_at < 1_000_000:
+        if now - self._progress_at < _SECOND:
             return
         periods = 1e-6 * (now - self._progress_at) / period
-        lately = missed - self._missed
-        self._progress_at, self._missed = now, missed
-        is_kept = lately <= _MOST_MISSED * periods
-        loss = f"the rate is not kept: {lately} of {periods:.0f} periods were missed"
-        words = "the rate is kept again" if is_kept else loss
-        self._tell_change("rate", "" if is_kept else "missed", words)
+        for who, count in missed.items():
+            lately = count - self._missed[who]
+            is_kept = lately <= _MOST_MISSED * periods
+            what, how, again = _MISSED[who]
+            loss = f"{what}: {lately} of {periods:.0f} periods {how}"
+            self._tell_change(
+                who, "" if is_kept else "missed", again if is_kept else loss
+            )
+        self._progress_at, self._missed = now, Counter(missed)
         self.progress(line())
 
 
-def arrivals(inbox: Inbox) -> dict[str, Any]:
-    """Returns how messages arrived, and what is known of their sender's clock."""
-    clock = inbox.peer_clock
-    return {
-        "clock_offset_ms": None if clock is None else 1e-3 * clock.offset,
-        "clock_steps": 0 if clock is None else clock.steps,
-        "accepted": inbox.accepted,
-        "lost": inbox.lost,
-        "late": inbox.late,
-        "rejected": {reason.value: count for reason, count in inbox.rejections.items()},
-    }
+def median_and_p99(values: Collection[float] | Array) -> dict[str, float | None]:
+    """Returns both percentiles of the values, None where there are none."""
+    if not len(values):
+        return {"median": None, "p99": None}
+    median, p99 = np.percentile(list(values), [50.0, 99.0])
+    return {"median": float(median), "p99": float(p99)}
 
 
 class PlantProcess(HardwareProcess):
@@ -148,7 +223,7 @@ class PlantProcess(HardwareProcess):
     """
 
     def __init__(self, scenario: Scenario, bus: Bus) -> None:
-        super().__init__(bus)
+        super().__init__(bus, "controller", "VCBF_STATUS")
         self.collided = False
         self.deadlines_missed = 0
         self.scenario = scenario
@@ -161,6 +236,7 @@ class PlantProcess(HardwareProcess):
         self._simulator = make_simulator(self.diagram, scenario)
         self._simulator.Initialize()
         self._elapsed = 0.0
+        self._showed_itself_at: float = -math.inf
 
     @property
     def context(self) -> Context:
@@ -177,17 +253,16 @@ class PlantProcess(HardwareProcess):
         """What the vehicle does."""
         return self._receiver.mode(self._receiver.GetMyContextFromRoot(self.context))
 
-    def run(self, patience: float = math.inf) -> None:
-        """Runs in real time to the scenario's duration, a collision or `stop`.
-
-        Args:
-            patience: How long to wait for a first command [s].
-        """
+    def _run(self, patience: float) -> None:
         # Not a new session: the states of the start are heard, and were another's.
-        self._forget_the_start(self._receiver.inbox)
-        if self._wait_for_command(patience):
+        inbox = self._receiver.inbox
+        self._forget_the_start(inbox)
+        if self._wait_for_peer(self._stand, lambda: inbox.newest is not None, patience):
+            self._timeline.restart()
             self._move()
         self._elapsed = self._timeline.time()
+
+    def _say_farewell(self) -> None:
         self._sender.ending = True
         say_farewell(lambda: self.diagram.ForcedPublish(self.context))
 
@@ -212,7 +287,7 @@ class PlantProcess(HardwareProcess):
         times, path = self._log("path")
         positions = scenario.vehicle.positions(path)
         distance = np.linalg.norm(positions - np.array(scenario.target), axis=1)
-        arrived = distance <= scenario.arrival_distance
+        arrived = distance <= scenario.arrival_tolerance
         reached_at = float(times[np.argmax(arrived)]) if arrived.any() else None
         heights = monitor.barrier_set.values_along(path, times)
         report: dict[str, Any] = {
@@ -222,8 +297,8 @@ class PlantProcess(HardwareProcess):
             "reached_at": reached_at,
             "final_distance": float(distance[-1]),
             "min_barrier": float(np.nanmin(heights, initial=np.inf)),
-            "round_trip_ms": median_and_p99(self._receiver.round_trip.milliseconds),
-            "arrived": arrivals(inbox),
+            "round_trip_ms": median_and_p99(inbox.round_trips),
+            "arrived": inbox.report(),
             "changes": self._changes(),
             "deadlines_missed": self.deadlines_missed,
         }
@@ -253,25 +328,22 @@ class PlantProcess(HardwareProcess):
         log = self.diagram.GetSubsystemByName(LOG_PREFIX + name).FindLog(self.context)
         return log.sample_times().copy(), log.data().T.copy()
 
-    def _wait_for_command(self, patience: float) -> bool:
-        """Stands until a command comes; returns whether one came."""
-        began = self.bus.clock.utime()
-        neighbours = Neighbours(self.bus, "VCBF_STATUS")
-        while self._receiver.inbox.newest is None:
-            self._timeline.restart()
-            if self._stopping:
-                self.ending = "stopped"
-                return False
-            if self.bus.clock.utime() - began > 1e6 * patience:
-                self.ending = "no peer"
-                self.tell(f"no controller was heard for {patience:g} s")
-                return False
-            self.diagram.ForcedPublish(self.context)
-            self.bus.wait(self._timeline.utime(self.scenario.period))
-            self._say()
-            self._tell_neighbours(neighbours, began)
+    def _stand(self) -> None:
+        """Says that it waits, for a control period.
+
+        Once a second while commands answer another vehicle of its name: where both
+        speak at once, a receiver that keeps one message would lose the other's.
+        """
+        now, inbox = self.bus.clock.utime(), self._receiver.inbox
         self._timeline.restart()
-        return True
+        since = 1e-6 * (now - inbox.last_rejected_at)
+        is_another = inbox.last_rejection == Reason.ADDRESS.value
+        is_second = is_another and since < self.scenario.hardware.command_timeout
+        if not is_second or now - self._showed_itself_at >= _SECOND:
+            self._showed_itself_at = now
+            self.diagram.ForcedPublish(self.context)
+        self.bus.wait(self._timeline.utime(self.scenario.period))
+        self._say()
 
     def _move(self) -> None:
         period, duration = self.scenario.period, self.scenario.duration
@@ -297,6 +369,6 @@ class PlantProcess(HardwareProcess):
             self._tell_change("commands", inbox.last_rejection, line)
         self._tell_progress(
             lambda: f"{self.time:8.1f} s  {mode}  {inbox.accepted} commands",
-            self.deadlines_missed,
             self.scenario.period,
+            ours=self.deadlines_missed,
         )

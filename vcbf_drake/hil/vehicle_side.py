@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.systems.framework import (
-    BasicVector,
     Context,
     Diagram,
     DiagramBuilder,
@@ -20,18 +19,17 @@ from pydrake.systems.primitives import Integrator, LogVectorOutput
 
 from vcbf_drake.barriers import BarrierSet
 from vcbf_drake.checks import Array
-from vcbf_drake.hil.bus import Bus
-from vcbf_drake.hil.decoding import (
+from vcbf_drake.hil.bus import Bus, Clock
+from vcbf_drake.hil.inbox import (
     CommandMode,
-    Reason,
+    Inbox,
     VehicleMode,
     command_format,
     obstacles_format,
     state_format,
 )
-from vcbf_drake.hil.mailbox import Inbox, Outbox
 from vcbf_drake.hil.messages import vcbf_obstacles, vcbf_state
-from vcbf_drake.hil.timing import RoundTrip, Timeline, check_timing
+from vcbf_drake.hil.senders import Reason, check_timing
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.model.interface import state_port_of
 from vcbf_drake.safety import InputSet
@@ -42,6 +40,26 @@ from vcbf_drake.simulation.loop import (
 )
 from vcbf_drake.simulation.obstacles import barriers
 from vcbf_drake.simulation.scenario import Hardware, Scenario
+
+
+class Timeline:
+    """Ties a simulation's time to a clock; its time 0 is now, until `restart`."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self.restart()
+
+    def restart(self) -> None:
+        """Makes now the simulation's time 0."""
+        self._start = self._clock.utime()
+
+    def utime(self, time: float) -> int:
+        """Returns the clock's time at a simulation's time [us]."""
+        return self._start + round(1e6 * time)
+
+    def time(self) -> float:
+        """Returns the simulation's time now, by the clock [s]."""
+        return 1e-6 * (self._clock.utime() - self._start)
 
 
 def fallback_input(
@@ -116,8 +134,8 @@ class CommandReceiver(LeafSystem):
         timeline: Tells the time of the context.
 
     Attributes:
-        inbox: What arrived.
-        round_trip: From sending a state to the command that answers it.
+        inbox: What arrived. Its round trips are from sending a state to the command
+            that answers it.
     """
 
     def __init__(
@@ -132,7 +150,6 @@ class CommandReceiver(LeafSystem):
         self._bus, self._settings, self._timeline = bus, settings, timeline
         self._model, self._input_set = model, input_set
         m = model.num_inputs
-        self.round_trip = RoundTrip()
         self.inbox = Inbox(
             bus,
             command_format(m),
@@ -149,16 +166,15 @@ class CommandReceiver(LeafSystem):
         self._waiting: deque[_Received] = deque(maxlen=_MOST_WAITING)
         self._overdue = 0
         self._state = self.DeclareVectorInputPort("state", model.num_states)
-        # The input, and the mode.
-        self.DeclareDiscreteState(np.append(np.zeros(m), VehicleMode.WAITING))
+        self._input = self.DeclareDiscreteState(m)
+        self._mode = self.DeclareDiscreteState([VehicleMode.WAITING])
+        self.DeclareStateOutputPort("input", self._input)
+        self.DeclareStateOutputPort("mode", self._mode)
         self.DeclarePerStepUnrestrictedUpdateEvent(self._take_over)
-        needs = {self.xd_ticket()}
-        self.DeclareVectorOutputPort("input", m, self._calc_input, needs)
-        self.DeclareVectorOutputPort("mode", 1, self._calc_mode, needs)
 
     def mode(self, context: Context) -> VehicleMode:
         """Returns what the vehicle does."""
-        return VehicleMode(int(_held(context)[-1]))
+        return VehicleMode(int(context.get_discrete_state(self._mode)[0]))
 
     def catch_up(self) -> None:
         """Has what was passed over act from the next step on."""
@@ -166,8 +182,14 @@ class CommandReceiver(LeafSystem):
 
     def _take_over(self, context: Context, state: State) -> EventStatus:
         self._bus.poll()
-        mode, u = self._choose(context)
-        state.get_mutable_discrete_state().set_value(np.append(u, mode))
+        now = self._timeline.utime(context.get_time())
+        self._take_commands(now)
+        if self._applied is None:
+            return EventStatus.DidNothing()
+        mode, u = self._choose(self._applied, now, context)
+        held = state.get_mutable_discrete_state()
+        held.set_value(self._input, u)
+        held.set_value(self._mode, [mode])
         return EventStatus.Succeeded()
 
     def _take_commands(self, now: int) -> None:
@@ -178,12 +200,11 @@ class CommandReceiver(LeafSystem):
             self._overdue -= 1
         self._overdue = 0
 
-    def _choose(self, context: Context) -> tuple[VehicleMode, Array]:
-        now = self._timeline.utime(context.get_time())
-        self._take_commands(now)
-        if self._applied is None:
-            return self.mode(context), _held(context)[:-1]
-        command, received_at = self._applied
+    def _choose(
+        self, received: _Received, now: int, context: Context
+    ) -> tuple[VehicleMode, Array]:
+        """What to do at the time `now` [us], and the input."""
+        command, received_at = received
         age = 1e-6 * (now - received_at)
         applies = command.mode in (CommandMode.APPLY, CommandMode.HOLD)
         if applies and age <= self._settings.command_timeout:
@@ -196,22 +217,11 @@ class CommandReceiver(LeafSystem):
             self._settings.brake_rate,
         )
 
-    def _calc_input(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(_held(context)[:-1])
-
-    def _calc_mode(self, context: Context, output: BasicVector) -> None:
-        output[0] = _held(context)[-1]
-
     def _receive(self, command: Any, now: int) -> None:
         self._waiting.append(_Received(command, now))
         is_answer = command.state_session == self._bus.session
         if is_answer and command.mode == CommandMode.APPLY:
-            self.round_trip.add(now - command.state_utime)
-
-
-def _held(context: Context) -> Array:
-    held: Array = context.get_discrete_state_vector().CopyToVector()
-    return held
+            self.inbox.add_round_trip(now - command.state_utime)
 
 
 class StateSender(LeafSystem):
@@ -248,8 +258,8 @@ class StateSender(LeafSystem):
     ) -> None:
         super().__init__()
         self.ending = False
-        self._clock, self._commands, self._timeline = bus.clock, commands, timeline
-        self._outbox = Outbox(bus, state_format(num_states, num_inputs).channel)
+        self._bus, self._commands, self._timeline = bus, commands, timeline
+        self._channel = state_format(num_states, num_inputs).channel
         self._state = self.DeclareVectorInputPort("state", num_states)
         self._integral = self.DeclareVectorInputPort("input_integral", num_inputs)
         self._mode = self.DeclareVectorInputPort("mode", 1)
@@ -264,18 +274,18 @@ class StateSender(LeafSystem):
         message.utime_measured = self._timeline.utime(message.time)
         if message.mode in (VehicleMode.WAITING, VehicleMode.ENDED):
             # Its time stands still, as it does: what is true now is measured now.
-            message.utime_measured = self._clock.utime()
+            message.utime_measured = self._bus.clock.utime()
         message.command_session = message.command_sequence = -1
         if command is not None:
             message.command_session = command.session
             message.command_sequence = command.sequence
             message.command_utime = command.utime
-            message.command_age = self._clock.utime() - self._commands.received_at
+            message.command_age = self._bus.clock.utime() - self._commands.received_at
         message.state = self._state.Eval(context).tolist()
         message.num_states = len(message.state)
         message.input_integral = self._integral.Eval(context).tolist()
         message.num_inputs = len(message.input_integral)
-        self._outbox.send(message)
+        self._bus.send(self._channel, message)
 
 
 _PERIOD = 0.5  # [s]
@@ -295,8 +305,7 @@ class ObstacleSender(LeafSystem):
 
     def __init__(self, bus: Bus, scenario: Scenario) -> None:
         super().__init__()
-        self._obstacles = scenario.spheres
-        self._outbox = Outbox(bus, obstacles_format().channel)
+        self._bus, self._obstacles = bus, scenario.spheres
         self.DeclarePeriodicPublishEvent(_PERIOD, 0.0, self._send)
         self.DeclareForcedPublishEvent(self._send)
 
@@ -310,7 +319,7 @@ class ObstacleSender(LeafSystem):
             message.velocity.extend(obstacle.moving_center.velocity)
         message.num_obstacles = len(message.radius)
         message.num_coordinates = len(message.position)
-        self._outbox.send(message)
+        self._bus.send(obstacles_format().channel, message)
 
 
 def make_vehicle(scenario: Scenario, bus: Bus, timeline: Timeline) -> Diagram:

@@ -1,0 +1,396 @@
+"""What a vehicle says as ports: its state, and the obstacles that it perceives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    EventStatus,
+    LeafSystem,
+    State,
+)
+
+from vcbf_drake.barriers import PerceivedSpheres
+from vcbf_drake.checks import Array
+from vcbf_drake.hil.bus import Bus
+from vcbf_drake.hil.inbox import (
+    CommandMode,
+    Inbox,
+    VehicleMode,
+    obstacles_format,
+    state_format,
+)
+from vcbf_drake.hil.senders import Reason
+from vcbf_drake.simulation.scenario import Hardware, Scenario
+
+# How long a vehicle may take to follow a controller that it hears first [us].
+_TO_SETTLE = 300_000
+
+
+class Verdict(NamedTuple):
+    """What to ask of the vehicle, and why."""
+
+    mode: CommandMode
+    reason: str = ""
+
+
+# What may ask for a vehicle's fallback.
+Watchdog = Callable[[], Verdict]
+
+
+class StateStamp(NamedTuple):
+    """Which state it is, by its message.
+
+    Attributes:
+        moves: 1 if the vehicle says that it is under way, for it follows, falls back,
+            or has accepted a command; else 0.
+    """
+
+    session: float
+    sequence: float
+    utime: float
+    time: float
+    moves: float
+
+
+class StateReceiver(LeafSystem):
+    """Takes the place of a plant: its outputs are what the vehicle said last.
+
+    .. pydrake_system::
+
+        name: StateReceiver
+        output_ports:
+        - state
+        - applied_input
+        - stamp
+        - delays
+
+    | port | size | |
+    | --- | --- | --- |
+    | ``state`` | n | the newest measured state; zeros before the first |
+    | ``applied_input`` | m | the mean of what was applied since the state before |
+    | ``stamp`` | 5 | what that state's message says, a `StateStamp`; nan before |
+    | ``delays`` | 2 | the state's, and the last command's that it tells of [s] |
+
+    Messages are taken over at the beginning of a simulator's step, or at a forced
+    event. `verdict` is a `Watchdog`: a state older than `Hardware.max_state_age` is not
+    acted on. The last command is held for `Hardware.hold_time`, then the vehicle has to
+    use its own fallback, until a state comes again.
+
+    Args:
+        bus: Where states come from.
+        num_states: n.
+        num_inputs: m.
+        settings: How old a state may be, and how long a vehicle must be silent before
+            another one of its name is controlled in its place.
+
+    Attributes:
+        inbox: What arrived. Its round trips are from sending a command to learning that
+            it came.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        num_states: int,
+        num_inputs: int,
+        settings: Hardware | None = None,
+    ) -> None:
+        super().__init__()
+        self._bus, self._settings = bus, (settings := settings or Hardware())
+        self._last_command = -1
+        self._heard, self._heard_since = 0, 0
+        self.inbox = Inbox(
+            bus,
+            state_format(num_states, num_inputs),
+            settings.max_state_age,
+            self._take_times,
+            silence=settings.max_state_age + settings.hold_time,
+            max_clock_offset=settings.max_clock_offset,
+            echo=self._echo,
+        )
+        self.DeclarePerStepUnrestrictedUpdateEvent(self._take_over)
+        self.DeclareForcedUnrestrictedUpdateEvent(self._take_over)
+        shown = {
+            "state": np.zeros(num_states),
+            "applied_input": np.zeros(num_inputs),
+            "stamp": np.full(len(StateStamp._fields), math.nan),
+            "delays": np.zeros(2),
+        }
+        self._shown = {k: self.DeclareDiscreteState(v) for k, v in shown.items()}
+        for name, index in self._shown.items():
+            self.DeclareStateOutputPort(name, index)
+        self._integral = self.DeclareDiscreteState(num_inputs)
+
+    def stamp(self, context: Context) -> StateStamp:
+        """Returns which state the outputs show; nan before the first."""
+        shown = context.get_discrete_state(self._shown["stamp"])
+        return StateStamp(*shown.CopyToVector().tolist())
+
+    def has_news(self, context: Context) -> bool:
+        """Returns whether a newer message has come than the outputs show."""
+        shown, newest = self.stamp(context), self.inbox.newest
+        return newest is not None and (
+            (newest.session, newest.sequence) != (shown.session, shown.sequence)
+        )
+
+    @property
+    def is_followed(self) -> bool:
+        """Whether the vehicle's last state says that it takes our commands."""
+        newest = self.inbox.newest
+        return newest is not None and newest.command_session == self._bus.session
+
+    def follows_another(self, within: float) -> bool:
+        """Returns whether it applies another's command, which came so lately [s]."""
+        newest = self.inbox.newest
+        if newest is None or not 0 < newest.command_session != self._bus.session:
+            return False
+        is_recent = newest.command_age < 1e6 * within
+        return bool(newest.mode == VehicleMode.FOLLOWING and is_recent)
+
+    def notice(self) -> str:
+        """Returns why nobody follows, or who else speaks; empty if all is well."""
+        newest, now = self.inbox.newest, self._bus.clock.utime()
+        is_settled = now - self._heard_since > _TO_SETTLE
+        if newest is not None and is_settled and not self.is_followed:
+            if newest.command_session <= 0:
+                return "the vehicle tells of no command that it has accepted"
+            return f"the vehicle follows another controller, {newest.command_session}"
+        is_recent = now - self.inbox.last_rejected_at < 1_000_000
+        if is_recent and self.inbox.last_rejection == Reason.SESSION.value:
+            return "another vehicle of this name speaks and is not controlled"
+        return ""
+
+    def state_age(self) -> float:
+        """Returns the age of the newest state [s], infinite before the first."""
+        newest = self.inbox.newest
+        if newest is None:
+            return math.inf
+        measured = self.inbox.utime(newest.utime_measured)
+        return 1e-6 * (self._bus.clock.utime() - measured)
+
+    def verdict(self) -> Verdict:
+        """Returns what to ask of the vehicle now."""
+        age, limit = self.state_age(), self._settings.max_state_age
+        if age <= limit:
+            return Verdict(CommandMode.APPLY)
+        if age <= limit + self._settings.hold_time:
+            reason = f"the state is {age:.2f} s old; the input is held"
+            return Verdict(CommandMode.HOLD, reason)
+        reason = "no state yet" if math.isinf(age) else f"no new state for {age:.2f} s"
+        return Verdict(CommandMode.FALLBACK, reason)
+
+    def _echo(self, message: Any) -> tuple[int, int] | None:
+        """When a command of ours was sent, and how long before the message it came."""
+        if message.command_session != self._bus.session:
+            return None
+        return message.command_utime, message.command_age
+
+    def _take_over(self, context: Context, state: State) -> EventStatus:
+        self._bus.poll()
+        if not self.has_news(context):
+            return EventStatus.DidNothing()
+        last, newest = self.stamp(context), self.inbox.newest
+        integral = np.array(newest.input_integral)
+        applied = np.zeros_like(integral)
+        if newest.time > last.time:
+            before = context.get_discrete_state(self._integral).CopyToVector()
+            applied = (integral - before) / (newest.time - last.time)
+        is_under_way = newest.mode in (VehicleMode.FOLLOWING, VehicleMode.FALLBACK)
+        moves = is_under_way or (self.is_followed and newest.mode != VehicleMode.ENDED)
+        which = newest.session, newest.sequence, newest.utime, newest.time, moves
+        values = newest.state, applied, which, self._delays()
+        held = state.get_mutable_discrete_state()
+        for index, value in zip(self._shown.values(), values, strict=True):
+            held.set_value(index, value)
+        held.set_value(self._integral, integral)
+        return EventStatus.Succeeded()
+
+    def _delays(self) -> Array:
+        """The delays [s]; zeros while the vehicle does not follow our commands."""
+        state = self.inbox.newest
+        if state.mode != VehicleMode.FOLLOWING or not self.is_followed:
+            return np.zeros(2)
+        ours = self.inbox.utime
+        state_delay = self.inbox.received_at - ours(state.utime_measured)
+        command_delay = ours(state.utime - state.command_age) - state.command_utime
+        return 1e-6 * np.array([state_delay, command_delay])
+
+    def _take_times(self, message: Any, now: int) -> None:
+        """Notes the round trip of a command that the vehicle mentions first now."""
+        if message.session != self._heard:
+            self._heard, self._heard_since = message.session, now
+        is_ours = message.command_session == self._bus.session
+        if is_ours and message.command_sequence > self._last_command:
+            self._last_command = message.command_sequence
+            away = now - message.command_utime - message.command_age
+            self.inbox.add_round_trip(away)
+
+
+# Obstacles -------------------------------------------------------------------------
+
+_TOLERANCE, _MAX_AGE = 0.01, 1.0  # In m and s.
+
+
+def _obstacle_inbox(
+    bus: Bus,
+    max_age: float,
+    on_accept: Callable[[Any, int], None],
+    vehicle: Inbox,
+    settings: Hardware,
+) -> Inbox:
+    """Returns an inbox for what the vehicle of another inbox says."""
+
+    def refusal(message: Any) -> Reason | None:
+        is_another = vehicle.newest is not None and not vehicle.has_same_sender(message)
+        return Reason.SESSION if is_another else None
+
+    return Inbox(
+        bus,
+        obstacles_format(),
+        max_age,
+        on_accept,
+        silence=0.0,  # Whom to follow is decided by the states alone.
+        max_clock_offset=settings.max_clock_offset,
+        refusal=refusal,
+    )
+
+
+class ObstacleWatch:
+    """Compares the obstacles that a vehicle publishes with those of the scenario.
+
+    A vehicle that publishes none is not checked. Another number is a difference too.
+
+    Args:
+        bus: Where they come from.
+        scenario: What the controller knows.
+        vehicle: The states of the vehicle that publishes them.
+    """
+
+    def __init__(self, bus: Bus, scenario: Scenario, vehicle: Inbox) -> None:
+        self._known, self._vehicle = scenario.spheres, vehicle
+        self._shape = len(scenario.spheres), len(scenario.target)
+        self._difference = ""
+        settings = scenario.hardware
+        self._inbox = _obstacle_inbox(bus, _MAX_AGE, self._compare, vehicle, settings)
+
+    def verdict(self) -> Verdict:
+        """Returns what to ask of the vehicle now."""
+        if self._difference and self._vehicle.has_same_sender(self._inbox.newest):
+            return Verdict(CommandMode.FALLBACK, self._difference)
+        return Verdict(CommandMode.APPLY)
+
+    def _compare(self, message: Any, now: int) -> None:
+        count, dimensions = self._shape
+        self._difference = ""
+        sizes = message.num_obstacles, message.num_coordinates
+        if sizes != (count, count * dimensions):
+            self._difference = f"the vehicle does not know of {count} obstacles"
+        elif count:
+            known = [each.center_at(message.time) for each in self._known]
+            there = np.reshape(message.position, self._shape)
+            away = np.linalg.norm(there - known, axis=1)
+            radii = [each.safety_distance for each in self._known]
+            larger = np.subtract(message.radius, radii)
+            first = int(np.argmax(is_off := away + np.abs(larger) > _TOLERANCE))
+            if is_off[first]:
+                self._difference = (
+                    f"the vehicle's obstacle {first + 1} is {away[first]:.3f} m away"
+                    f" from the scenario's and {larger[first]:+.3f} m larger"
+                )
+
+
+class ObstacleReceiver(LeafSystem):
+    """The obstacles that a vehicle perceives, for the filter's port ``obstacles``.
+
+    .. pydrake_system::
+
+        name: ObstacleReceiver
+        output_ports:
+        - obstacles
+
+    Their number may change. Between two messages each keeps its velocity. Too many of
+    them, none for `Hardware.max_obstacle_age`, or malformed ones: the port keeps what
+    came last, and the verdict asks for the vehicle's fallback.
+
+    Args:
+        bus: Where they come from.
+        spheres: What describes them; it has room for so many.
+        vehicle: The states of the vehicle that perceives them.
+        settings: How old they may be.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        spheres: PerceivedSpheres,
+        vehicle: Inbox,
+        settings: Hardware | None = None,
+    ) -> None:
+        super().__init__()
+        settings = settings or Hardware()
+        self._bus, self._spheres, self._vehicle = bus, spheres, vehicle
+        self._max_age = settings.max_obstacle_age
+        self._inbox = _obstacle_inbox(bus, self._max_age, self._take, vehicle, settings)
+        self._trouble = ""
+        self._packed = np.zeros(1 + spheres.size)
+        # The vehicle's time of the message, then the slots.
+        self.DeclareDiscreteState(self._packed)
+        self.DeclarePerStepUnrestrictedUpdateEvent(self._take_over)
+        self.DeclareForcedUnrestrictedUpdateEvent(self._take_over)
+        self.DeclareVectorOutputPort("obstacles", spheres.size, self._calc)
+
+    def verdict(self) -> Verdict:
+        """Returns what to ask of the vehicle now."""
+        now = self._bus.clock.utime()
+        age, reason = 1e-6 * (now - self._inbox.received_at), self._trouble
+        if not self._vehicle.has_same_sender(self._inbox.newest):
+            reason = "no obstacles have been perceived yet"
+        elif age > self._max_age:
+            reason = f"no obstacles have been perceived for {age:.2f} s"
+        if not reason:
+            return Verdict(CommandMode.APPLY)
+        words = filter(None, (reason, self._inbox.complaint(now)))
+        return Verdict(CommandMode.FALLBACK, "; ".join(words))
+
+    def _take(self, message: Any, now: int) -> None:
+        self._trouble = self._trouble_with(message)
+        if self._trouble:
+            return
+        seen, k = np.array(message.valid, dtype=bool), self._spheres.dimensions
+        vectors = (message.position, message.velocity)
+        centers, velocities = (np.reshape(each, (-1, k))[seen] for each in vectors)
+        slots = self._spheres.pack(centers, velocities, np.array(message.radius)[seen])
+        self._packed = np.append(message.time, slots)
+
+    def _trouble_with(self, message: Any) -> str:
+        """Returns why what is perceived cannot be taken; empty if it can."""
+        k, seen = self._spheres.dimensions, np.array(message.valid, dtype=bool)
+        if message.num_coordinates != k * message.num_obstacles:
+            have = f"have {message.num_coordinates} coordinates; it must be {k} each"
+            return f"the {message.num_obstacles} obstacles that are perceived {have}"
+        if seen.sum() > self._spheres.capacity:
+            room = f"there is room for {self._spheres.capacity}"
+            words = f"{seen.sum()} obstacles are perceived, and {room}"
+            return f"{words} (hardware.most_obstacles)"
+        if np.any(np.array(message.radius)[seen] < 0.0):
+            return "an obstacle that is perceived has a negative radius"
+        return ""
+
+    def _take_over(self, context: Context, state: State) -> EventStatus:
+        self._bus.poll()
+        state.get_mutable_discrete_state().set_value(self._packed)
+        return EventStatus.Succeeded()
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        time, *slots = context.get_discrete_state_vector().CopyToVector()
+        k = self._spheres.dimensions
+        table = np.reshape(slots, (self._spheres.capacity, -1))
+        # To where they are by now; time that went back is a motion that began anew.
+        table[:, :k] += max(0.0, context.get_time() - time) * table[:, k : 2 * k]
+        output.SetFromVector(table.ravel())

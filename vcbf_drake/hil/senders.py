@@ -1,0 +1,319 @@
+"""What is known of a sender: its numbers, its motion's time, its clock.
+
+And why a message is not acted on: most reasons are found here.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from enum import Enum
+import math
+from typing import Any
+
+from vcbf_drake.errors import ScenarioError
+from vcbf_drake.simulation.scenario import Scenario
+
+# No sender numbers messages faster than this [s].
+SHORTEST_PERIOD = 1e-4
+# How many sequence numbers back a late message is still told from a repeated one.
+_WINDOW = 64
+# How many messages may come faster than `SHORTEST_PERIOD` says.
+_BURST = 100
+# How far a motion's time may run ahead of the clock [us].
+_TIME_AHEAD = 100_000
+
+# A round trip takes less [us].
+LONGEST_ROUND_TRIP = 60_000_000
+# How fast two clocks drift apart, and how fast an offset is corrected at most.
+_DRIFT, _FASTEST = 200e-6, 0.05
+# How far a message may be from what is known of its sender's clock [us].
+_TOLERANCE = 100_000
+# So many messages in a row must agree on a step of a clock before it is believed, and
+# so long [us] it is not believed again: a clock that steps on and on is none.
+_WITNESSES, _BETWEEN_STEPS = 3, 5_000_000
+# How long messages stay late before that is taken for a clock that was set back [us].
+_PATIENCE = 500_000
+
+
+class Reason(Enum):
+    """Why a message is rejected."""
+
+    LENGTH = "wrong length"
+    TYPE = "another type"
+    SIGNATURE = "not signed with our key"
+    VERSION = "unknown version"
+    SIZE = "array of another size"
+    NUMBER = "not a finite number of sensible size"
+    CODE = "unknown code"
+    STAMPS = "contradictory time stamps or sequence"
+    TIME = "its motion's time leaps"
+    FUTURE = "from the future"
+    PAST = "from the past"
+    CLOCK = "contradicts its sender's clock"
+    ADDRESS = "meant for another"
+    SESSION = "of another sender than the one followed"
+    REPEATED = "repeated"
+    OVERTAKEN = "overtaken by a newer one"
+    OLD = "too old"
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """What takes the place of a message that must not be acted on."""
+
+    reason: Reason
+    detail: str = field(default="", compare=False)
+
+    @property
+    def words(self) -> str:
+        """The reason, and what is known beyond it."""
+        reason = self.reason.value
+        return f"{reason} ({self.detail})" if self.detail else reason
+
+
+class Sender:
+    """What is known of one session: its order, its motion's time, its clock.
+
+    Attributes:
+        session: The session.
+        heard_at: When its last message was accepted [us].
+        clock: Its clock.
+        skipped: How many numbers the last message skipped; -1 if it was one of those.
+    """
+
+    def __init__(self, first: Any, now: int) -> None:
+        self.session = first.session
+        self.heard_at = now
+        self.clock = PeerClock()
+        self.skipped = 0
+        self._is_known = False
+        self._sequence, self._numbered_at = first.sequence - 1, now
+        # Bit i stands for the sequence number i before the last one.
+        self._seen = 0
+        # The last motion's time, and a pair of it and our clock that it runs with.
+        self._time = 0.0
+        self._start = 0.0, now
+        self._leaps = False
+
+    def fault(
+        self, message: Any, now: int, echo: tuple[int, int] | None, max_age: int
+    ) -> Rejection | None:
+        """Takes the message's number and times down; returns what is wrong with it."""
+        self.skipped = 0
+        contradiction = None if self._is_known else _contradiction(message)
+        if contradiction is not None:
+            return contradiction
+        order = self._order(message, now)
+        if order is not None:
+            return Rejection(order)
+        off = self.clock.listen(message.utime, now, echo)
+        if off:
+            return Rejection(Reason.CLOCK, f"by {1e-6 * off:.2f} s")
+        measured = getattr(message, "utime_measured", message.utime)
+        age = now + self.clock.offset - measured
+        if age > max_age:
+            return Rejection(Reason.OLD, f"{1e-6 * age:.2f} s")
+        leap = self._leap_of_time(message, now, max_age)
+        if leap is not None:
+            return leap
+        self._is_known, self.heard_at = True, now
+        return None
+
+    def _order(self, message: Any, now: int) -> Reason | None:
+        back = self._sequence - message.sequence
+        self.skipped = 0
+        if back >= 0:
+            if back >= _WINDOW or self._seen >> back & 1:
+                return Reason.REPEATED
+            self._seen |= 1 << back
+            self.skipped = -1
+            return Reason.OVERTAKEN
+        # By our own clock: a forged number would otherwise keep the true ones out, as
+        # having gone back, for ever.
+        most = _BURST + 1e-6 * (now - self._numbered_at) / SHORTEST_PERIOD
+        if self._is_known and -back > most:
+            return Reason.STAMPS
+        self.skipped = -back - 1
+        earlier = self._seen << -back if -back < _WINDOW else 0
+        self._seen = (earlier | 1) & ((1 << _WINDOW) - 1)
+        self._sequence, self._numbered_at = message.sequence, now
+        return None
+
+    def _leap_of_time(self, message: Any, now: int, max_age: int) -> Rejection | None:
+        """Takes the motion's time down, unless it goes back or leaps."""
+        time = getattr(message, "time", 0.0)
+        if self._is_known and time < self._time:
+            return Rejection(Reason.TIME, f"back by {self._time - time:.3g} s")
+        is_silent = now - self.heard_at > 2 * max_age
+        # What leaps is silent for us alone, and stays what it is.
+        if not self._is_known or (is_silent and not self._leaps):
+            self._start = time, now
+        start, began = self._start
+        elapsed = 1e-6 * (now - began)
+        most = 1.001 * elapsed + 1e-6 * (max_age + _TIME_AHEAD)
+        self._leaps = time - start > most
+        if self._leaps:
+            words = f"on by {time - start:.3g} s in {elapsed:.3g} s; its unit is s"
+            return Rejection(Reason.TIME, words)
+        self._time = time
+        return None
+
+
+def _contradiction(message: Any) -> Rejection | None:
+    """Why a sender's first message cannot be true, by its own clock."""
+    runs_for = message.utime - message.session
+    measured = getattr(message, "utime_measured", message.utime)
+    most = _BURST + runs_for * 1e-6 / SHORTEST_PERIOD
+    if message.sequence > most or message.session > measured:
+        return Rejection(Reason.STAMPS)
+    time = getattr(message, "time", 0.0)
+    if 1e6 * time > runs_for + _TIME_AHEAD:
+        words = f"on by {time:.3g} s in a session of {1e-6 * runs_for:.3g} s"
+        return Rejection(Reason.TIME, f"{words}; its unit is s")
+    return None
+
+
+class PeerClock:
+    """By how much a peer's clock is ahead of ours, from the messages exchanged.
+
+    A message takes time, so a message from the peer says that its clock is ahead by at
+    least ``sent - received``, and one of ours, by the time it came there, by at most
+    that difference. The offset is in the middle of the tightest such interval, which
+    widens with the drift of two clocks. Before a round trip is known only the first
+    half counts: the fastest message is taken to need no time. A clock of another pace
+    is followed, by 5 % at most.
+
+    A message that contradicts the interval by more than 0.1 s is not believed: a forged
+    one must not move the clock. When three in a row agree with each other, the clock
+    has been set, and everything begins anew; at most once in 5 s, so that a clock that
+    stands still is refused and not followed.
+
+    Source: D. L. Mills, RFC 5905, section 8 (the four times); the interval is ours.
+
+    Attributes:
+        steps: How often the peer's clock was set.
+        last_step: By how much the last time [us].
+    """
+
+    def __init__(self) -> None:
+        self.steps, self.last_step = 0, 0
+        self._low: float = -math.inf
+        self._high: float = math.inf
+        self._at = 0
+        self._stepped_at: float = -math.inf
+        self._witnesses: deque[float] = deque(maxlen=_WITNESSES)
+        self._behind_since: int | None = None
+
+    @property
+    def offset(self) -> int:
+        """By how much the peer's clock is ahead [us]; 0 before the first message."""
+        if math.isinf(self._low):
+            return 0
+        is_one_way = math.isinf(self._high)
+        return round(self._low if is_one_way else (self._low + self._high) / 2)
+
+    @property
+    def uncertainty(self) -> float:
+        """How far off the offset may be [us]; infinite before the first round trip."""
+        return (self._high - self._low) / 2
+
+    def listen(self, sent: int, received: int, echo: tuple[int, int] | None) -> float:
+        """Takes a message's times [us].
+
+        Args:
+            sent: When it was sent, by the peer's clock.
+            received: When it came, by ours.
+            echo: What it tells of a message of ours, see `Echo`.
+
+        Returns:
+            By how much it contradicts what is known [us], 0 if it does not.
+        """
+        low, high = _bounds(sent, received, echo)
+        elapsed = received - self._at
+        least, most = self._low - _DRIFT * elapsed, self._high + _DRIFT * elapsed
+        # It neither comes from before the fastest, nor from the future.
+        ahead = low - most if math.isfinite(most) else low - least
+        contradiction = max(ahead, least - high)
+        if not math.isinf(self._low) and contradiction > _TOLERANCE:
+            return 0.0 if self._has_been_set(low, received) else contradiction
+        low_now, high_now = max(least, low), min(most, high)
+        if low > most:
+            low_now = high_now = min(low, self._high + _FASTEST * elapsed)
+        elif high < least:
+            low_now = high_now = max(high, self._low - _FASTEST * elapsed)
+        self._low, self._high, self._at = low_now, high_now, received
+        self._witnesses.clear()
+        self._look_behind(low, received, least - low)
+        return 0.0
+
+    def _look_behind(self, low: float, received: int, behind: float) -> None:
+        """Before a round trip is known: takes what stays late for a clock set back."""
+        if behind <= _TOLERANCE or math.isfinite(self._high):
+            self._behind_since = None
+        elif self._behind_since is None:
+            self._behind_since = received
+        elif received - self._behind_since > _PATIENCE:
+            self._begin_anew(low, received)
+
+    def _has_been_set(self, low: float, received: int) -> bool:
+        """Whether this message is the third in a row that says the same."""
+        witnesses = self._witnesses
+        if witnesses and abs(low - witnesses[-1]) > _TOLERANCE:
+            witnesses.clear()
+        witnesses.append(low)
+        if len(witnesses) < _WITNESSES:
+            return False
+        if received - self._stepped_at < _BETWEEN_STEPS:
+            return False
+        self._begin_anew(max(witnesses), received)
+        return True
+
+    def _begin_anew(self, low: float, received: int) -> None:
+        before = self.offset
+        # What a message tells of ours was measured with a clock that was set meanwhile.
+        self._low, self._high, self._at = low, math.inf, received
+        self.steps, self.last_step = self.steps + 1, self.offset - before
+        self._stepped_at, self._behind_since = received, None
+        self._witnesses.clear()
+
+
+def _bounds(
+    sent: int, received: int, echo: tuple[int, int] | None
+) -> tuple[float, float]:
+    """The least and the greatest offset that a message allows [us]."""
+    low = sent - received
+    if echo is None:
+        return low, math.inf
+    ours_sent, ours_age = echo
+    high = sent - ours_age - ours_sent
+    # No round trip is as long, and none takes less than no time: whoever says so has
+    # not filled in those times, or has set its clock since ours came.
+    return low, high if -_TOLERANCE <= high - low < LONGEST_ROUND_TRIP else math.inf
+
+
+def check_timing(scenario: Scenario) -> None:
+    """Checks that no watchdog bites between one message and the next.
+
+    Raises:
+        ScenarioError: A time limit is shorter than the control period, or that is
+            shorter than an inbox believes of any sender; or obstacles are in sight only
+            where a simulation looks.
+    """
+    if scenario.faults.sight > 0.0:
+        raise ScenarioError(
+            f"faults.sight: {scenario.faults.sight:g} m; it must be 0 on a bus, where a"
+            " vehicle says what it sees (hardware.obstacles: perceived)"
+        )
+    if scenario.period < SHORTEST_PERIOD:
+        raise ScenarioError(
+            f"period: {scenario.period:g} s; on a bus it must be at least"
+            f" {SHORTEST_PERIOD:g} s"
+        )
+    for name in ("command_timeout", "max_state_age"):
+        limit = getattr(scenario.hardware, name)
+        if limit <= scenario.period:
+            raise ScenarioError(
+                f"hardware.{name}: {limit:g} s; it must be above the control period,"
+                f" {scenario.period:g} s"
+            )
