@@ -101,7 +101,7 @@ free:
     text = "{initial_state: [2, 0, 0, 0, 0, 0, 0, -0.5, 0, 0, 0, 0, 0, 0, 0]}"
     with pytest.raises(ScenarioError, match="hull_qz of length 1"):
         load_scenario(tmp_path / "free.yaml", text)
-    with pytest.raises(ScenarioError, match="'!Lqr'; it must be !JointStiffness"):
+    with pytest.raises(ScenarioError, match="!Lqr: the base hull floats, and no motor"):
         load_scenario(tmp_path / "free.yaml", "{vehicle: {controller: !Lqr {}}}")
 
 

@@ -116,8 +116,8 @@ class JointStiffness:
 class Lqr:
     """Drake's linear-quadratic regulator about rest at the target.
 
-    It needs no motor at every joint, but a start from which the linear law holds, and
-    no floating base.
+    It needs no motor at every joint, but a start from which the linear law holds. A
+    base that floats it cannot hold: inner forces do not move a centre of mass.
 
     Attributes:
         state_weights: Q, its diagonal, (n,); empty for 1 each.
@@ -136,9 +136,13 @@ class Lqr:
 
     def check(self, plant: MultibodyPlant) -> None:
         """Checks that it is for such a robot, and has as many numbers."""
-        is_fixed = plant.num_positions() == plant.num_velocities()
-        rule = "!JointStiffness where the base floats: its quaternion has one to spare"
-        require(is_fixed, (), "!Lqr", rule)
+        for body in map(plant.get_body, plant.GetFloatingBaseBodies()):
+            problem = (
+                f"!Lqr: the base {body.name()} floats, and no motor of a joint moves"
+            )
+            problem += " the centre of mass; take !JointStiffness for the joints,"
+            problem += f" weld: {body.name()}, or a Vehicle in Python with propellers"
+            raise InvalidValueError((), problem)
         names = plant.GetStateNames(add_model_instance_prefix=False)
         if len(self.state_weights):
             check_finite("state_weights", self.state_weights, names=names)
