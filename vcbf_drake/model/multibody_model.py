@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -142,25 +141,6 @@ class MultibodyModel(ControlAffineModel):
         return self._dynamics.rate(x, np.asarray(u, dtype=float), d)
 
 
-@dataclass(frozen=True)
-class PointMotion:
-    """A body's point along the flow: p, dp/dt and d^2p/dt^2 = a + b u + c d.
-
-    Attributes:
-        position: p, shape (3,) [m].
-        velocity: dp/dt, shape (3,) [m/s].
-        drift: a, shape (3,) [m/s^2].
-        input: b, shape (3, m).
-        disturbance: c, shape (3, q).
-    """
-
-    position: Array
-    velocity: Array
-    drift: Array
-    input: Array
-    disturbance: Array
-
-
 class Motion:
     """How the bodies of a MultibodyPlant move at one state.
 
@@ -173,8 +153,8 @@ class Motion:
     ) -> None:
         self.key = key
         self._dynamics, self._E, self._x = dynamics, disturbance_matrix, x
-        self._points: dict[Hashable, PointMotion] = {}
-        self._sensitive_points: dict[Hashable, PointMotion] = {}
+        self._points: dict[Hashable, Array] = {}
+        self._sensitive_points: dict[Hashable, Array] = {}
 
     @cached_property
     def parts(self) -> tuple[Array, Array]:
@@ -192,28 +172,29 @@ class Motion:
         numbers.set_state(self._x)
         return numbers.place(frame, offset)
 
-    def point(self, frame: str, offset: tuple[float, ...]) -> PointMotion:
-        """Returns the motion of a point of a frame.
+    def point(self, frame: str, offset: tuple[float, ...]) -> Array:
+        """Returns how a point moves: d^2p/dt^2 = a + b u + c d, its place being p.
 
         Args:
             frame: The name of the frame or body.
             offset: The point in that frame, shape (3,) [m].
+
+        Returns:
+            [p, dp/dt, a, b, c] of each world axis, shape (3, 3 + m + q) [m, m/s, ...].
         """
         key = frame, offset
         if key not in self._points:
-            f, g = self.parts
-            numbers = self._dynamics
+            (f, g), numbers = self.parts, self._dynamics
             numbers.set_state(self._x)
             p, J, bias = numbers.kinematics(frame, offset)
             nq = len(f) - J.shape[1]
-            v = self._x[nq:]
-            self._points[key] = PointMotion(
-                p, J @ v, J @ f[nq:] + bias, J @ g[nq:], J @ self._E[nq:]
-            )
+            drift = J @ f[nq:] + bias
+            columns = p, J @ self._x[nq:], drift, J @ g[nq:], J @ self._E[nq:]
+            self._points[key] = np.column_stack(columns)
         return self._points[key]
 
-    def point_sensitivity(self, frame: str, offset: tuple[float, ...]) -> PointMotion:
-        """Returns the derivatives of a point's motion by x, along a last axis (n,).
+    def point_sensitivity(self, frame: str, offset: tuple[float, ...]) -> Array:
+        """Returns the derivatives of `point` by x, shape (3, 3 + m + q, n).
 
         Args:
             frame: The name of the frame or body.
@@ -221,24 +202,25 @@ class Motion:
         """
         key = frame, offset
         if key not in self._sensitive_points:
-            f, g = self.parts
-            f_x, g_x = self.sensitivity
+            (f, g), (f_x, g_x) = self.parts, self.sensitivity
             numbers = self._dynamics.in_autodiff
             numbers.set_state(InitializeAutoDiff(self._x).ravel())
             p, J, bias = numbers.kinematics(frame, offset)
             n, nv = len(self._x), J.shape[1]
             nq = n - nv
-            p_x, bias_x = ExtractGradient(p), ExtractGradient(bias)
+            # Columns [v, f, g, E] that J takes to the point, and how they change.
+            moved = np.column_stack([self._x[nq:], f[nq:], g[nq:], self._E[nq:]])
+            still = np.zeros((nv, self._E.shape[1], n))
+            v_x = np.eye(n)[nq:]
+            moved_x = np.concatenate(
+                [v_x[:, None], f_x[nq:, None], g_x[nq:], still], axis=1
+            )
             J_x = ExtractGradient(J.reshape(-1, 1)).reshape(3, nv, n)
-            J = ExtractValue(J)
-            v, v_x = self._x[nq:], np.eye(n)[nq:]
-            self._sensitive_points[key] = PointMotion(
-                p_x,
-                np.einsum("ijk,j->ik", J_x, v) + J @ v_x,
-                np.einsum("ijk,j->ik", J_x, f[nq:]) + J @ f_x[nq:] + bias_x,
-                np.einsum("ijk,jm->imk", J_x, g[nq:])
-                + np.einsum("ij,jmk->imk", J, g_x[nq:]),
-                np.einsum("ijk,jm->imk", J_x, self._E[nq:]),
+            found = np.einsum("ijk,jm->imk", J_x, moved)
+            found += np.einsum("ij,jmk->imk", ExtractValue(J), moved_x)
+            found[:, 1] += ExtractGradient(bias)
+            self._sensitive_points[key] = np.concatenate(
+                [ExtractGradient(p)[:, None], found], axis=1
             )
         return self._sensitive_points[key]
 

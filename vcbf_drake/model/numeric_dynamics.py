@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -31,19 +30,6 @@ from vcbf_drake.model.interface import (
     vector_ports,
     with_ports_held,
 )
-
-
-@dataclass(frozen=True)
-class PortForces:
-    """The generalised forces of a MultibodyPlant's two ports, tau = B u + B_d d.
-
-    Attributes:
-        input: B, shape (nv, m).
-        disturbance: B_d, shape (nv, q).
-    """
-
-    input: Array
-    disturbance: Array
 
 
 class NumericDynamics:
@@ -141,8 +127,8 @@ class NumericDynamics:
         forces = self._port_forces
         if forces is not None:
             M, bias, rate = self.manipulator_equation(x)
-            solved = _solve(M, np.column_stack([-bias, forces.input]))
-            still = np.zeros((len(rate), forces.input.shape[1]))
+            solved = _solve(M, np.column_stack([-bias, forces[0]]))
+            still = np.zeros((len(rate), self.num_inputs))
             return np.append(rate, solved[:, 0]), np.vstack([still, solved[:, 1:]])
         self.set_state(x)
         self._input.FixValue(self._context, self._none)
@@ -159,7 +145,7 @@ class NumericDynamics:
         if forces is not None:
             M, _, rate = self.manipulator_equation(x)
             still = np.zeros((len(rate), q))
-            return np.vstack([still, _solve(M, forces.disturbance)])
+            return np.vstack([still, _solve(M, forces[1])])
         f = self.rate(x, self._none, np.zeros(q))
         return np.array([self.rate(x, self._none, unit) - f for unit in np.eye(q)]).T
 
@@ -247,25 +233,25 @@ def _in_autodiff(system: Any) -> Any:
 
 
 def _port_forces(
-    system: Any, port: Any, disturbance: Any, context: Any
-) -> PortForces | None:
-    """The generalised forces of a plant's ports; None where they are others'."""
+    system: Any, port: Port, disturbance: Port, context: Any
+) -> tuple[Array, Array] | None:
+    """B (nv, m) and B_d (nv, q) of a plant's generalised forces tau = B u + B_d d.
+
+    None where its ports are no such forces, or others have a value.
+    """
     if not isinstance(system, MultibodyPlant):
         return None
-    if context is not None and any(
-        p.HasValue(context)
-        for p in vector_ports(system)
-        if p not in (port, disturbance)
-    ):
+    others = [p for p in vector_ports(system) if p not in (port, disturbance)]
+    if context is not None and any(p.HasValue(context) for p in others):
         return None
-    none = np.zeros((system.num_velocities(), 0))
-    maps = none if port is None else _force_map(system, port)
-    pushed = none if disturbance is None else _force_map(system, disturbance)
-    return None if maps is None or pushed is None else PortForces(maps, pushed)
+    maps, pushed = _force_map(system, port), _force_map(system, disturbance)
+    return None if maps is None or pushed is None else (maps, pushed)
 
 
 def _force_map(plant: Any, port: Any) -> Array | None:
     """The matrix (nv, k) from a port's vector to generalised forces, if it has one."""
+    if port is None:
+        return np.zeros((plant.num_velocities(), 0))
     if port is plant.get_applied_generalized_force_input_port():
         return np.eye(plant.num_velocities())
     if not plant.num_actuated_dofs():

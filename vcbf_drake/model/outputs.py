@@ -14,7 +14,7 @@ from vcbf_drake.errors import ModelError
 from vcbf_drake.model.compiled import Expressions
 
 if TYPE_CHECKING:
-    from vcbf_drake.model.multibody_model import MultibodyModel, PointMotion
+    from vcbf_drake.model.multibody_model import MultibodyModel
 
 
 @dataclass(frozen=True)
@@ -84,13 +84,11 @@ class PointOutput:
         """Returns the jet's derivatives by x, shape (3 + m + q, n)."""
         return self._jet(model.at(x).point_sensitivity(self.frame, self.offset), order)
 
-    def _jet(self, point: PointMotion, order: int) -> Array:
-        k = self.axis
-        z, dz = point.position[k], point.velocity[k]
-        b, c = point.input[k], point.disturbance[k]
-        if order == 1:
-            return np.concatenate([[z, dz, dz], np.zeros_like(b), np.zeros_like(c)])
-        return np.concatenate([[z, dz, point.drift[k]], b, c])
+    def _jet(self, point: Array, order: int) -> Array:
+        jet = point[self.axis]
+        if order == 2:
+            return jet
+        return np.concatenate([jet[:2], jet[1:2], np.zeros_like(jet[3:])])
 
 
 Output = StateOutput | PointOutput
