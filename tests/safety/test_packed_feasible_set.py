@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from vcbf_drake.safety.packed_feasible_set import pack_feasible_set, unpack_feasible_set
+from vcbf_drake.safety.feasible_set import pack_feasible_set, unpack_feasible_set
 
 
 def test_a_packed_set_comes_back_with_a_symmetric_shape():

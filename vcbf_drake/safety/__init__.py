@@ -6,14 +6,12 @@ from vcbf_drake.safety.ellipsoid import Ellipsoid, inscribed_ellipsoid
 from vcbf_drake.safety.feasible_set import (
     DisturbanceKnowledge,
     FeasibleSet,
+    PackedFeasibleSet,
     disturbance_margin,
+    unpack_feasible_set,
 )
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.methods import METHODS, Method
-from vcbf_drake.safety.packed_feasible_set import (
-    PackedFeasibleSet,
-    unpack_feasible_set,
-)
 from vcbf_drake.safety.polytope import (
     Emptiness,
     chebyshev_ball,

@@ -12,8 +12,9 @@ from vcbf_drake.safety.projection import minimise_linear, nearest_point
 from vcbf_drake.safety.unit_rows import UnitRows
 from vcbf_drake.typed import typed
 
-# A point this many input ranges away is as good as one infinitely far.
-_FARTHEST = 1e6
+# A point this many input ranges away is as good as one infinitely far; without limits,
+# one this many units away.
+_FARTHEST, _FARTHEST_IN_UNITS = 1e6, 1e15
 # A limit this large is as good as infinite: beside it a unit is next to rounding.
 _AS_GOOD_AS_NONE = 1e15
 # Rows are met to this, in normalised inputs, before a projection returns.
@@ -121,6 +122,16 @@ class InputSet:
         v: Array = (u - self.center) / np.where(self.scale > 0.0, self.scale, np.inf)
         return v
 
+    def normalised_near(self, u: Array) -> Array:
+        """Returns v of an input, brought near where it is as good as infinitely far."""
+        with np.errstate(over="ignore"):
+            v = self.normalised(u)
+        if np.abs(v).max() > _FARTHEST:
+            is_open = np.isinf(self.farthest(np.eye(len(v))))
+            farthest = np.where(is_open, _FARTHEST_IN_UNITS, _FARTHEST)
+            v = v.clip(-farthest, farthest)
+        return v
+
     def farthest(self, A: Array) -> Array:
         """Returns the greatest a_i v over the bounding box, shape (n,).
 
@@ -160,8 +171,7 @@ class InputSet:
         u = np.array(u, dtype=float)
         if not np.all(np.isfinite(u)):
             return self.interior.copy()
-        with np.errstate(over="ignore"):
-            v = np.clip(self.normalised(u), -_FARTHEST, _FARTHEST)
+        v = self.normalised_near(u)
         if np.all(self.A_normalised @ v <= self.b_normalised + _TOLERANCE):
             return np.where(self.scale > 0.0, u, self.center)
         try:

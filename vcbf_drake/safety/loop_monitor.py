@@ -21,7 +21,7 @@ from vcbf_drake.safety.assumptions import (
     gain_assumptions,
     start_assumptions,
 )
-from vcbf_drake.safety.packed_feasible_set import unpack_feasible_set
+from vcbf_drake.safety.feasible_set import unpack_feasible_set
 from vcbf_drake.safety.qp import FilterStatus
 from vcbf_drake.safety.safety_filter import SafetyFilter
 from vcbf_drake.safety.volume import least_threshold

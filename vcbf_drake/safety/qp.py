@@ -18,15 +18,17 @@ from vcbf_drake.safety.decay import DecayRates
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.programs import DEFAULT_SOLVER
+from vcbf_drake.safety.projection import minimise_linear
 from vcbf_drake.safety.tick_qp import (
+    MARGIN,
     QP,
     Frame,
     VolumeRow,
     finer_frame,
-    least_violation,
     solve_qp,
     state_qp,
 )
+from vcbf_drake.safety.unit_rows import UnitRows
 
 InfeasiblePolicy = Literal["stop", "least_violation", "hold", "decay", "backup"]
 
@@ -174,6 +176,62 @@ def choose_input(
     u = input_set.project(u)
     decay = 1.0 if growing is None else growing.factor(feasible, u)
     return FilterDecision(u, status, slack, soft_slacks=soft, decay=decay, qp=solved)
+
+
+def least_violation(
+    feasible: FeasibleSet, qp: QP, held_input: Array, solver: str
+) -> Array:
+    """Returns the input whose worst weighted barrier violation is least, shape (m,).
+
+    Among those, the one nearest to the reference; the held input, or the one nearest to
+    it that is allowed, where none was verified.
+
+    Args:
+        feasible: Input limits and barrier rows.
+        qp: The QP of its rows, `QP.hard`.
+        held_input: The input applied now, shape (m,).
+        solver: The solver's name.
+    """
+    project, k = feasible.input_set.project, qp.num_firm
+    try:
+        u = qp.frame.input(_least_violation(feasible, qp, solver))
+    except (EmptySetError, SolverError, LinAlgError):
+        return project(held_input)
+    violated = (qp.A @ _coordinates(u, qp.frame) > qp.b)[k:]
+    frame = finer_frame(feasible, qp.frame, u, violated)
+    if frame is not None:
+        reference = qp.frame.input(qp.reference)
+        finer = state_qp(feasible, frame, None, reference, exact_slack=True).hard
+        try:
+            u = frame.input(_least_violation(feasible, finer, solver))
+        except (EmptySetError, SolverError, LinAlgError):
+            pass  # In the coordinates before there is an answer.
+    return project(u)
+
+
+def _coordinates(u: Array, frame: Frame) -> Array:
+    scale = np.where(frame.scale > 0.0, frame.scale, np.inf)
+    z: Array = (u - frame.origin) / (frame.size * scale)
+    return z
+
+
+def _least_violation(feasible: FeasibleSet, qp: QP, solver: str) -> Array:
+    """Min t subject to weight_i (a_i u - b_i) <= t, t >= 0, and then the nearest z."""
+    A, b, k, m = qp.A.copy(), qp.b.copy(), qp.num_firm, len(qp.frame.scale)
+    weight = feasible.weights[feasible.cutting[k:] - feasible.num_input_rows]
+    length = UnitRows(A[k:], b[k:]).length
+    # t is counted in units of the heaviest row's distance, and from where no input is
+    # below it.
+    weight /= float(np.max(weight * length, initial=0.0)) or 1.0
+    A[k:], b[k:] = A[k:] * weight[:, None], b[k:] * weight
+    farthest = feasible.input_set.farthest(A[k:]) / qp.frame.size
+    b[k:] += max(0.0, float(np.max(-b[k:] - farthest, initial=0.0)))
+    last = np.append(np.zeros(m), 1.0)
+    give = np.concatenate([np.zeros(k), np.ones(len(weight))])
+    rows = np.vstack([np.column_stack([A, -give]), -last])
+    z = minimise_linear(last, rows, np.append(b, 0.0), reach=qp.frame.reach)[:-1]
+    b[k:] += np.max(A[k:] @ z - b[k:], initial=0.0) + MARGIN
+    return replace(qp, A=A, b=b).solved(solver).point
 
 
 def _decayed(

@@ -28,10 +28,10 @@ from vcbf_drake.safety.feasible_set import (
     DisturbanceKnowledge,
     FeasibleSet,
     feasible_set,
+    pack_feasible_set,
 )
 from vcbf_drake.safety.input_set import InputSet, check_inputs
 from vcbf_drake.safety.methods import METHODS
-from vcbf_drake.safety.packed_feasible_set import pack_feasible_set
 from vcbf_drake.safety.qp import (
     FilterDecision,
     FilterStatus,
@@ -41,8 +41,11 @@ from vcbf_drake.safety.qp import (
 from vcbf_drake.safety.row_holder import RowHolder, Tick
 from vcbf_drake.safety.row_names import RowNames
 from vcbf_drake.safety.settings import FilterSettings
-from vcbf_drake.safety.tick_programs import TickPrograms, state_programs
-from vcbf_drake.safety.tick_qp import Frame, VolumeRow
+from vcbf_drake.safety.tick_qp import (
+    Frame,
+    TickPrograms,
+    VolumeRow,
+)
 from vcbf_drake.safety.volume import Volume, VolumeMeasure, threshold_of, volume_row
 from vcbf_drake.typed import typed
 
@@ -369,7 +372,7 @@ class SafetyFilter(CachedSystem):
             return None
         names = self.row_names
         widening = self.settings.volume.widening
-        return state_programs(decision.qp, feasible, names, widening)
+        return TickPrograms.of(decision.qp, feasible, names, widening)
 
     def barrier_rows(self, context: Context) -> BarrierRows:
         """Returns the barriers' own rows at the context's state and time."""

@@ -1,34 +1,30 @@
-"""The QP of a control tick: its coordinates, its rows and their order of giving way."""
+"""The QP of a control tick: its coordinates, its rows, and the tick as programs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import math
-from operator import mul
 
 import numpy as np
-from numpy.linalg import LinAlgError
 from numpy.typing import ArrayLike, NDArray
+from pydrake.solvers import MathematicalProgram, MathematicalProgramResult
 
 from vcbf_drake.checks import Array, require
 from vcbf_drake.errors import EmptySetError, SolverError
 from vcbf_drake.safety.active_set import Projection
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
+from vcbf_drake.safety.programs import EllipsoidProgram, NearestPointProgram
 from vcbf_drake.safety.projection import minimise_linear, nearest_point
 from vcbf_drake.safety.unit_rows import UnitRows
 
-# A reference this many input ranges away is as good as one infinitely far; without
-# limits, one this many units away.
-_FARTHEST_REFERENCE = 1e6
-_FARTHEST_IN_UNITS = 1e15
 # Where the rows that a solution touches are made of numbers this small, in the QP's
 # coordinates, it is solved again in coordinates of their size.
 _SMALL = 1e-3
 # The least slack or violation leaves a set without interior. Its rows are opened by
 # this distance, in normalised inputs.
-_MARGIN = 1e-10
+MARGIN = 1e-10
 
 
 @dataclass(frozen=True)
@@ -121,8 +117,7 @@ class Frame:
 
     def distance(self, A: Array, b: Array) -> Array:
         """Returns the right-hand sides of rows ``A u <= b`` in z, shape (n,)."""
-        distance: Array = (b - A @ self.origin) / self.size
-        return distance
+        return np.asarray((b - A @ self.origin) / self.size)
 
 
 @dataclass(frozen=True)
@@ -209,7 +204,7 @@ def state_qp(
     """
     kept, inputs = feasible.cutting, feasible.input_set
     A, b = feasible.A_v[kept], _distances(feasible, frame)
-    z = _normalised(reference, inputs)
+    z = inputs.normalised_near(reference)
     if frame.origin is not inputs.center:
         z = z - inputs.normalised(frame.origin)
     if frame.size != 1.0:
@@ -224,15 +219,17 @@ def state_qp(
         for i in feasible.soft.tolist()
     ]
     further = soft if volume_row is None else [volume_row, *soft]
+    names: tuple[str | int, ...] = tuple(
+        (feasible.num_input_rows + feasible.soft).tolist()
+    )
+    if volume_row is not None:
+        names = "volume", *names
     if further:
         a, c = np.array([row.a for row in further]), [row.c for row in further]
         A = np.concatenate([A, a * frame.scale])
         b = np.concatenate([b, frame.distance(a, np.array(c))])
-    names: list[str | int] = (feasible.num_input_rows + feasible.soft).tolist()
-    if volume_row is not None:
-        names.insert(0, "volume")
     is_hard = exact_slack and volume_row is not None
-    yielding = further[1:] if is_hard else further
+    yielding = further[is_hard:]
     qp = QP(
         frame=frame,
         A=A,
@@ -242,9 +239,9 @@ def state_qp(
         num_hard=len(b) - len(yielding),
         has_hard_volume=is_hard,
         rows=tuple(kept.tolist()),
-        further_rows=tuple(names),
+        further_rows=names,
     )
-    return _with_slacks(qp, yielding)
+    return _with_slacks(qp, yielding) if yielding else qp
 
 
 def _with_slacks(qp: QP, yielding: Sequence[VolumeRow]) -> QP:
@@ -253,8 +250,6 @@ def _with_slacks(qp: QP, yielding: Sequence[VolumeRow]) -> QP:
     In the variables (z, w = sqrt(M) delta) the cost is a distance again, from
     w = N / (2 sqrt(M)); where that is not 0, a row more keeps w from being positive.
     """
-    if not yielding:
-        return qp
     frame, m, count = qp.frame, len(qp.reference), len(yielding)
     root = np.sqrt([row.slack_penalty / frame.cost_unit for row in yielding])
     linear = np.array([row.linear_penalty for row in yielding])
@@ -285,15 +280,6 @@ def _distances(feasible: FeasibleSet, frame: Frame) -> Array:
     return distance
 
 
-def _normalised(reference: Array, inputs: InputSet) -> Array:
-    v = inputs.normalised(reference)
-    if np.abs(v).max() > _FARTHEST_REFERENCE:
-        is_open = np.isinf(inputs.farthest(np.eye(len(v))))
-        farthest = np.where(is_open, _FARTHEST_IN_UNITS, _FARTHEST_REFERENCE)
-        v = v.clip(-farthest, farthest)
-    return v
-
-
 def solve_qp(qp: QP, solver: str) -> tuple[Projection, QP]:
     """Returns a QP's minimiser; where its volume row leaves none, that of one it does.
 
@@ -316,7 +302,7 @@ def solve_qp(qp: QP, solver: str) -> tuple[Projection, QP]:
     i, b = qp.num_hard - 1, qp.b.copy()
     z = minimise_linear(qp.A[i], qp.A[:i], b[:i], qp.num_firm, qp.frame.reach)
     length = float(UnitRows(qp.A[i : i + 1], b[i : i + 1]).length[0])
-    b[i] = max(b[i], float(qp.A[i] @ z) + _MARGIN * length)
+    b[i] = max(b[i], float(qp.A[i] @ z) + MARGIN * length)
     relaxed = replace(qp, b=b)
     try:
         return relaxed.solved(solver), relaxed
@@ -338,72 +324,79 @@ def finer_frame(
         u: An input near the rows, shape (m,).
         touched: Which of the rows that can matter, but for the limits, shape (n,).
     """
-    first, size = feasible.num_input_rows, math.inf
-    reach, scale = np.abs(u).tolist(), frame.scale.tolist()
-    rows = feasible.cutting[len(feasible.input_set.limits) :][touched] - first
-    for i in rows.tolist():
-        entries = np.abs(feasible.rows.A[i]).tolist()
-        length = math.hypot(*map(mul, entries, scale))
-        terms = abs(float(feasible.bound[i]))
-        terms += sum(map(mul, entries, reach))
-        if terms > 0.0 and length > 0.0:
-            size = min(size, terms / length)
+    rows = feasible.cutting_barriers()[touched]
+    A, b = np.abs(feasible.rows.A[rows]), np.abs(feasible.bound[rows])
+    # By hypot, for squares of tiny entries would vanish.
+    terms, length = b + A @ np.abs(u), np.hypot.reduce(A * frame.scale, axis=1)
+    counts = (terms > 0.0) & (length > 0.0)
+    size = float(np.min(terms[counts] / length[counts], initial=math.inf))
     if not 0.0 < size < _SMALL * frame.size:
         return None
     return replace(frame, origin=feasible.input_set.project(u), size=size)
 
 
-def least_violation(
-    feasible: FeasibleSet, qp: QP, held_input: Array, solver: str
-) -> Array:
-    """Returns the input whose worst weighted barrier violation is least, shape (m,).
+@dataclass(frozen=True)
+class TickPrograms:
+    """The QP and the cone program of one control tick, as MathematicalPrograms.
 
-    Among those, the one nearest to the reference; the held input, or the one nearest to
-    it that is allowed, where none was verified.
+    Both are stated anew, with rows of unit length as the filter's solver was given
+    them; nobody else holds them. The inputs are normalised, v with u = center + scale v
+    (see `InputSet`), but for weights of the cost and for limits as good as none.
 
-    Args:
-        feasible: Input limits and barrier rows.
-        qp: The QP of its rows, `QP.hard`.
-        held_input: The input applied now, shape (m,).
-        solver: The solver's name.
+    Attributes:
+        qp: min 1/2 |z - reference|^2 subject to ``A z <= b``; z is v, followed by the
+            scaled slack of every row that gives way at a penalty.
+        qp_rows: What each of its rows stands for.
+        ellipsoid: max (det L)^(1/P) subject to |L'a_i| + a_i d <= b_i (E48), the set's
+            largest ellipsoid {L w + d : |w| <= 1}; None for a single input, whose
+            largest interval needs no program.
+        ellipsoid_rows: What each of its rows stands for.
+        solved: The QP that it states.
     """
-    project, k = feasible.input_set.project, qp.num_firm
-    try:
-        u = qp.frame.input(_least_violation(feasible, qp, solver))
-    except (EmptySetError, SolverError, LinAlgError):
-        return project(held_input)
-    violated = (qp.A @ _coordinates(u, qp.frame) > qp.b)[k:]
-    frame = finer_frame(feasible, qp.frame, u, violated)
-    if frame is not None:
-        reference = qp.frame.input(qp.reference)
-        finer = state_qp(feasible, frame, None, reference, exact_slack=True).hard
-        try:
-            u = frame.input(_least_violation(feasible, finer, solver))
-        except (EmptySetError, SolverError, LinAlgError):
-            pass  # In the coordinates before there is an answer.
-    return project(u)
 
+    qp: MathematicalProgram
+    qp_rows: tuple[str, ...]
+    ellipsoid: MathematicalProgram | None
+    ellipsoid_rows: tuple[str, ...]
+    solved: QP
 
-def _coordinates(u: Array, frame: Frame) -> Array:
-    scale = np.where(frame.scale > 0.0, frame.scale, np.inf)
-    z: Array = (u - frame.origin) / (frame.size * scale)
-    return z
+    @staticmethod
+    def of(
+        qp: QP, feasible: FeasibleSet, names: tuple[str, ...], widening: float
+    ) -> TickPrograms:
+        """States the programs of a tick.
 
+        Args:
+            qp: The QP that was solved.
+            feasible: The feasible set whose ellipsoid was found.
+            names: Of the feasible set's rows.
+            widening: kappa of the volume barrier.
+        """
+        A, reference, _ = qp.as_projection()
+        rows = UnitRows(A, qp.b)
+        nearest = NearestPointProgram(*A.shape)
+        nearest.state(rows.A, rows.b, reference)
+        limits, k = feasible.input_set.limits, feasible.num_input_rows
+        kept = np.concatenate([limits, k + feasible.cutting_barriers(widening)])
+        bounds = feasible.b_v[kept] / np.where(kept < k, 1.0, widening)
+        unit = UnitRows(feasible.A_v[kept], bounds)
+        cone, m = None, feasible.input_set.num_inputs
+        if m > 1:
+            largest = EllipsoidProgram(len(kept), m, 1e-9)
+            largest.state(unit.A, unit.b)
+            cone = largest.program
+        qp_rows = (*qp.rows, *qp.further_rows)
+        named = (row if isinstance(row, str) else names[row] for row in qp_rows)
+        ellipsoid_rows = tuple(names[i] for i in kept)
+        return TickPrograms(nearest.program, tuple(named), cone, ellipsoid_rows, qp)
 
-def _least_violation(feasible: FeasibleSet, qp: QP, solver: str) -> Array:
-    """Min t subject to weight_i (a_i u - b_i) <= t, t >= 0, and then the nearest z."""
-    A, b, k, m = qp.A.copy(), qp.b.copy(), qp.num_firm, len(qp.frame.scale)
-    weight = feasible.weights[feasible.cutting[k:] - feasible.num_input_rows]
-    length = UnitRows(A[k:], b[k:]).length
-    # t is counted in units of the heaviest row's distance, and from where no input is
-    # below it.
-    weight /= float(np.max(weight * length, initial=0.0)) or 1.0
-    A[k:], b[k:] = A[k:] * weight[:, None], b[k:] * weight
-    farthest = feasible.input_set.farthest(A[k:]) / qp.frame.size
-    b[k:] += max(0.0, float(np.max(-b[k:] - farthest, initial=0.0)))
-    last = np.append(np.zeros(m), 1.0)
-    give = np.concatenate([np.zeros(k), np.ones(len(weight))])
-    rows = np.vstack([np.column_stack([A, -give]), -last])
-    z = minimise_linear(last, rows, np.append(b, 0.0), reach=qp.frame.reach)[:-1]
-    b[k:] += np.max(A[k:] @ z - b[k:], initial=0.0) + _MARGIN
-    return replace(qp, A=A, b=b).solved(solver).point
+    def input(self, result: MathematicalProgramResult) -> Array:
+        """Returns the input u of a solution of the QP, shape (m,)."""
+        y, back = result.get_x_val(), self.solved.as_projection()[2]
+        return self.solved.frame.input(y if back is None else back @ y)
+
+    def log_det(self, result: MathematicalProgramResult) -> float:
+        """Returns log det B of a solution of the cone program, in normalised inputs."""
+        row, column = np.tril_indices(len(self.solved.frame.scale))
+        diagonal = result.get_x_val()[: len(row)][row == column]
+        return float(np.log(diagonal).sum())
