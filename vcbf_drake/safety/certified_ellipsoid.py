@@ -7,6 +7,7 @@ makes it and its multipliers exact. Weak duality bounds what is left of the erro
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 import math
 
 import numpy as np
@@ -22,14 +23,77 @@ _PATIENCE = 3
 
 
 @dataclass(frozen=True)
-class CertifiedEllipsoid:
-    """An ellipsoid with what is known of it; see `Ellipsoid`, for rows of length 1."""
+class Ellipsoid:
+    """The largest ellipsoid ``{B v + c : |v| <= 1}`` inside ``{u : A u <= b}``.
+
+    Attributes:
+        center: c, shape (m,).
+        frame: F with F F' = B^2, shape (m, m).
+        log_det: log det B.
+        multipliers: lambda >= 0 of (E56), d(log det B)/db, in the units of the rows
+            as given and exactly 0 for rows that do not touch, shape (n,).
+        certified_gap: No ellipsoid inside has a log det larger by more than this.
+        rows: A as given, shape (n, m).
+    """
 
     center: Array
-    shape: Array
+    frame: Array
     log_det: float
     multipliers: Array
     certified_gap: float
+    rows: Array
+
+    @cached_property
+    def shape(self) -> Array:
+        """B, symmetric and positive definite, shape (m, m)."""
+        return symmetric(self.frame)
+
+    @property
+    def volume(self) -> float:
+        """The volume: that of the unit m-ball times det B."""
+        half = 0.5 * len(self.center)
+        return math.pi**half / math.gamma(half + 1.0) * math.exp(self.log_det)
+
+    def contact_point(self, a: Array) -> Array:
+        """Returns c + B^2 a / |B a|, shape (m,): its point furthest along a row (E57).
+
+        Args:
+            a: The row, shape (m,).
+        """
+        reach = a @ self.frame
+        point: Array = self.center + self.frame @ reach / math.sqrt(reach @ reach)
+        return point
+
+    @property
+    def contact_points(self) -> Array:
+        """The points p_i = c + B^2 a_i / |B a_i| furthest along each row, (n, m) (E57).
+
+        Rows with a positive multiplier touch the ellipsoid there. A row of zeros has no
+        such point and gets the centre.
+        """
+        reach = self.rows @ self.frame
+        length = np.linalg.norm(reach, axis=1, keepdims=True)
+        return self.center + reach / np.where(length > 0.0, length, 1.0) @ self.frame.T
+
+    def volume_gradient(self) -> tuple[Array, Array]:
+        """Returns dV/dA (n, m) and dV/db (n,) of the volume V (E57).
+
+        dV = V sum_i lambda_i (db_i - da_i p_i), p_i the contact points. Where more rows
+        touch than determine the ellipsoid, as with a row given twice, V has one-sided
+        derivatives only, and this is a supergradient of log V in b.
+        """
+        dV_db = self.volume * self.multipliers
+        return -dV_db[:, None] * self.contact_points, dV_db
+
+
+def symmetric(frames: Array) -> Array:
+    """Returns (F F')^(1/2) of every F, shape (..., m, m); nan where F is."""
+    known = np.isfinite(frames).all(axis=(-2, -1))
+    shapes = np.full_like(frames, np.nan)
+    axes, lengths, _ = np.linalg.svd(frames[known])
+    roots = axes * np.sqrt(lengths)[..., None, :]
+    shapes[known] = roots @ np.swapaxes(roots, -2, -1)
+    return shapes
 
 
 def polish(
@@ -38,7 +102,7 @@ def polish(
     center: Array,
     frame: Array,
     multipliers: Array,
-) -> CertifiedEllipsoid | None:
+) -> Ellipsoid | None:
     """Semismooth Newton's method on the optimality conditions (E56).
 
     In the coordinates in which the ellipsoid is the unit ball, with the rows' unit
@@ -96,12 +160,12 @@ def polish(
             multipliers[on] = np.maximum(v - w * (n @ d), 0.0) / length[on]
             center = center + frame @ d
             frame = 1.5 * frame - 0.5 * frame @ ((n.T * (v - we)) @ n)
-    return best and _inside(*best, least)
+    return best and _inside(A, *best, least)
 
 
 def certified(
     A: Array, b: Array, center: Array, frame: Array, multipliers: Array
-) -> CertifiedEllipsoid | None:
+) -> Ellipsoid | None:
     """Returns an ellipsoid as it is, with what is known of it; None without a bound.
 
     Args:
@@ -114,7 +178,7 @@ def certified(
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         n, length, e, w = _contacts(A, b, center, frame, multipliers)
         gap = _gap(n, e, w)
-    return _inside(center, frame, w / length, e, gap) if gap < math.inf else None
+    return _inside(A, center, frame, w / length, e, gap) if gap < math.inf else None
 
 
 def _contacts(
@@ -159,26 +223,22 @@ def _gap(n: Array, e: Array, w: Array) -> float:
 
 
 def _inside(
-    center: Array, frame: Array, multipliers: Array, e: Array, gap: float
-) -> CertifiedEllipsoid:
-    """Scales the ellipsoid until it touches, and takes its symmetric shape (F F')^1/2.
+    A: Array, center: Array, frame: Array, multipliers: Array, e: Array, gap: float
+) -> Ellipsoid:
+    """Scales the ellipsoid until it touches.
 
     The gap gets the rounding of |B a_i| and b_i - a_i c added, which grows with the
     ratio of the longest to the shortest axis, and that of log det B.
     """
-    axes, half_lengths, _ = np.linalg.svd(frame)
-    half_lengths *= 1.0 + e.min()
-    root = axes * np.sqrt(half_lengths)
-    lengths = half_lengths.tolist()
+    scale = 1.0 + float(e.min())
+    lengths = (scale * np.linalg.svd(frame, compute_uv=False)).tolist()
     longest, shortest = lengths[0] + math.sqrt(center @ center), lengths[-1]
     log_det = sum(map(math.log, lengths))
     rounding = 4e-16 * (len(lengths) * longest / shortest + abs(log_det))
-    return CertifiedEllipsoid(
-        center, root @ root.T, log_det, multipliers, gap + rounding
-    )
+    return Ellipsoid(center, scale * frame, log_det, multipliers, gap + rounding, A)
 
 
-def interval(A: Array, b: Array) -> CertifiedEllipsoid | None:
+def interval(A: Array, b: Array) -> Ellipsoid | None:
     """One input: the interval between the nearest bounds on either side."""
     rows = A[:, 0]
     bound = b / rows
@@ -191,6 +251,6 @@ def interval(A: Array, b: Array) -> CertifiedEllipsoid | None:
     multipliers[[upper, lower]] = 0.5 / half
     center = np.array([0.5 * (bound[upper] + bound[lower])])
     rounding = 1e-15 * (1.0 + abs(float(center[0])) / half)
-    return CertifiedEllipsoid(
-        center, np.array([[half]]), math.log(half), multipliers, rounding
+    return Ellipsoid(
+        center, np.array([[half]]), math.log(half), multipliers, rounding, A
     )

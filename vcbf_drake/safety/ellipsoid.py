@@ -8,7 +8,7 @@ certifies it; nothing leaves here without that certificate.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 import math
 
 import numpy as np
@@ -18,7 +18,7 @@ from vcbf_drake.checks import Array
 from vcbf_drake.errors import EmptySetError, SolverError, UnboundedSetError
 from vcbf_drake.safety.certified_ellipsoid import (
     ACCEPTED_GAP,
-    CertifiedEllipsoid,
+    Ellipsoid,
     certified,
     interval,
     polish,
@@ -53,65 +53,6 @@ _FARTHEST = 1e6
 _ROUNDING = 1e-15
 
 
-@dataclass(frozen=True)
-class Ellipsoid:
-    """The largest ellipsoid ``{B v + c : |v| <= 1}`` inside ``{u : A u <= b}``.
-
-    Attributes:
-        center: c, shape (m,).
-        shape: B, symmetric and positive definite, shape (m, m).
-        log_det: log det B.
-        multipliers: lambda >= 0 of (E56), d(log det B)/db, in the units of the rows
-            as given and exactly 0 for rows that do not touch, shape (n,).
-        certified_gap: No ellipsoid inside has a log det larger by more than this.
-        rows: A as given, shape (n, m).
-    """
-
-    center: Array
-    shape: Array
-    log_det: float
-    multipliers: Array
-    certified_gap: float
-    rows: Array
-
-    @property
-    def volume(self) -> float:
-        """The volume: that of the unit m-ball times det B."""
-        half = 0.5 * len(self.center)
-        return math.pi**half / math.gamma(half + 1.0) * math.exp(self.log_det)
-
-    def contact_point(self, a: Array) -> Array:
-        """Returns c + B^2 a / |B a|, shape (m,): its point furthest along a row (E57).
-
-        Args:
-            a: The row, shape (m,).
-        """
-        reach = self.shape @ a
-        point: Array = self.center + self.shape @ reach / math.sqrt(reach @ reach)
-        return point
-
-    @property
-    def contact_points(self) -> Array:
-        """The points p_i = c + B^2 a_i / |B a_i| furthest along each row, (n, m) (E57).
-
-        Rows with a positive multiplier touch the ellipsoid there. A row of zeros has no
-        such point and gets the centre.
-        """
-        reach = self.rows @ self.shape
-        length = np.linalg.norm(reach, axis=1, keepdims=True)
-        return self.center + reach / np.where(length > 0.0, length, 1.0) @ self.shape
-
-    def volume_gradient(self) -> tuple[Array, Array]:
-        """Returns dV/dA (n, m) and dV/db (n,) of the volume V (E57).
-
-        dV = V sum_i lambda_i (db_i - da_i p_i), p_i the contact points. Where more rows
-        touch than determine the ellipsoid, as with a row given twice, V has one-sided
-        derivatives only, and this is a supergradient of log V in b.
-        """
-        dV_db = self.volume * self.multipliers
-        return -dV_db[:, None] * self.contact_points, dV_db
-
-
 def inscribed_ellipsoid(A: ArrayLike, b: ArrayLike) -> Ellipsoid:
     """Returns the largest ellipsoid inside ``{u : A u <= b}``.
 
@@ -136,17 +77,11 @@ def inscribed_ellipsoid(A: ArrayLike, b: ArrayLike) -> Ellipsoid:
         if direction is not None:
             raise UnboundedSetError(*rows.given, direction)
         raise SolverError("no ellipsoid could be certified", *rows.given)
-    return Ellipsoid(
-        found.center,
-        found.shape,
-        found.log_det,
-        rows.in_units_given(found.multipliers),
-        found.certified_gap,
-        rows.given[0],
-    )
+    multipliers = rows.in_units_given(found.multipliers)
+    return replace(found, multipliers=multipliers, rows=rows.given[0])
 
 
-def _search(rows: UnitRows) -> CertifiedEllipsoid | None:
+def _search(rows: UnitRows) -> Ellipsoid | None:
     """Finds the largest ellipsoid from nothing but the rows, or None.
 
     The cone program's tolerance is absolute. So it is solved in the coordinates z,
@@ -159,18 +94,31 @@ def _search(rows: UnitRows) -> CertifiedEllipsoid | None:
         raise EmptySetError(*rows.given, radius)
     if A.shape[1] == 1:
         return interval(A, b)
-    frame = dikin_frame(A, b - A @ center)
+    every, kept = np.arange(len(b)), np.sort(_tightest(A, b, 0))
+    found = _around(center, A, b, every)
+    if found is None and len(kept) < len(b):
+        # A row beside another, a little further out, can spoil the search.
+        found = _around(center, A, b, kept)
+    return found
+
+
+def _around(
+    center: Array, A: Array, b: Array, kept: NDArray[np.intp]
+) -> Ellipsoid | None:
+    """The same, from an interior point; the cone program has the rows kept."""
+    frame, multipliers = dikin_frame(A, b - A @ center), np.zeros(len(b))
     for _ in range(4):
-        normals, distance = A @ frame, b - A @ center
+        normals, distance = A[kept] @ frame, b[kept] - A[kept] @ center
         length = np.linalg.norm(normals, axis=1)
-        program = EllipsoidProgram.of_size(*A.shape, _CAREFUL_TOLERANCE)
+        program = EllipsoidProgram.of_size(*normals.shape, _CAREFUL_TOLERANCE)
         guess = program.solve(
             normals / length[:, None], np.minimum(distance / length, _FARTHEST)
         )
         if guess is None:
             return None
         center, frame = center + frame @ guess[0], frame @ guess[1]
-        found = polish(A, b, center, frame, guess[2] / length)
+        multipliers[kept] = guess[2] / length
+        found = polish(A, b, center, frame, multipliers)
         if found is not None and found.certified_gap <= ACCEPTED_GAP:
             return found
     return None
@@ -204,7 +152,7 @@ class InscribedEllipsoidSolver:
         )
         # Every answer on the plateau shares these.
         self._free.center.flags.writeable = False
-        self._free.shape.flags.writeable = False
+        self._free.frame.flags.writeable = False
 
     @property
     def num_inputs(self) -> int:
@@ -236,14 +184,7 @@ class InscribedEllipsoidSolver:
         rows = np.concatenate([self._A, A])
         if self._is_free(A, b):
             multipliers = np.concatenate([self._free.multipliers, np.zeros(len(b))])
-            return Ellipsoid(
-                self._free.center,
-                self._free.shape,
-                self._free.log_det,
-                multipliers,
-                self._free.certified_gap,
-                rows,
-            )
+            return replace(self._free, multipliers=multipliers, rows=rows)
         bounds = np.concatenate([self._b, b])
         try:
             return self._cut(A, b, rows, bounds)
@@ -259,7 +200,7 @@ class InscribedEllipsoidSolver:
         """Whether the input set's own ellipsoid meets every row."""
         if self._is_box:
             return bool((np.sqrt(np.vecdot(A, A)) <= b).all())
-        length = np.linalg.norm(A @ self._free.shape, axis=1)
+        length = np.linalg.norm(A @ self._free.frame, axis=1)
         return bool((length + A @ self._free.center <= b).all())
 
     def _cut(self, A: Array, b: Array, rows: Array, bounds: Array) -> Ellipsoid:
@@ -281,20 +222,18 @@ class InscribedEllipsoidSolver:
         )
         block_b = np.concatenate([self._b[own], distance / length])
         found = _of_rows(block_A, block_b, self._solver, self._is_box)
-        center, shape = self._free.center.copy(), self._free.shape.copy()
-        center[cut], shape[cut[:, None], cut] = found.center, found.shape
+        center, frame = self._free.center.copy(), self._free.frame.copy()
+        center[cut], frame[cut[:, None], cut] = found.center, found.frame
         multipliers = np.zeros(len(rows))
         multipliers[:k] = self._free.multipliers
         multipliers[own] = found.multipliers[: len(own)]
         multipliers[k + cutting] = found.multipliers[len(own) :] / length
         return Ellipsoid(
-            center, shape, found.log_det, multipliers, found.certified_gap, rows
+            center, frame, found.log_det, multipliers, found.certified_gap, rows
         )
 
 
-def _of_rows(
-    A: Array, b: Array, solver: str, is_box: bool
-) -> CertifiedEllipsoid | Ellipsoid:
+def _of_rows(A: Array, b: Array, solver: str, is_box: bool) -> Ellipsoid:
     """The largest ellipsoid of unit rows, of a set of about unit size."""
     m = A.shape[1]
     if m == 1:
@@ -313,23 +252,7 @@ def _of_rows(
             found = polish(A, b, *guess[:2], multipliers)
     if found and found.certified_gap <= ACCEPTED_GAP:
         return found
-    return _without_spare_rows(A, b)
-
-
-def _without_spare_rows(A: Array, b: Array) -> CertifiedEllipsoid | Ellipsoid:
-    """The largest ellipsoid, sought from nothing but the rows that are not parallel.
-
-    A thrust's limit beside an input's own, a little further out, spoils the search.
-    """
-    kept, multipliers = np.sort(_tightest(A, b, 0)), np.zeros(len(b))
-    proposed = inscribed_ellipsoid(A[kept], b[kept])
-    if len(kept) == len(b):
-        return proposed
-    multipliers[kept] = proposed.multipliers
-    found = certified(A, b, proposed.center, proposed.shape, multipliers)
-    if found is None or not found.certified_gap <= ACCEPTED_GAP:
-        return inscribed_ellipsoid(A, b)
-    return found
+    return inscribed_ellipsoid(A, b)
 
 
 def _tightest(A: Array, b: Array, first: int) -> NDArray[np.intp]:

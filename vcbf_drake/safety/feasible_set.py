@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceEstimate
+from vcbf_drake.safety.certified_ellipsoid import symmetric
 from vcbf_drake.safety.input_set import InputSet
 
 
@@ -246,14 +247,5 @@ def unpack_feasible_set(
     """
     rows, m, lead = num_rows, num_inputs, packed.shape[:-1]
     A, b, frame, center = np.split(packed, np.cumsum([rows * m, rows, m * m]), axis=-1)
-    shape = _symmetric(frame.reshape(*lead, m, m))
+    shape = symmetric(frame.reshape(*lead, m, m))
     return PackedFeasibleSet(A.reshape(*lead, rows, m), b, shape, center)
-
-
-def _symmetric(frames: Array) -> Array:
-    """Returns (F F')^(1/2) of every F, shape (..., m, m); nan where F is."""
-    known = np.isfinite(frames).all(axis=(-2, -1))
-    shapes = np.full_like(frames, np.nan)
-    axes, lengths, _ = np.linalg.svd(frames[known])
-    shapes[known] = (axes * lengths[..., None, :]) @ np.swapaxes(axes, -2, -1)
-    return shapes

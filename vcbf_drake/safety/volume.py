@@ -11,11 +11,8 @@ import numpy as np
 from vcbf_drake.checks import Array, check_parameter, require
 from vcbf_drake.errors import EmptySetError, SolverError, VcbfError
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety.ellipsoid import (
-    THINNEST,
-    Ellipsoid,
-    InscribedEllipsoidSolver,
-)
+from vcbf_drake.safety.certified_ellipsoid import Ellipsoid
+from vcbf_drake.safety.ellipsoid import THINNEST, InscribedEllipsoidSolver
 from vcbf_drake.safety.feasible_set import DisturbanceKnowledge, FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.programs import DEFAULT_SOLVER
@@ -222,7 +219,7 @@ class VolumeMeasure:
             pass
         if found is None:
             return np.full((m, m), np.nan), np.full(m, np.nan)
-        frame = inputs.scale[:, None] * found.shape
+        frame = inputs.scale[:, None] * found.frame
         return frame, inputs.center + inputs.scale * found.center
 
 
