@@ -137,6 +137,9 @@ class InscribedEllipsoidSolver:
         input_set: The inputs before any row cuts them.
         solver: The name of the solver that proposes; where it takes no cone programs,
             `DEFAULT_SOLVER` does.
+
+    Attributes:
+        free: That of the input set alone.
     """
 
     def __init__(self, input_set: InputSet, solver: str = DEFAULT_SOLVER) -> None:
@@ -145,14 +148,14 @@ class InscribedEllipsoidSolver:
         self._is_box = input_set.is_box
         self._all_rows, self._all_inputs = map(np.arange, self._A.shape)
         m = input_set.num_inputs
-        self._free = (
+        self.free = (
             Ellipsoid(np.zeros(m), np.eye(m), 0.0, np.full(2 * m, 0.5), 0.0, self._A)
             if self._is_box
             else inscribed_ellipsoid(self._A, self._b)
         )
         # Every answer on the plateau shares these.
-        self._free.center.flags.writeable = False
-        self._free.frame.flags.writeable = False
+        self.free.center.flags.writeable = False
+        self.free.frame.flags.writeable = False
 
     @property
     def num_inputs(self) -> int:
@@ -183,8 +186,8 @@ class InscribedEllipsoidSolver:
             )
         rows = np.concatenate([self._A, A])
         if self._is_free(A, b):
-            multipliers = np.concatenate([self._free.multipliers, np.zeros(len(b))])
-            return replace(self._free, multipliers=multipliers, rows=rows)
+            multipliers = np.concatenate([self.free.multipliers, np.zeros(len(b))])
+            return replace(self.free, multipliers=multipliers, rows=rows)
         bounds = np.concatenate([self._b, b])
         try:
             return self._cut(A, b, rows, bounds)
@@ -200,8 +203,8 @@ class InscribedEllipsoidSolver:
         """Whether the input set's own ellipsoid meets every row."""
         if self._is_box:
             return bool((np.sqrt(np.vecdot(A, A)) <= b).all())
-        length = np.linalg.norm(A @ self._free.frame, axis=1)
-        return bool((length + A @ self._free.center <= b).all())
+        length = np.linalg.norm(A @ self.free.frame, axis=1)
+        return bool((length + A @ self.free.center <= b).all())
 
     def _cut(self, A: Array, b: Array, rows: Array, bounds: Array) -> Ellipsoid:
         """The input set cut by rows, with only the rows and the inputs that matter."""
@@ -222,10 +225,10 @@ class InscribedEllipsoidSolver:
         )
         block_b = np.concatenate([self._b[own], distance / length])
         found = _of_rows(block_A, block_b, self._solver, self._is_box)
-        center, frame = self._free.center.copy(), self._free.frame.copy()
+        center, frame = self.free.center.copy(), self.free.frame.copy()
         center[cut], frame[cut[:, None], cut] = found.center, found.frame
         multipliers = np.zeros(len(rows))
-        multipliers[:k] = self._free.multipliers
+        multipliers[:k] = self.free.multipliers
         multipliers[own] = found.multipliers[: len(own)]
         multipliers[k + cutting] = found.multipliers[len(own) :] / length
         return Ellipsoid(

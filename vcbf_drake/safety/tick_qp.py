@@ -219,11 +219,8 @@ def state_qp(
         for i in feasible.soft.tolist()
     ]
     further = soft if volume_row is None else [volume_row, *soft]
-    names: tuple[str | int, ...] = tuple(
-        (feasible.num_input_rows + feasible.soft).tolist()
-    )
-    if volume_row is not None:
-        names = "volume", *names
+    names: list[str | int] = ["volume"] if volume_row is not None else []
+    names += (feasible.num_input_rows + feasible.soft).tolist()
     if further:
         a, c = np.array([row.a for row in further]), [row.c for row in further]
         A = np.concatenate([A, a * frame.scale])
@@ -239,7 +236,7 @@ def state_qp(
         num_hard=len(b) - len(yielding),
         has_hard_volume=is_hard,
         rows=tuple(kept.tolist()),
-        further_rows=names,
+        further_rows=tuple(names),
     )
     return _with_slacks(qp, yielding) if yielding else qp
 
@@ -324,12 +321,13 @@ def finer_frame(
         u: An input near the rows, shape (m,).
         touched: Which of the rows that can matter, but for the limits, shape (n,).
     """
-    rows = feasible.cutting_barriers()[touched]
-    A, b = np.abs(feasible.rows.A[rows]), np.abs(feasible.bound[rows])
-    # By hypot, for squares of tiny entries would vanish.
-    terms, length = b + A @ np.abs(u), np.hypot.reduce(A * frame.scale, axis=1)
-    counts = (terms > 0.0) & (length > 0.0)
-    size = float(np.min(terms[counts] / length[counts], initial=math.inf))
+    size, reach = math.inf, np.abs(u)
+    for i in feasible.cutting_barriers()[touched].tolist():
+        a = np.abs(feasible.rows.A[i])
+        length = math.hypot(*(a * frame.scale).tolist())
+        terms = abs(float(feasible.bound[i])) + float(a @ reach)
+        if terms > 0.0 and length > 0.0:
+            size = min(size, terms / length)
     if not 0.0 < size < _SMALL * frame.size:
         return None
     return replace(frame, origin=feasible.input_set.project(u), size=size)

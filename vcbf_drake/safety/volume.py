@@ -98,6 +98,24 @@ class Volume:
     bound: float
     unit: float = 1.0
 
+    @staticmethod
+    def unmoved(
+        determinant: float,
+        ellipsoid: Ellipsoid | None,
+        num_states: int,
+        num_channels: int,
+    ) -> Volume:
+        """Returns det B of a set that no barrier row moves.
+
+        Args:
+            determinant: It.
+            ellipsoid: The largest ellipsoid.
+            num_states: n.
+            num_channels: q.
+        """
+        state, estimate = np.zeros(num_states), np.zeros(num_channels)
+        return Volume(determinant, ellipsoid, state, 0.0, estimate, 0.0, determinant)
+
     def above(self, threshold: float) -> Volume:
         """Returns V_v, where this is det B: less its threshold xi."""
         return replace(self, value=self.value - threshold)
@@ -161,19 +179,22 @@ class VolumeMeasure:
         if self._solver is None or not feasible.is_finite:
             return None
         inputs, rows, known = self._input_set, feasible.rows, feasible.known
-        kappa, n, k = self._widening, rows.num_states, feasible.num_input_rows
+        kappa, k = self._widening, feasible.num_input_rows
+        n, q = rows.num_states, len(known.estimate)
         cut = feasible.cutting_barriers(kappa)
+        if not len(cut):
+            free = self._solver.free
+            return Volume.unmoved(math.exp(free.log_det), free, n, q)
         A, b = feasible.A_v[k + cut], feasible.b_v[k + cut] / kappa
-        extended, estimate, bound = np.zeros(n + 1), np.zeros(len(known.estimate)), 0.0
         try:
             ellipsoid = self._solver.solve(A, b)
         except EmptySetError:
-            least = THINNEST**inputs.num_inputs
-            return Volume(least, None, extended[:n], 0.0, estimate, bound, least)
+            return Volume.unmoved(THINNEST**inputs.num_inputs, None, n, q)
         except (SolverError, np.linalg.LinAlgError):
             return None
         determinant = math.exp(ellipsoid.log_det)
         weights = determinant / kappa * ellipsoid.multipliers[k:]
+        extended, estimate, bound = np.zeros(n + 1), np.zeros(q), 0.0
         touching = weights.nonzero()[0]
         gradients = rows.gradients(cut[touching].tolist()) if len(touching) else ()
         for i, gradient in zip(touching.tolist(), gradients, strict=True):
