@@ -16,7 +16,7 @@ import numpy as np
 from pydrake.lcm import DrakeLcm
 import pytest
 
-from tests.fuzz.genuine_messages import FORMATS, SECOND, genuine
+from tests.helpers.genuine_messages import FORMATS, SECOND, genuine
 from vcbf_drake import load_scenario
 from vcbf_drake.hil import (
     Bus,

@@ -44,27 +44,39 @@ needs_bus = pytest.mark.skipif(
 )
 
 
+@contextlib.contextmanager
+def hang_up(action: signal.Handlers) -> Iterator[None]:
+    """What a hang-up does to processes that are started, be it under nohup or not."""
+    before = signal.signal(signal.SIGHUP, action)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 @pytest.fixture
 def start() -> Iterator[Callable[..., subprocess.Popen]]:
     """Starts one side; at the end of a test whatever still runs is killed."""
     processes: list[subprocess.Popen] = []
 
     def start_side(
-        side: str, *options: str, scenario: str = "car-avoidance", **popen
+        side: str,
+        *options: str,
+        scenario: str = "car-avoidance",
+        at_hang_up=signal.SIG_DFL,
+        **popen,
     ) -> subprocess.Popen:
         arguments = [*COMMAND, side, scenario, "--lcm-url", URL, "--json"]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | popen
-        processes.append(subprocess.Popen([*arguments, *options], **pipes, text=True))
+        with hang_up(at_hang_up):
+            process = subprocess.Popen([*arguments, *options], **pipes, text=True)
+        processes.append(process)
         return processes[-1]
 
     yield start_side
     for process in processes:
         process.kill()
         process.communicate()
-
-
-def ignore_hang_ups() -> None:
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
 
 def report(process: subprocess.Popen, status: int = 0) -> dict:
@@ -297,7 +309,7 @@ def test_a_reader_of_stderr_that_stalls_stops_no_flight(start) -> None:
 @needs_bus
 def test_a_hang_up_that_is_ignored_stays_so(start) -> None:
     """As under nohup: the terminal is closed, and the flight goes on."""
-    alone = start("plant", "--wait", "1", preexec_fn=ignore_hang_ups)
+    alone = start("plant", "--wait", "1", at_hang_up=signal.SIG_IGN)
     assert alone.stderr.readline().startswith("vehicle of car-avoidance on ")
     alone.send_signal(signal.SIGHUP)
     _, err = alone.communicate(timeout=60.0)
@@ -332,9 +344,11 @@ def test_a_signal_while_everything_is_loaded_is_one_line(start) -> None:
 def test_an_interrupt_at_any_moment_is_one_line(command, number, moment) -> None:
     """As soon as a module has been imported, which Python tells one by one."""
     python = [sys.executable, "-X", "importtime", "-m", "vcbf_drake"]
-    with subprocess.Popen(
-        [*python, command, "car-avoidance"], stderr=subprocess.PIPE, text=True
-    ) as loading:
+    with hang_up(signal.SIG_DFL):
+        loading = subprocess.Popen(
+            [*python, command, "car-avoidance"], stderr=subprocess.PIPE, text=True
+        )
+    with loading:
         lines = iter(loading.stderr)
         assert any(line.rpartition("|")[2].strip() == moment for line in lines)
         loading.send_signal(number)

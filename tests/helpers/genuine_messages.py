@@ -1,4 +1,4 @@
-"""LCM messages that nothing is wrong with: what fuzzing and attacks begin with."""
+"""LCM messages that nothing is wrong with: what attacks and fuzzing begin with."""
 
 from __future__ import annotations
 
