@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -45,25 +45,21 @@ _SERIES = (
 )
 
 
-@dataclass
-class _Recording:
+@dataclass(frozen=True)
+class _Motion:
     """What happened.
 
     Attributes:
-        frames: The frames' times, at equal steps from 0 [s].
-        poses: Every frame's pose in the world, by its identifier.
-        log: The arrays of the filter's ports, as a `Result` has them.
-        time: The log's times, if they are not the frames' [s].
+        frames: The frames' times, from 0 [s].
+        log: The arrays of the filter's ports, as a `Result` has them; or nothing.
+        time: The log's times [s].
         events: How it ended, if it ended early.
     """
 
-    frames: list[float] = field(default_factory=list)
-    poses: dict[FrameId, list[RigidTransform]] = field(
-        default_factory=lambda: defaultdict(list)
-    )
-    log: dict[str, Array] = field(default_factory=dict)
-    time: Array | None = None
-    events: list[Event] = field(default_factory=list)
+    frames: Array
+    log: Mapping[str, Array]
+    time: Array
+    events: Sequence[Event] = ()
 
 
 def write_diagram_replay(
@@ -104,33 +100,37 @@ def write_diagram_replay(
         ValueError: The diagram has no SceneGraph, or nothing in it to show; not one of
             duration and log was given; it is unclear whose state the log has.
     """
-    if (duration is None) == (log is None):
-        raise ValueError("duration, log: one of the two says what to replay")
     scene_graph = _first(diagram, SceneGraph)
     if scene_graph is None:
         raise ValueError(f"diagram {diagram.get_name()}: it has no SceneGraph")
-    start = diagram.CreateDefaultContext() if context is None else context.Clone()
     inspector = scene_graph.model_inspector()
-    found = {each: [*_parts(inspector, each)] for each in inspector.GetAllFrameIds()}
-    frames = {frame: parts for frame, parts in found.items() if parts}
-    if not frames:
+    parts = {each: [*_parts(inspector, each)] for each in inspector.GetAllFrameIds()}
+    poses: dict[FrameId, list[RigidTransform]] = {f: [] for f in parts if parts[f]}
+    if not poses:
         raise ValueError("SceneGraph: nothing in it has the illustration role")
-    safety_filter, recording = _first(diagram, SafetyFilter), _Recording()
-    moments = (
-        _run(diagram, start, duration, safety_filter, recording)
-        if duration is not None
-        else _follow(diagram, start, log, plant, recording)
-    )
-    for time in moments:
-        recording.frames.append(time)
+    now = diagram.CreateDefaultContext() if context is None else context.Clone()
+
+    def look() -> None:
         port = scene_graph.get_query_output_port()
-        query = port.Eval(scene_graph.GetMyContextFromRoot(start))
-        for frame in frames:
-            pose = query.GetPoseInWorld(frame)  # Drake's own, which goes on changing.
-            recording.poses[frame].append(RigidTransform(pose))
-    sources = {frame: inspector.GetOwningSourceName(frame) for frame in frames}
+        query = port.Eval(scene_graph.GetMyContextFromRoot(now))
+        for frame in poses:
+            # Drake's own goes on changing.
+            poses[frame].append(RigidTransform(query.GetPoseInWorld(frame)))
+
+    safety_filter = _first(diagram, SafetyFilter)
+    if log is None and duration is not None:
+        motion = _simulated(diagram, now, duration, safety_filter, look)
+    elif log is not None and duration is None:
+        motion = _logged(diagram, now, log, plant, look)
+    else:
+        raise ValueError("duration, log: one of the two says what to replay")
+    bodies = [
+        Moving(f"frames/{number}", parts[frame], each)
+        for number, (frame, each) in enumerate(poses.items())
+    ]
+    sources = [inspector.GetOwningSourceName(frame) for frame in poses]
     words = Words(title or diagram.get_name() or "Replay")
-    return _write(path, words, frames, recording, safety_filter, sources)
+    return _write(path, words, bodies, sources, motion, safety_filter)
 
 
 def _first(diagram: Diagram, kind: type) -> Any:
@@ -158,66 +158,69 @@ def _parts(inspector: SceneGraphInspector, frame: FrameId) -> Iterator[Part]:
         yield Part(name, inspector.GetShape(geometry), hexadecimal, pose)
 
 
-def _run(
+def _times(duration: float) -> Array:
+    """The times of the frames [s]."""
+    count = int(np.clip(np.ceil(30.0 * duration), 1, MAX_FRAMES))
+    return np.linspace(0.0, duration, count + 1)
+
+
+def _simulated(
     diagram: Diagram,
     context: Context,
     duration: float,
     safety_filter: SafetyFilter | None,
-    recording: _Recording,
-) -> Iterator[float]:
-    """Simulates; yields the time of each frame when the context is there."""
-    simulator = Simulator(diagram, context)
-    begin, rows = context.get_time(), list[dict[str, Any]]()
-    count = int(np.clip(np.ceil(30.0 * duration), 1, MAX_FRAMES))
-    for time in np.linspace(0.0, duration, count + 1):
+    look: Callable[[], None],
+) -> _Motion:
+    """Simulates, and looks at every frame."""
+    simulator, begin = Simulator(diagram, context), context.get_time()
+    frames, rows = list[float](), list[dict[str, Any]]()
+    events = []
+    for time in _times(duration):
         with naming_user_code(context.get_time):
             status = simulator.AdvanceTo(begin + time)
-        now = context.get_time() - begin
+        look()
+        frames.append(context.get_time() - begin)
         if safety_filter is not None:
             rows.append(filter_values(safety_filter, context))
-        yield now
         if status.reason() != SimulatorStatus.ReturnReason.kReachedBoundaryTime:
-            words = f"ended at {now:.2f} s"
-            recording.events.append(Event(now, "infeasible", words))
+            words = f"ended at {frames[-1]:.2f} s"
+            events.append(Event(frames[-1], "infeasible", words))
             break
-    recording.log = {
-        name: np.array([row[name] for row in rows]) for name in (rows or [{}])[0]
+    log = {
+        name: np.array([row[name] for row in rows]) for row in rows[:1] for name in row
     }
+    return _Motion(np.array(frames), log, np.array(frames), events)
 
 
-def _follow(
+def _logged(
     diagram: Diagram,
     context: Context,
-    log: Log | None,
+    log: Log,
     plant: System | None,
-    recording: _Recording,
-) -> Iterator[float]:
-    """Puts a logged state into the context; yields the time of each frame then."""
+    look: Callable[[], None],
+) -> _Motion:
+    """Puts the state of a log into the context, and looks, at every frame."""
     if isinstance(log, VectorLog):
         log = {"time": log.sample_times(), "state": log.data().T}
-    arrays = {name: np.asarray(values) for name, values in (log or {}).items()}
+    arrays = {name: np.asarray(values) for name, values in log.items()}
     missing = [name for name in ("time", "state") if name not in arrays]
     if missing:
         raise ValueError(f"log: it has no {' and no '.join(missing)}")
     time, state = arrays["time"], np.atleast_2d(arrays["state"])
     if len(time) == 0 or len(time) != len(state):
         raise ValueError(f"log: {len(time)} times, {len(state)} states")
-    own = _holder(diagram, context, state.shape[1], plant)
-    own = own.GetMyMutableContextFromRoot(context)
-    span = max(float(time[-1] - time[0]), 1e-3)
-    count = int(np.clip(np.ceil(30.0 * span), 1, MAX_FRAMES))
-    for now in np.linspace(0.0, span, count + 1):
-        at = float(time[0] + now)
-        x = np.array([np.interp(at, time, each) for each in state.T])
+    holder = _holder(diagram, context, state.shape[1], plant)
+    own = holder.GetMyMutableContextFromRoot(context)
+    is_continuous = own.num_continuous_states() == state.shape[1]
+    put = own.SetContinuousState if is_continuous else own.SetDiscreteState
+    frames = _times(max(float(time[-1] - time[0]), 1e-3))
+    for at in time[0] + frames:
         context.SetTime(at)
-        if own.num_continuous_states() == len(x):
-            own.SetContinuousState(x)
-        else:
-            own.SetDiscreteState(x)
-        yield float(now)
+        put(np.array([np.interp(at, time, each) for each in state.T]))
+        look()
     if all(name in arrays for name in _SERIES):
-        recording.time = time - time[0]
-        recording.log = arrays
+        return _Motion(frames, arrays, time - time[0])
+    return _Motion(frames, {}, frames)
 
 
 def _holder(
@@ -277,50 +280,43 @@ def filter_values(safety_filter: SafetyFilter, root: Context) -> dict[str, Any]:
 def _write(
     path: Path,
     words: Words,
-    frames: dict[FrameId, list[Part]],
-    recording: _Recording,
+    bodies: Sequence[Moving],
+    sources: Sequence[str],
+    motion: _Motion,
     safety_filter: SafetyFilter | None,
-    sources: dict[FrameId, str],
 ) -> Path:
-    bodies = {
-        frame: Moving(f"frames/{number}", parts, recording.poses[frame])
-        for number, (frame, parts) in enumerate(frames.items())
-    }
-    places = {
-        frame: np.array([pose.translation() for pose in body.poses])
-        for frame, body in bodies.items()
-    }
-    travel = {frame: float(np.ptp(places[frame], axis=0).sum()) for frame in places}
-    ranked = sorted(travel, key=travel.__getitem__)
-    farthest = {sources[frame]: frame for frame in ranked}
-    view = _view([*bodies.values()])
-    meshcat = private_meshcat()
+    """Writes the page of bodies, of which each source's farthest leaves a trail."""
+    view, meshcat = _view(bodies), private_meshcat()
     draw_room(meshcat, view)
-    for number, frame in enumerate(farthest.values()):
-        if travel[frame] > 1e-6:
-            way = tube(places[frame], 0.0016 * view.span)
+    places = [np.array([pose.translation() for pose in b.poses]) for b in bodies]
+    travel = [float(np.ptp(each, axis=0).sum()) for each in places]
+    ranked = sorted(range(len(bodies)), key=travel.__getitem__)
+    farthest = {sources[index]: index for index in ranked}
+    for number, index in enumerate(farthest.values()):
+        if travel[index] > 1e-6:
+            way = tube(places[index], 0.0016 * view.span)
             draw_mesh(meshcat, f"trail/{number}", way, BLUE)
-    for body in bodies.values():
+    for body in bodies:
         draw_body(meshcat, body)
-    duration = max(recording.frames[-1], 1e-3)
-    rate = max(len(recording.frames) - 1, 1) / duration
-    times = np.arange(len(recording.frames)) / rate
-    tracks = [(each.path, times, each.poses) for each in bodies.values() if each.moves]
+    duration = max(float(motion.frames[-1]), 1e-3)
+    rate = max(len(motion.frames) - 1, 1) / duration
+    times = np.arange(len(motion.frames)) / rate
+    tracks = [(each.path, times, each.poses) for each in bodies if each.moves]
     page = record(meshcat, rate, tracks)
     label, inputs, limits = words.title, list[str](), None
-    if safety_filter is not None and recording.log:
-        label, limits = safety_filter.get_name(), _limits(safety_filter)
+    if safety_filter is not None and motion.log:
+        label, input_set = safety_filter.get_name(), safety_filter.input_set
         inputs = [f"input {k}" for k in range(safety_filter.model.num_inputs)]
-    time = recording.frames if recording.time is None else recording.time
+        ends = input_set.center - input_set.scale, input_set.center + input_set.scale
+        limits = InputLimits(*(each.tolist() for each in ends))
     shown = Drawn(
-        label, BLUE, (), False, recording.events, np.array(time), recording.log,
-        inputs, limits,
-    )  # fmt: skip
+        label, BLUE, (), False, motion.events, motion.time, motion.log, inputs, limits
+    )
     data = page_data([(shown, places[ranked[-1]])], view, duration, "")
     return write_page(page, words, data, path)
 
 
-def _view(bodies: list[Moving]) -> View:
+def _view(bodies: Sequence[Moving]) -> View:
     """The box around everything that is shown, with a border, as seen from a corner."""
     everything = np.vstack([body.reached for body in bodies])
     low, high = everything.min(axis=0), everything.max(axis=0)
@@ -329,7 +325,7 @@ def _view(bodies: list[Moving]) -> View:
     span = max(float(np.linalg.norm(high - low)), 1e-3)
     azimuth, elevation = _LOOK_FROM
     return View(
-        points=np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T,
+        points=np.array([*product(*zip(low, high, strict=True))]),
         low=low,
         high=high,
         span=span,
@@ -338,9 +334,3 @@ def _view(bodies: list[Moving]) -> View:
         places=(),
         few=sum(len(body.parts) for body in bodies) < 100,
     )
-
-
-def _limits(safety_filter: SafetyFilter) -> InputLimits:
-    inputs = safety_filter.input_set
-    low, high = inputs.center - inputs.scale, inputs.center + inputs.scale
-    return InputLimits(low.tolist(), high.tolist())
