@@ -150,8 +150,8 @@ def test_one_diagram_is_the_simulation_one_period_late(name, duration) -> None:
     found = both_halves_in_one_diagram(name, duration)
     expected = simulation_with_a_second_hold(name, duration)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
-    again = both_halves_in_one_diagram(name, duration)
-    assert found.tobytes() == again.tobytes()
+    again = both_halves_in_one_diagram(name, 1.0)
+    assert found[: len(again)].tobytes() == again.tobytes()
     on_time = simulate(scenario(name, duration=duration), step_time=False).log["state"]
     assert np.abs(found - on_time).max() > 1e-4
 

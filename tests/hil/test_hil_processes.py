@@ -100,7 +100,7 @@ def test_two_processes_drive_the_car_and_report(start) -> None:
         assert not side["arrived"]["rejected"].get("another type")
         trip = side["round_trip_ms"]
         assert 0.0 < trip["median"] <= trip["p99"]
-    assert car["real_time_rate"] == pytest.approx(1.0, abs=0.2)
+    assert 0.0 < car["real_time_rate"] < 1.2  # A busy machine is late, never early.
     assert pilot["changes"][-1]["mode"] == "end"
 
 

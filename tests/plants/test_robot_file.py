@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 import shutil
+import struct
 
 import numpy as np
 from pydrake.common import FindResourceOrThrow
+from pydrake.geometry import Box, Capsule
 from pydrake.multibody.plant import MultibodyPlant
 import pytest
 
 from vcbf_drake import load_scenario
 from vcbf_drake.errors import InvalidValueError
+from vcbf_drake.plants import MultibodyVehicle, Part
 from vcbf_drake.plants.robot_file import RobotFile, bodies_of
+from vcbf_drake.plants.shapes import bounding_box
 from vcbf_drake.simulation import dump_scenario
 from vcbf_drake.simulation.loading import parse_scenario
 
@@ -146,3 +150,79 @@ def test_wrong_files_are_refused_in_one_line(robot: RobotFile, message: str) -> 
     with pytest.raises(InvalidValueError, match=message) as caught:
         robot.plant()
     assert "\n" not in str(caught.value)
+
+
+CORNERS = np.array([[0.0, 0, 0], [0.2, 0, 0], [0, 0.3, 0], [0, 0, 0.4]])
+FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+
+
+def write_stl(file: Path, in_words: bool) -> None:
+    """A tetrahedron, in one of the format's two forms."""
+    if in_words:
+        corners = [
+            "\n".join(f"vertex {x} {y} {z}" for x, y, z in CORNERS[face])
+            for face in FACES
+        ]
+        facet = "facet normal 0 0 0\nouter loop\n{}\nendloop\nendfacet"
+        text = ["solid t", *map(facet.format, corners), "endsolid t"]
+        file.write_text("\n".join(text))
+        return
+    facets = [
+        struct.pack("<12fH", 0, 0, 0, *CORNERS[face].ravel(), 0) for face in FACES
+    ]
+    header = b"tetrahedron".ljust(80) + struct.pack("<I", len(FACES))
+    file.write_bytes(header + b"".join(facets))
+
+
+def robot_with(tmp_path: Path, visual: str, collision: str = "") -> MultibodyVehicle:
+    """The planar arm with other shapes on its upper arm."""
+    shape = "<{0}><geometry>{1}</geometry></{0}>"
+    text = Path(PLANAR).read_text()
+    start, end = text.index("<visual>", text.index("upper_arm")), text.index("forearm")
+    end = text.rindex("</visual>", 0, end) + len("</visual>")
+    shapes = shape.format("visual", visual)
+    shapes += shape.format("collision", collision) if collision else ""
+    (tmp_path / "arm.urdf").write_text(text[:start] + shapes + text[end:])
+    return MultibodyVehicle(str(tmp_path / "arm.urdf"), "forearm")
+
+
+def shown(vehicle: MultibodyVehicle) -> list[Part]:
+    return [each for each in vehicle.geometry("#123456") if each.body == "upper_arm"]
+
+
+@pytest.mark.parametrize("in_words", [True, False])
+@pytest.mark.parametrize("name", ["part.stl", "part.STL"])
+def test_stl_meshes_are_drawn_at_their_size(
+    tmp_path: Path, in_words: bool, name: str
+) -> None:
+    write_stl(tmp_path / name, in_words)
+    mesh = f"<mesh filename='{name}' scale='0.5 0.5 0.5'/>"
+    (part,) = shown(robot_with(tmp_path, mesh))
+    low, high = bounding_box([part])
+    np.testing.assert_allclose(low, 0.0, atol=1e-3)
+    np.testing.assert_allclose(high, [0.1, 0.15, 0.2], atol=1e-3)
+
+
+def test_meshes_that_are_not_drawn_are_their_collision_shapes_or_rods(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "part.dae").touch()
+    mesh = "<mesh filename='part.dae'/>"
+    (part,) = shown(robot_with(tmp_path, mesh, "<box size='0.1 0.2 0.3'/>"))
+    assert isinstance(part.shape, Box)
+    assert not caplog.records
+    for missing in (mesh, "<mesh filename='nowhere.obj'/>"):
+        vehicle = robot_with(tmp_path, missing)
+        assert isinstance(shown(vehicle)[0].shape, Capsule)
+        assert isinstance(shown(vehicle)[0].shape, Capsule)
+    (record,) = caplog.records
+    assert record.message.endswith("rods for upper_arm")
+    assert ".stl" in record.message
+
+
+def test_a_wavefront_mesh_beside_the_file_is_drawn(tmp_path: Path) -> None:
+    lines = [*(f"v {x} {y} {z}" for x, y, z in CORNERS)]
+    lines += [f"f {a} {b} {c}" for a, b, c in FACES + 1]
+    (tmp_path / "part.obj").write_text("\n".join([*lines, ""]))
+    (part,) = shown(robot_with(tmp_path, "<mesh filename='part.obj'/>"))
+    np.testing.assert_allclose(bounding_box([part])[1], [0.2, 0.3, 0.4], atol=1e-9)

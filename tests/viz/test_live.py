@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 import json
+import struct
 from threading import Timer
 import time
 from typing import Any
@@ -109,6 +110,52 @@ def test_a_person_at_the_sliders_takes_the_controllers_place() -> None:
     np.testing.assert_allclose(result.log["input"][5], [1.5, 0.0], atol=1e-6)
 
 
+def packed(value: Any) -> bytes:
+    """A small value as MessagePack, which is how Meshcat's page sends it."""
+    if isinstance(value, dict):
+        pairs = [packed(each) for pair in value.items() for each in pair]
+        return bytes([0x80 | len(value)]) + b"".join(pairs)
+    if isinstance(value, list):
+        return bytes([0x90 | len(value)]) + b"".join(map(packed, value))
+    if isinstance(value, str):
+        return bytes([0xA0 | len(value)]) + value.encode()
+    if isinstance(value, int):
+        return bytes([value])
+    return b"\xcb" + struct.pack(">d", value)
+
+
+@pytest.mark.parametrize(
+    ("axes", "reference"),
+    [
+        ([0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0]),
+        ([0.07, -0.05, 0.02, 0.0], [0.0, 0.0, 0.0]),  # A stick that is not quite level.
+        ([1.0, -1.0, 1.0, 0.0], [0.1, 0.2, 0.01]),
+        ([-1.0, 1.0, -1.0, 0.0], [-0.02, -0.2, -0.01]),
+        ([0.5, -0.5, 0.5, 0.0], [0.05, 0.1, 0.005]),
+        ([-0.5, 0.5], [-0.01, -0.1, -0.005]),  # The first axis again.
+        ([], [0.0, 0.0, 0.0]),
+    ],
+)
+def test_a_gamepads_axes_are_the_inputs(
+    axes: list[float], reference: list[float]
+) -> None:
+    limits = {"lower": [-0.02, -0.2, -0.01], "upper": [0.1, 0.2, 0.01]}
+    scenario = load_scenario("blimp-multiple-obstacles", {"input_set": limits})
+    view = LiveView([scenario], lambda address: None)
+    stick = Stick(view.meshcat, scenario)
+    gamepad = {"index": 0, "button_values": [0.0], "axes": axes}
+    message = {"type": "gamepad", "name": "", "gamepad": gamepad}
+    view.meshcat._InjectWebsocketMessage(packed(message))
+    context = stick.CreateDefaultContext()
+    found = stick.GetOutputPort("reference").Eval(context)
+    np.testing.assert_allclose(found, reference, atol=1e-12)
+    # Unplugged, when Meshcat keeps its index, it leaves the word to the sliders.
+    view.meshcat._InjectWebsocketMessage(packed(message | {"gamepad": {}}))
+    view.meshcat.SetSliderValue("surge force [N]", 0.06)
+    again = stick.GetOutputPort("reference").Eval(stick.CreateDefaultContext())
+    np.testing.assert_allclose(again, [0.06, 0.0, 0.0])
+
+
 def test_a_slider_needs_limits() -> None:
     changes = {"method": "cbf-qp", "input_set": {"lower": [float("-inf"), -4.5]}}
     scenario = load_scenario("car-avoidance", changes)
@@ -139,3 +186,30 @@ def test_a_browser_shows_the_present() -> None:
     assert "TubeGeometry" in seen["kinds"]
     assert seen["class"] == "live over"
     assert not seen["errors"]
+
+
+GAMEPAD = """navigator.getGamepads = () => [null, {
+  connected: true, index: 1, axes: [0.5, -1], buttons: [{ value: 0 }],
+}];"""
+
+
+@pytest.mark.slow
+def test_a_gamepad_in_a_browser_drives() -> None:
+    scenario = load_scenario("car-avoidance", {"duration": 2.0})
+    found: list[Future[Any]] = []
+
+    def act(address: str) -> list[str]:
+        with browser() as tab:
+            tab.call("Page.addScriptToEvaluateOnNewDocument", source=GAMEPAD)
+            tab.open(address)
+            ended = "document.documentElement.className"
+            assert tab.settle(f"{ended} === 'live driven over' || null")
+            return [each for each in tab.errors if "WebSocket" not in each]
+
+    with ThreadPoolExecutor() as beside:
+        view = LiveView([scenario], lambda url: found.append(beside.submit(act, url)))
+        stick = Stick(view.meshcat, scenario)
+        result = simulate(scenario, step_time=False, watch=view, controller=stick)
+        view.close()
+        assert not found[0].result(60.0)
+    np.testing.assert_allclose(result.log["reference"][-1], [1.5, 4.5])

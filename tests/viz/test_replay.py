@@ -361,6 +361,9 @@ def test_it_opens_with_everything_in_view(page, tmp_path, how, size):
         assert tab.settle(VIEW % page_seen) == view
         assert not tab.errors
     width, height = view["pane"]
+    for point in page_data(page)["camera"]["points"]:
+        x, y = on_the_pane(point, view)
+        assert 0.0 < x < width and 0.0 < y < height
     for left, top, right, bottom in view["labels"].values():
         assert 0 <= left < right <= width and 0 <= top < bottom <= height
     log = blimp_results()[2].log
@@ -373,6 +376,39 @@ def test_it_opens_with_everything_in_view(page, tmp_path, how, size):
     assert view["time"] == pytest.approx(5.0)
     x = np.interp(5.0, log["time"], log["state"][:, 0])
     assert view["vehicle"] == pytest.approx(x, abs=0.03)
+
+
+CROSSING = """(() => {
+  const camera = viewer?.camera;
+  const sets = document.querySelector("#plots .primary .set");
+  if (!camera || camera.fov !== 32 || !sets) return null;
+  const plain = ({ x, y, z }) => [x, -z, y].map((value) => Number(value.toFixed(5)));
+  const pane = document.getElementById("meshcat-pane");
+  return {
+    camera: plain(camera.position),
+    target: plain(viewer.controls.target),
+    pane: [pane.clientWidth, pane.clientHeight],
+    chosen: document.querySelector("#legend .primary .name").textContent,
+    color: sets.parentNode.getAttribute("stroke"),
+  };
+})()"""
+
+
+@pytest.mark.slow
+def test_of_two_vehicles_all_is_in_view_and_either_is_brought_out(tmp_path):
+    path = write_replay(vehicles(["dob-vcbf-qp"]), tmp_path / "page.html")
+    data = page_data(path.read_text(encoding="utf-8"))
+    with browser() as tab:
+        tab.open(path.as_uri() + "#t=1")
+        view = tab.settle(CROSSING)
+        tab.evaluate("document.querySelectorAll('#legend li')[1].click()")
+        other = tab.settle(CROSSING)
+        assert not tab.errors
+    for point in data["camera"]["points"]:
+        x, y = on_the_pane(point, view)
+        assert 0.0 < x < view["pane"][0] and 0.0 < y < view["pane"][1]
+    shown = [(each["chosen"], each["color"]) for each in (view, other)]
+    assert shown == [(run["label"], run["color"]) for run in data["runs"][::-1]]
 
 
 @pytest.mark.slow

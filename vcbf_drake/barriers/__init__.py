@@ -7,7 +7,6 @@ from vcbf_drake.barriers.obstacles import (
     BoxObstacle,
     CapsuleObstacle,
     EllipsoidObstacle,
-    MovingObstacle,
     SphereObstacle,
 )
 from vcbf_drake.barriers.perceived import PerceivedSpheres
@@ -15,6 +14,7 @@ from vcbf_drake.barriers.polygons import PolygonObstacle
 from vcbf_drake.barriers.rows import BarrierRows
 from vcbf_drake.barriers.shapes import Geofence, HalfSpace, PairDistance
 from vcbf_drake.barriers.unions import all_of, any_of
+from vcbf_drake.barriers.waypoints import MovingObstacle
 
 __all__ = [
     "Barrier",

@@ -155,6 +155,21 @@ class Barrier:
         return (*self.decay_rates.tolist(), *worst, *self.parameters.tolist())
 
 
+class ChangingBarrier(Barrier):
+    """A barrier whose parameters are new at every tick; its own are an example."""
+
+    def parameters_at(
+        self, t: float, obstacles: Array | None
+    ) -> tuple[float, ...] | None:
+        """Returns the parameters at a time; None where there is nothing.
+
+        Args:
+            t: The time [s].
+            obstacles: What is perceived then.
+        """
+        raise NotImplementedError
+
+
 def _check_class_k(class_k: ClassK, name: str) -> None:
     require(callable(class_k), f"barrier '{name}': class_k", class_k, "a function")
     # Each point has a neighbour, so that a fall between two points is a slope here.

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from vcbf_drake.barriers.barrier import Barrier
+from vcbf_drake.barriers.barrier import Barrier, ChangingBarrier
 from vcbf_drake.barriers.compared import require_same_numbers
 from vcbf_drake.barriers.followed import TrajectoryBarrier
 from vcbf_drake.barriers.limits import EarlyInputLimit, StateInputLimit
@@ -88,18 +88,17 @@ class BarrierSet:
         self.barriers = (*barriers, *early)
         self.names = _numbered([barrier.name for barrier in self.barriers])
         behind = [getattr(each, "barrier", each) for each in self.barriers]
-        self._perceived = [
+        self._changing = [
             (i, barrier)
             for i, barrier in enumerate(behind)
-            if isinstance(barrier, PerceivedBarrier)
+            if isinstance(barrier, ChangingBarrier)
         ]
-        self._followed = [
-            (i, barrier)
-            for i, barrier in enumerate(behind)
+        self.followed = tuple(
+            self.names[i]
+            for i, barrier in self._changing
             if isinstance(barrier, TrajectoryBarrier)
-        ]
-        self.followed = tuple(self.names[i] for i, _ in self._followed)
-        self.obstacles_size = _obstacles_size([each for _, each in self._perceived])
+        )
+        self.obstacles_size = _obstacles_size(behind)
         # Of a row that limits the input itself, 0.
         self.degrees = tuple(each.relative_degree for each in self._functions)
         start = self.num_entries
@@ -128,11 +127,8 @@ class BarrierSet:
             ValueError: x or obstacles has another shape.
         """
         point, functions = self._point(x, t), self.functions_at(t, obstacles)
-        lists = [
-            _evaluate(each.row, (*point, *each.constants), self._width)
-            for each in functions
-        ]
-        numbers = np.array(lists, dtype=float).reshape(self.size, self._width)
+        numbers = np.array(self._numbers(point, functions), dtype=float)
+        numbers = numbers.reshape(self.size, self._width)
         numbers.flags.writeable = False
         m, e = self._num_inputs, self.num_entries
         return BarrierRows(
@@ -145,6 +141,15 @@ class BarrierSet:
             gradients=lambda rows: self._gradients(functions, point, numbers, rows),
             early=self.early,
         )
+
+    def _numbers(
+        self, point: list[float], functions: Sequence[RowFunctions]
+    ) -> list[list[float]]:
+        """Returns the entries [A, b, w] and levels of every row at one point [x; t]."""
+        return [
+            _evaluate(each.row, (*point, *each.constants), self._width)
+            for each in functions
+        ]
 
     def _gradients(
         self,
@@ -209,10 +214,7 @@ class BarrierSet:
             ValueError: x or t has another shape.
         """
         lists = [
-            [
-                _evaluate(each.row, (*point, *each.constants), self._width)
-                for each in self.functions_at(point[-1], None)
-            ]
+            self._numbers(point, self.functions_at(point[-1]))
             for point in self._points(x, t)
         ]
         shape = len(lists), self.size, self._width
@@ -270,20 +272,11 @@ class BarrierSet:
         Raises:
             ValueError: obstacles has another shape.
         """
-        if not self._perceived and not self._followed:
+        if not self._changing:
             return self._functions
         functions = self._functions.copy()
-        for i, followed in self._followed:
-            functions[i] = functions[i].with_parameters(followed.parameters_at(t))
-        if not self._perceived:
-            return functions
-        if obstacles is None or obstacles.shape != (self.obstacles_size,):
-            raise ValueError(
-                f"obstacles: expected shape ({self.obstacles_size},), got"
-                f" {None if obstacles is None else obstacles.shape}"
-            )
-        for i, barrier in self._perceived:
-            parameters = barrier.parameters_at(obstacles, t)
+        for i, barrier in self._changing:
+            parameters = barrier.parameters_at(t, obstacles)
             functions[i] = (
                 self._no_row
                 if parameters is None
@@ -316,8 +309,12 @@ def _numbered(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(numbered)
 
 
-def _obstacles_size(perceived: Sequence[PerceivedBarrier]) -> int:
-    ports = {(b.spheres.size, b.spheres.dimensions) for b in perceived}
+def _obstacles_size(barriers: Sequence[object]) -> int:
+    ports = {
+        (each.spheres.size, each.spheres.dimensions)
+        for each in barriers
+        if isinstance(each, PerceivedBarrier)
+    }
     if len(ports) > 1:
         raise ValueError(
             "perceived obstacles come by one port: their capacity and dimensions must"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
@@ -164,6 +165,22 @@ class Formula(NamedTuple):
     class_k: Node | None = None
 
 
+@contextmanager
+def _derived() -> Iterator[None]:
+    """Says what to write where a formula has not as many derivatives as needed.
+
+    Raises:
+        ModelError: It has not.
+    """
+    try:
+        yield
+    except ValueError as error:
+        raise ModelError(
+            "function(x, t, p) cannot be differentiated as often as needed: write it"
+            f" without abs and without the root of a square ({error})"
+        ) from None
+
+
 @dataclass(frozen=True, eq=False)
 class Chain:
     """The functions phi^0 = h, ..., phi^(r-1), whose last derivative has the input.
@@ -185,11 +202,12 @@ class Chain:
 
     @staticmethod
     @lru_cache(maxsize=64)
+    @_derived()
     def of(formula: Formula) -> Chain:
         """Derives the chain.
 
         Raises:
-            ValueError: The barrier has not as many derivatives.
+            ModelError: The barrier has not as many derivatives.
         """
         dynamics, robust = formula.dynamics, formula.robust
         rates = _nodes("lambda", formula.order)
@@ -221,12 +239,21 @@ class Chain:
         b = dynamics.drift_rate(last, TIME) + pull
         return np.array([*A, b, *dynamics.disturbance_rates(last)], dtype=object)
 
-    def compiled(self, outputs: Any, name: str) -> CompiledFunction:
-        """Returns a function of x, t and the constants."""
-        arguments = [*self.formula.dynamics.x, TIME, *self.constants]
-        return compile_nodes(arguments, outputs, name)
+    def compiled(
+        self, outputs: Any, name: str, variables: Sequence[Node] = ()
+    ) -> CompiledFunction:
+        """Returns a function of x, t and the constants.
+
+        Args:
+            outputs: What it returns.
+            name: Its name.
+            variables: What it takes in the place of x.
+        """
+        x = variables or self.formula.dynamics.x
+        return compile_nodes([*x, TIME, *self.constants], outputs, name)
 
     @cached_property
+    @_derived()
     def slopes(self) -> CompiledFunction:
         """A function of x, t and the constants: every level's gradient by x."""
         slopes = gradients(self.levels, self.formula.dynamics.x)
@@ -241,3 +268,44 @@ class Chain:
             for level in self.levels
         ]
         return np.array([[rate is not ZERO for rate in row] for row in rates])
+
+
+class ChainFunctions(NamedTuple):
+    """A barrier's chain as functions of plain floats.
+
+    Attributes:
+        row: ``row(*x, t, *constants)`` returns [A, b, w], then phi^0, ..., phi^(r-1).
+        gradient: ``gradient(*x, t, *constants)`` returns the derivatives of [A, b, w]
+            by [x; t], in C order.
+        value: ``value(*x, t, *parameters)`` returns [h].
+    """
+
+    row: CompiledFunction
+    gradient: CompiledFunction
+    value: CompiledFunction
+
+
+@lru_cache(maxsize=64)
+@_derived()
+def compiled_chain(
+    formula: Formula, moving: tuple[Node, ...], of_h: tuple[Node, ...]
+) -> ChainFunctions:
+    """Returns the functions of a barrier's chain, for any constants.
+
+    Args:
+        formula: The barrier's.
+        moving: x of `row` and `gradient`: the state, or how outputs of it move.
+        of_h: x of `value`.
+
+    Raises:
+        ModelError: The barrier has not as many derivatives.
+    """
+    chain = Chain.of(formula)
+    entries = chain.row()
+    slopes = gradients(entries, [*moving, TIME]).ravel()
+    arguments = [*of_h, TIME, *formula.parameters]
+    return ChainFunctions(
+        chain.compiled([*entries, *chain.levels], "barrier_row", moving),
+        chain.compiled(slopes, "barrier_gradient", moving),
+        compile_nodes(arguments, [formula.h], "barrier_value"),
+    )

@@ -39,8 +39,9 @@ def require_same_numbers(
     for barrier, functions in compiled:
         # Closures of one code may differ in their cells, so each is looked at.
         code = getattr(barrier.function, "__code__", type(barrier.function))
-        formula = functions.value, functions.row, code
-        vector = *formula, barrier.function, functions.parameters
+        kinds = [getattr(f, "inner", f) for f in (functions.value, functions.row)]
+        formula = *kinds, code
+        vector = functions.row, *formula, barrier.function, functions.parameters
         if vector not in vectors:
             # A formula at many points once, with other parameters at a few.
             scales = FEW_SCALES if formula in formulas else MANY_SCALES

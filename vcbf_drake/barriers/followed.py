@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from pydrake.symbolic import Expression
 
-from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
+from vcbf_drake.barriers.barrier import BarrierFunction, ChangingBarrier
 from vcbf_drake.checks import Array
 from vcbf_drake.model.compiled import Expressions
 
 
-class TrajectoryBarrier(Barrier):
+class TrajectoryBarrier(ChangingBarrier):
     """A barrier whose shape is where a trajectory is; its `parameters` are those at 0.
 
     At each tick the trajectory is its Taylor polynomial there (E13): place, velocity,
@@ -50,14 +50,11 @@ class TrajectoryBarrier(Barrier):
         self.trajectory = trajectory
         self._order = len(gains) + 1
         self._fixed = tuple(parameters)
-        at_start = self.parameters_at(0.0)
+        at_start = self.parameters_at(0.0, None)
         super().__init__(function, gains, at_start, name, of_position=of_position)
 
-    def parameters_at(self, t: float) -> tuple[float, ...]:
-        """Returns the parameters at a time [s].
-
-        Before its start and after its end the shape stands.
-        """
+    def parameters_at(self, t: float, obstacles: Array | None) -> tuple[float, ...]:
+        """Returns the parameters; before its start and after its end it stands."""
         trajectory, start = self.trajectory, self.trajectory.start_time()
         within = start <= t <= trajectory.end_time()
         place = trajectory.value(min(max(t, start), trajectory.end_time()))

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from pydrake.symbolic import Expression, MakeVectorVariable, Variable
@@ -27,17 +26,18 @@ from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.chain import (
     TIME,
-    Chain,
+    ChainFunctions,
     Formula,
     as_expressions,
     class_k_formula,
+    compiled_chain,
 )
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
-from vcbf_drake.model.compiled import CompiledFunction, Expressions, compile_nodes
+from vcbf_drake.model.compiled import Expressions
 from vcbf_drake.model.control_affine import Dynamics
 from vcbf_drake.model.explained import explained
-from vcbf_drake.model.graph import ZERO, Node, Nodes, gradients, variable
+from vcbf_drake.model.graph import ZERO, Node, Nodes, variable
 from vcbf_drake.model.multibody_model import MultibodyModel
 from vcbf_drake.model.outputs import (
     Output,
@@ -50,22 +50,6 @@ from vcbf_drake.model.reading import Reader
 
 
 @dataclass(frozen=True)
-class OutputFunctions:
-    """h(z, t, p) with its row, as functions of plain floats.
-
-    Attributes:
-        value: ``value(*z, t, *p)`` returns [h].
-        row: ``row(*jets, t, *constants)`` returns [A, b, w], then phi^0, .., phi^(r-1).
-        gradient: ``gradient(..)`` returns the derivatives of [A, b, w] by the jets and
-            t, in C order.
-    """
-
-    value: CompiledFunction
-    row: CompiledFunction
-    gradient: CompiledFunction
-
-
-@dataclass(frozen=True)
 class MultibodyRow:
     """One barrier's numbers at a state, as `RowFunctions` has them.
 
@@ -73,13 +57,13 @@ class MultibodyRow:
         model: The plant.
         outputs: z, k of them.
         order: The relative degree r, 1 or 2.
-        functions: h and its row, compiled.
+        functions: h of (z, t, p), and its row of (jets, t, constants).
     """
 
     model: MultibodyModel
     outputs: tuple[Output, ...]
     order: int
-    functions: OutputFunctions
+    functions: ChainFunctions
 
     def value(self, *arguments: float) -> list[float]:
         """Returns [h] at (x, t, p)."""
@@ -123,7 +107,8 @@ def multibody_row(
         ModelError: h cannot be derived, or its relative degree is not r.
     """
     formula, outputs = _formula(model, barrier)
-    functions = _compiled(formula, len(outputs), model.num_inputs)
+    jet = _jet(len(outputs), model.num_inputs, model.num_disturbances)
+    functions = compiled_chain(formula, tuple(jet.flat), tuple(jet[:, 0]))
     row = MultibodyRow(model, outputs, barrier.relative_degree, functions)
     _require_authority(row, constants)
     return row
@@ -192,26 +177,6 @@ def _integrators(jet: Nodes, num_inputs: int, order: int) -> Dynamics:
 
 def _rows(nodes: Nodes) -> tuple[tuple[Node, ...], ...]:
     return tuple(map(tuple, nodes))
-
-
-@lru_cache(maxsize=64)
-def _compiled(formula: Formula, size: int, num_inputs: int) -> OutputFunctions:
-    num_disturbances = len(formula.dynamics.E[0])
-    jet, chain = _jet(size, num_inputs, num_disturbances), Chain.of(formula)
-    try:
-        entries = chain.row()
-        slopes = gradients(entries, [*jet.ravel(), TIME]).ravel()
-    except ValueError as error:
-        raise ModelError(
-            "function(x, t, p) cannot be differentiated as often as needed: write it"
-            f" without abs and without the root of a square ({error})"
-        ) from None
-    arguments, z = [*jet.ravel(), TIME, *chain.constants], jet[:, 0]
-    return OutputFunctions(
-        compile_nodes([*z, TIME, *formula.parameters], [formula.h], "barrier_value"),
-        compile_nodes(arguments, [*entries, *chain.levels], "barrier_row"),
-        compile_nodes(arguments, slopes, "barrier_gradient"),
-    )
 
 
 def _require_order(

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vcbf_drake.barriers.barrier import Barrier
+from vcbf_drake.barriers.barrier import Barrier, ChangingBarrier
 from vcbf_drake.barriers.obstacles import SphereForm, SphereObstacle
 from vcbf_drake.checks import Array, check_parameter
 from vcbf_drake.model.position import Position
@@ -122,7 +122,7 @@ class PerceivedSpheres:
         return SphereObstacle(zero, 1.0, one, self.margin, self.form)
 
 
-class PerceivedBarrier(Barrier):
+class PerceivedBarrier(ChangingBarrier):
     """The barrier of one slot; its `parameters` are an example's.
 
     Attributes:
@@ -143,13 +143,19 @@ class PerceivedBarrier(Barrier):
         self.spheres = spheres
         self.slot = slot
 
-    def parameters_at(self, obstacles: Array, t: float) -> tuple[float, ...] | None:
+    def parameters_at(
+        self, t: float, obstacles: Array | None
+    ) -> tuple[float, ...] | None:
         """Returns the parameters, nan if the slot is malformed; None if it is empty.
 
-        Args:
-            obstacles: What the port holds, shape (size,).
-            t: The time it holds for [s].
+        Raises:
+            ValueError: obstacles has another shape than (size,).
         """
+        if obstacles is None or obstacles.shape != (self.spheres.size,):
+            raise ValueError(
+                f"obstacles: expected shape ({self.spheres.size},), got"
+                f" {None if obstacles is None else obstacles.shape}"
+            )
         spheres, k = self.spheres, self.spheres.dimensions
         start = self.slot * spheres.slot_size
         *motion, radius, valid = obstacles[start : start + spheres.slot_size].tolist()

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.chain import Chain
+from vcbf_drake.barriers.subsystem import Subsystem
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.control_affine import ControlAffineModel
@@ -19,7 +20,7 @@ _SEARCHED_BEYOND = 2  # How many more derivatives an error message looks at.
 
 
 def early_levels(
-    model: ControlAffineModel, chain: Chain, barrier: Barrier
+    model: ControlAffineModel, chain: Chain, barrier: Barrier, part: Subsystem
 ) -> tuple[int, ...]:
     """Returns which derivatives of h below the last an input enters (E8a).
 
@@ -30,12 +31,13 @@ def early_levels(
         model: The plant.
         chain: phi^0, ..., phi^(r-1).
         barrier: What it was derived from.
+        part: The part of the plant that the chain is about.
 
     Raises:
         ModelError: All inputs enter earlier or later, or the disturbance earlier.
     """
     r = barrier.relative_degree
-    entered = _entered(model, chain, barrier.constants)
+    entered = _entered(model, chain, barrier.constants, part)
     degrees = _first_level(entered)
     inputs, disturbances = degrees[: model.num_inputs], degrees[model.num_inputs :]
     first = inputs.min(initial=np.inf)
@@ -58,21 +60,21 @@ def early_levels(
             " barrier.robust_to(bound)"
         )
     if np.isinf(first):
-        raise ModelError(_explain_higher_degree(model, chain, barrier.constants))
+        raise ModelError(_explain_higher_degree(model, chain, barrier, part))
     by_input = entered[: r - 1, : model.num_inputs].any(axis=1)
     return tuple((np.flatnonzero(by_input) + 1).tolist())
 
 
 def _explain_higher_degree(
-    model: ControlAffineModel, chain: Chain, constants: Sequence[float]
+    model: ControlAffineModel, chain: Chain, barrier: Barrier, part: Subsystem
 ) -> str:
     """Returns the message for a barrier whose first r derivatives no input enters."""
-    r, k = chain.formula.order, len(chain.formula.parameters)
+    r = barrier.relative_degree
     searched = max(r, min(r + _SEARCHED_BEYOND, model.num_states))
     plain = chain.formula._replace(order=searched, robust=False, class_k=None)
     further = Chain.of(plain)
-    parameters = constants[len(constants) - k :]
-    entered = _entered(model, further, [*np.ones(searched), *parameters])
+    constants = [*np.ones(searched), *barrier.parameters]
+    entered = _entered(model, further, constants, part)
     degree = _first_level(entered)[: model.num_inputs].min(initial=np.inf)
     if np.isinf(degree):
         return (
@@ -94,28 +96,35 @@ def _entered(
     model: ControlAffineModel,
     chain: Chain,
     constants: Sequence[float],
+    part: Subsystem,
 ) -> NDArray[np.bool_]:
     """Returns which channel enters the derivative of which level, (r, m + q).
 
     It does not where its formula is zero, or else where it is at every sample, up to
     rounding. Where no sample can be evaluated, the formula alone decides.
     """
-    slopes, written, n = chain.slopes, chain.written, model.num_states
+    slopes, n = chain.slopes, model.num_states
+    states, channels = list(part.states), list(part.channels)
+    written = np.zeros((chain.formula.order, sum(part.shape[1:])), dtype=bool)
+    written[:, channels] = chain.written
     seen = np.zeros_like(written)
     evaluated = False
     for point in _samples(n):
         if (seen == written).all():
             break
         try:
-            values = np.array(slopes(*point, *constants)).reshape(-1, n)
+            few = [point[i] for i in states]
+            found = np.array(slopes(*few, point[-1], *constants))
+            values = np.zeros((chain.formula.order, n))
+            values[:, states] = found.reshape(-1, len(states))
             _, g = model.drift_and_input_matrix(np.array(point[:n]))
         except (ArithmeticError, ValueError):  # Outside the domain of h or the model.
             continue
-        channels = np.hstack([g, model.disturbance_matrix])
-        if np.isfinite(values).all() and np.isfinite(channels).all():
+        columns = np.hstack([g, model.disturbance_matrix])
+        if np.isfinite(values).all() and np.isfinite(columns).all():
             evaluated = True
-            scale = np.outer(np.abs(values).max(axis=1), np.abs(channels).sum(axis=0))
-            seen |= written & (np.abs(values @ channels) > 1e-12 * scale)
+            scale = np.outer(np.abs(values).max(axis=1), np.abs(columns).sum(axis=0))
+            seen |= written & (np.abs(values @ columns) > 1e-12 * scale)
     return seen if evaluated or not written.any() else written
 
 

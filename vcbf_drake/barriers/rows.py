@@ -11,10 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vcbf_drake.barriers.barrier import Barrier
-from vcbf_drake.barriers.chain import TIME, Chain, Formula, Symbols, class_k_formula
+from vcbf_drake.barriers.chain import (
+    TIME,
+    Chain,
+    Formula,
+    Symbols,
+    class_k_formula,
+    compiled_chain,
+)
 from vcbf_drake.barriers.limits import EarlyInputLimit, StateInputLimit
 from vcbf_drake.barriers.multibody_rows import multibody_row
 from vcbf_drake.barriers.relative_degree import early_levels
+from vcbf_drake.barriers.subsystem import Subsystem
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.compiled import CompiledFunction, compile_nodes
@@ -169,22 +177,21 @@ def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctio
         return RowFunctions(
             moved.row, moved.gradient, constants, moved.value, parameters, r
         )
-    formula = barrier_formula(model, barrier)
-    try:
-        early = early_levels(model, Chain.of(formula), barrier)
-        row, gradient, value = _compile_barrier(formula)
-    except ValueError as error:
-        raise ModelError(
-            "function(x, t, p) cannot be differentiated as often as needed: write it"
-            f" without abs and without the root of a square ({error})"
-        ) from None
+    formula, part = Subsystem.of(barrier_formula(model, barrier))
+    early = early_levels(model, Chain.of(formula), barrier, part)
+    x = formula.dynamics.x
+    row, gradient, value = compiled_chain(formula, x, x)
+    row, gradient = part.row(row, r), part.gradient(gradient)
+    value = part.value(value)
     return RowFunctions(row, gradient, constants, value, parameters, r, early)
 
 
 def early_functions(model: ControlAffineModel, limit: EarlyInputLimit) -> RowFunctions:
     """Returns the functions of the row of an early level (E8a)."""
     barrier, k = limit.barrier, limit.level
-    row, gradient = _compile_early(barrier_formula(model, barrier), k)
+    formula, part = Subsystem.of(barrier_formula(model, barrier))
+    row, gradient = _compile_early(formula, k)
+    row, gradient = part.row(row, 0), part.gradient(gradient)
     parameters = tuple(barrier.parameters.tolist())
     return RowFunctions(row, gradient, barrier.constants, _no_value, parameters, 0)
 
@@ -238,20 +245,6 @@ def limit_functions(model: ControlAffineModel, limit: StateInputLimit) -> RowFun
             f"function(x, t, p) cannot be differentiated: {error}"
         ) from None
     return RowFunctions(compiled, gradient, parameters, _no_value, parameters, 0)
-
-
-@lru_cache(maxsize=64)
-def _compile_barrier(
-    formula: Formula,
-) -> tuple[CompiledFunction, CompiledFunction, CompiledFunction]:
-    """Returns `row`, `gradient`, `value` of RowFunctions, for any constants."""
-    chain, x = Chain.of(formula), formula.dynamics.x
-    entries = chain.row()
-    slopes = gradients(entries, [*x, TIME]).ravel()
-    row = chain.compiled([*entries, *chain.levels], "barrier_row")
-    gradient = chain.compiled(slopes, "barrier_gradient")
-    value = compile_nodes([*x, TIME, *formula.parameters], [formula.h], "barrier_value")
-    return row, gradient, value
 
 
 @lru_cache(maxsize=64)

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 import inspect
 import math
 from math import inf, nextafter
-from typing import TypeAlias
+from typing import Any, TypeAlias, cast
 
+from vcbf_drake.barriers.subsystem import PlacedFunction
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.compiled import CompiledFunction, function_of
 
@@ -272,6 +274,10 @@ def interval_function(function: CompiledFunction) -> IntervalFunction:
     Raises:
         ModelError: The code tells cases apart, or calls what has no enclosure here.
     """
+    if isinstance(function, PlacedFunction):
+        inner: Any = interval_function(function.inner)
+        placed: Any = replace(function, inner=inner)
+        return cast(IntervalFunction, placed)
     if inspect.ismethod(function):
         raise ModelError(
             "no enclosure on intervals, for Drake evaluates this MultibodyPlant: derive"

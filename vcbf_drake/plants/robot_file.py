@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import cache
 from importlib.resources import files
 import logging
 import math
@@ -19,10 +20,11 @@ from pydrake.multibody.tree import Joint, ModelInstanceIndex, RigidBody
 
 from vcbf_drake.checks import require
 from vcbf_drake.errors import InvalidValueError
+from vcbf_drake.plants.meshes import DRAWN, draw
 
 _KINDS = (".urdf", ".sdf", ".xml", ".yaml")  # What Drake's Parser reads.
 _CHANGEABLE = (".urdf", ".sdf")
-_MESHES = (".obj", ".gltf", ".glb")  # What Meshcat draws.
+_LOGGER = logging.getLogger("vcbf_drake")
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
@@ -65,7 +67,9 @@ class RobotFile:
         try:
             with _warned_once(self.file):
                 if path.suffix in _CHANGEABLE:
-                    parser.AddModelsFromString(self._changed(path), path.suffix[1:])
+                    shown = None if scene_graph is None else parser.package_map()
+                    text = self._changed(path, shown)
+                    parser.AddModelsFromString(text, path.suffix[1:])
                 else:
                     self._require_unchanged()
                     parser.AddModels(str(path))
@@ -119,29 +123,33 @@ class RobotFile:
         rule = "URDF or SDFormat, where mass, drag or fixed change something"
         require(not is_changed, "file", self.file, rule)
 
-    def _changed(self, path: Path) -> str:
+    def _changed(self, path: Path, packages: PackageMap | None) -> str:
         """The file's text with joints fixed, other masses and other dampings.
 
-        Of its geometry what Drake can draw is left: collisions and other meshes are not
-        even read, since Drake refuses a file for some of them.
+        Of its geometry what can be drawn is left, if that is asked for: all else is not
+        even read, since Drake refuses a file for some of it.
+
+        Args:
+            path: The file.
+            packages: Where meshes are looked for; None for no geometry at all.
         """
         robot = ElementTree.parse(path).getroot()
         if robot.tag == "robot" and not robot.get("name"):
             robot.set("name", path.stem)
         self._fix_joints(robot)
-        for link in robot.iter("link"):
-            for each in link.findall("collision"):
-                link.remove(each)
-            for each in filter(_cannot_be_drawn, link.findall("visual")):
-                link.remove(each)
         scales = dict.fromkeys(("mass", "inertia", *_INERTIA), self.mass)
         scales |= dict.fromkeys(("dynamics", "damping"), self.drag)
         for each in robot.iter():
             _multiply(each, scales.get(each.tag, 1.0))
             if "://" not in (url := each.get("filename", "://")):
-                each.set("filename", str((path.parent / url).resolve()))
+                each.set("filename", (path.parent / url).resolve().as_uri())
             if each.tag == "uri" and "://" not in (each.text or "://"):
-                each.text = str((path.parent / str(each.text).strip()).resolve())
+                each.text = (path.parent / str(each.text).strip()).resolve().as_uri()
+        links = [*robot.iter("link")]
+        rods = [str(each.get("name")) for each in links if not draw(each, packages)]
+        if rods:
+            drawn, names = ", ".join(DRAWN), ", ".join(rods)
+            _tell(f"{self.file}: meshes that are drawn are {drawn}; rods for {names}")
         return ElementTree.tostring(robot, "unicode")
 
     def _fix_joints(self, robot: ElementTree.Element) -> None:
@@ -154,6 +162,9 @@ class RobotFile:
         for name in self.fixed:
             _require_one("fixed", name, [*joints])
             joints[name].set("type", "fixed")
+        for each in robot.findall("transmission"):
+            if {joint.get("name") for joint in each.iter("joint")} <= {*self.fixed}:
+                robot.remove(each)
         mimics = []
         for name, joint in joints.items():
             for parent in (joint, *joint.findall("axis")):
@@ -196,6 +207,12 @@ class RobotFile:
         except RuntimeError:
             rule = "empty, for the file has fixed it already"
             require(False, "weld", self.weld, rule)
+
+
+@cache
+def _tell(message: str) -> None:
+    """Says it in the log, once."""
+    _LOGGER.warning(message)
 
 
 @contextmanager
@@ -245,14 +262,6 @@ def _multiply(element: ElementTree.Element, factor: float) -> None:
         element.set(name, repr(factor * float(element.attrib[name])))
     if (element.text or "").strip():
         element.text = repr(factor * float(str(element.text)))
-
-
-def _cannot_be_drawn(visual: ElementTree.Element) -> bool:
-    """Whether a visual has a mesh of a kind that Drake does not draw."""
-    names = [
-        each.get("filename") or each.findtext("uri") for each in visual.iter("mesh")
-    ]
-    return any(Path(name or "").suffix.lower() not in _MESHES for name in names)
 
 
 def _efforts(path: Path) -> dict[str, float]:

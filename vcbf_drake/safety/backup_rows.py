@@ -37,8 +37,9 @@ class BackupRows:
     .. math:: \nabla h_i^\top \Phi (f + g u + E d) + \partial_t h_i
               \ge -\alpha_i (h_i(\phi_{\tau_j}(x)) - \mu |\nabla h_i|)
 
-    where alpha_i is the largest decay rate of the barrier and mu the margin. Of several
-    laws the one is taken whose way keeps clear by most.
+    where alpha_i s is the largest decay rate of the barrier times s, or its own class-K
+    function of s, and mu the margin. Of several laws the one is taken whose way keeps
+    clear by most.
 
     Source: Gurriet et al. (2020), Chen et al. (2021); the margin and the choice of
     alpha are ours.
@@ -77,10 +78,7 @@ class BackupRows:
             _height(model, each) if isinstance(each, Barrier) else None
             for each in barriers
         ]
-        self._alphas = [
-            float(each.decay_rates[0]) if isinstance(each, Barrier) else 0.0
-            for each in barriers
-        ]
+        self._barriers = tuple(barriers)
         counts = [1 if each is None else _INSTANTS for each in self._heights]
         self._counts = counts
         self.names = tuple(
@@ -152,13 +150,13 @@ class BackupRows:
             f, g = self._model.drift_and_input_matrix(x)
         E = self._model.disturbance_matrix
         numbers = []
-        for i, (alpha, h) in enumerate(zip(self._alphas, way, strict=True)):
+        for i, (barrier, h) in enumerate(zip(self._barriers, way, strict=True)):
             if h is None:
                 same = [np.nan], known.A[i], known.b[i : i + 1], known.w[i]
                 numbers.append(np.tile(np.concatenate(same), (self._counts[i], 1)))
                 continue
             spare = h.value - self._margin * h.steepness
-            b = h.slope @ f + h.rate + alpha * spare
+            b = h.slope @ f + h.rate + _class_k(barrier, spare)
             numbers.append(np.column_stack([h.value, -h.slope @ g, b, h.slope @ E]))
         found, m = np.concatenate(numbers), self._model.num_inputs
         width = found.shape[1] - 1
@@ -187,6 +185,13 @@ class BackupRows:
             else _along(height, states, sensitivities, t + flow.times, each)
             for height, each in zip(self._heights, parameters, strict=True)
         ]
+
+
+def _class_k(barrier: Barrier, spare: Array) -> Array:
+    """alpha(h - margin), shape (K,)."""
+    if barrier.class_k is None:
+        return float(barrier.decay_rates[0]) * spare
+    return np.array([barrier.class_k(each) for each in spare.tolist()], dtype=float)
 
 
 class _Heights(NamedTuple):

@@ -49,6 +49,8 @@ Node: TypeAlias = Any  # A yaml.Node; PyYAML has no type stubs.
 
 _DIRECTORY = Path(__file__).parent / "scenarios"
 _OVERRIDE = "override"
+# What people write for an angle: 90deg, 90°, pi/2.
+_ANGLE = re.compile(r"\d *(deg|°)|\bpi\b|\brad\b")
 # No quantity is as large, in SI units; a product of a few such numbers is still finite.
 _LARGEST = 1e15
 
@@ -409,7 +411,10 @@ def _build_scalar(node: Node, kind: Any, path: KeyPath) -> float | int | bool | 
             return cast(float, number)
     except (KeyError, ValueError):
         pass
-    _fail(node, path, f"expected {TYPE_WORDS[kind]}, got {_shown(node)}")
+    is_angle = kind is float and isinstance(text, str) and _ANGLE.search(text.lower())
+    hint = "; angles are plain numbers, in radians: 1.5708 for 90 degrees"
+    found = _shown(node) + hint * bool(is_angle)
+    _fail(node, path, f"expected {TYPE_WORDS[kind]}, got {found}")
 
 
 def plain(value: Any, hint: Any) -> Any:

@@ -38,6 +38,7 @@ _NOTHING_YET = {
     "collided_at": None,
     "reached_at": None,
 }
+_DEAD = 0.08  # What a stick at rest may be off its middle.
 _KEYS = ("ArrowLeft", "ArrowRight"), ("ArrowDown", "ArrowUp")
 
 
@@ -149,6 +150,9 @@ def _present(loop: Diagram, context: Context) -> dict[str, Array]:
 class Stick(LeafSystem):
     """Sliders of a Meshcat page, or a gamepad, in the place of a controller.
 
+    A gamepad's axes are the inputs in their order, to the right and up is more: in its
+    middle an axis stands for 0, or the limit next to it, at its ends for the limits.
+
     Ports:
         state (n): not looked at.
         reference (m), output: the input that the person wants.
@@ -172,23 +176,26 @@ class Stick(LeafSystem):
         is_finite = bool(np.isfinite([self._low, self._high]).all())
         rule = "finite, for a slider has two ends"
         require(is_finite, "input_set", [limits.lower, limits.upper], rule)
+        self._rest = np.clip(0.0, self._low, self._high)
         for k, name in enumerate(self._names):
             low, high = float(self._low[k]), float(self._high[k])
-            keys = _KEYS[k] if k < len(_KEYS) else ("", "")
-            at_rest = min(max(0.0, low), high)
-            meshcat.AddSlider(name, low, high, (high - low) / 20.0, at_rest, *keys)
+            step, keys = (high - low) / 20.0, _KEYS[k] if k < len(_KEYS) else ("", "")
+            meshcat.AddSlider(name, low, high, step, float(self._rest[k]), *keys)
         self.DeclareVectorInputPort("state", len(scenario.initial_state))
         self.DeclareVectorOutputPort(
             "reference", len(self._names), self._calc_reference, {self.time_ticket()}
         )
 
     def _calc_reference(self, context: Context, output: BasicVector) -> None:
-        wish = np.array([self._meshcat.GetSliderValue(name) for name in self._names])
-        gamepad = self._meshcat.GetGamepad()
-        if gamepad.index is not None:
-            axes = np.resize(np.array(gamepad.axes), len(wish))
+        found = self._meshcat.GetGamepad().axes
+        if not found:  # Its index stays when it is unplugged.
+            wish = [self._meshcat.GetSliderValue(name) for name in self._names]
+        else:
+            axes = np.resize(np.array(found), len(self._names))
             axes[1::2] *= -1.0  # A stick's way up is negative.
-            wish = self._low + 0.5 * (1.0 + axes) * (self._high - self._low)
+            axes[np.abs(axes) < _DEAD] = 0.0  # Nobody's thumb is on it.
+            ends = np.where(axes < 0.0, self._low, self._high)
+            wish = self._rest + np.abs(axes) * (ends - self._rest)
         output.SetFromVector(wish)
 
 

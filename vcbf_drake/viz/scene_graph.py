@@ -18,7 +18,8 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, OutputPort
 
-from vcbf_drake.barriers.obstacles import MovingObstacle, Obstacle
+from vcbf_drake.barriers import MovingObstacle
+from vcbf_drake.barriers.obstacles import Obstacle
 from vcbf_drake.barriers.shapes import Shape
 from vcbf_drake.model.interface import state_port_of
 from vcbf_drake.plants.shapes import Part, of_body

@@ -66,14 +66,16 @@ def stage_words(stage: Stage) -> Words:
     scenario = stage.run.scenario
     title, _, rest = scenario.description.strip().partition("\n")
     title = title.strip().rstrip(".") or scenario.name
-    names = {tag(type(run.vehicle)).removeprefix("!").lower() for run in stage.runs}
+    name = tag(type(stage.run.vehicle)).removeprefix("!").lower()
     has_ghosts = len(stage.tasks) < len(stage.runs)
     remark = "Pale: the other methods. " if has_ghosts else ""
-    whose = f"The {names.pop()}'s" if len(stage.tasks) == 1 else "The vehicles'"
-    remark += f"{whose} centre must stay outside the obstacles."
+    one = len(stage.tasks) == 1
+    remark += f"The {name}'s centre" if one else "The vehicles' centres"
+    remark += " must stay outside the obstacles."
     if stage.fraction > 1:
         remark += f" It is drawn at 1:{stage.fraction}."
-    return Words(title, " ".join(rest.split()), remark + _verdict(stage.run))
+    verdicts = "".join(_verdict(run) for run in stage.runs if not run.ghost)
+    return Words(title, " ".join(rest.split()), remark + verdicts)
 
 
 def _verdict(run: Run) -> str:

@@ -247,30 +247,24 @@ class ReplayScene {
     const toward = toThree(this.data.camera.direction).normalize();
     const right = new THREE.Vector3(0, 1, 0).cross(toward).normalize();
     const up = toward.clone().cross(right);
-    const slope = this.slope();
+    // Along each axis of the screen, two sides of the pyramid of sight touch the points: how
+    // far back its tip is then, and where it may be across.
+    const slope = FILLED * this.slope();
     const aspect = this.pane.clientWidth / this.pane.clientHeight;
-    const target = points[0].clone();
-    let distance = 2 * this.data.camera.span;
-    let [width, height] = [0, 0];
-    // What fits depends on where the camera looks and the other way round.
-    for (let round = 0; round < 8; round++) {
-      const seen = points.map((point) => {
-        const from = point.clone().sub(target);
-        const depth = distance - from.dot(toward);
-        return [from.dot(right) / depth / (slope * aspect), from.dot(up) / depth / slope];
-      });
-      const [x, y] = [0, 1].map((axis) => seen.map((place) => place[axis]));
-      const [left, far] = [Math.min(...x), Math.max(...x)];
-      const [low, high] = [Math.min(...y), Math.max(...y)];
-      target.addScaledVector(right, 0.5 * (left + far) * distance * slope * aspect);
-      target.addScaledVector(up, 0.5 * (low + high) * distance * slope);
-      distance *= 0.5 * Math.max(far - left, high - low) / FILLED;
-      [width, height] = [0.5 * (far - left), 0.5 * (high - low)];
-    }
+    const touch = (axis, slope) => {
+      const most = (sign) => Math.max(
+        ...points.map((point) => sign * point.dot(axis) + slope * point.dot(toward)));
+      const [ahead, behind] = [most(1), most(-1)];
+      return { back: (ahead + behind) / (2 * slope), across: (ahead - behind) / 2, slope };
+    };
+    const [x, y] = [touch(right, slope * aspect), touch(up, slope)];
+    const back = Math.max(x.back, y.back);
     // What room there is goes to the top left, where the card is.
-    const half = distance * slope;
-    target.addScaledVector(right, -0.45 * Math.max(0, FILLED - width) * half * aspect);
-    target.addScaledVector(up, 0.6 * Math.max(0, FILLED - height) * half);
+    const room = (side) => side.slope * (back - side.back);
+    const distance = back - points[0].dot(toward);
+    const target = toward.clone().multiplyScalar(points[0].dot(toward))
+      .addScaledVector(right, x.across - 0.45 * room(x))
+      .addScaledVector(up, y.across + 0.6 * room(y));
     this.look(target, toward.multiplyScalar(distance));
     this.fittedLens = this.lens();
     this.place = viewer.camera.position.clone();

@@ -1,0 +1,139 @@
+"""The robot among many that a barrier is about: its formula is derived once for all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from vcbf_drake.barriers.chain import Formula
+from vcbf_drake.model.compiled import CompiledFunction
+from vcbf_drake.model.control_affine import Dynamics
+from vcbf_drake.model.graph import ZERO, Node, substitute, variable, variables_of
+
+
+@dataclass(frozen=True)
+class PlacedFunction:
+    """A function of a few states as one of the plant's, whose other numbers are 0.
+
+    Attributes:
+        inner: The function of the few.
+        states: Which of the plant's they are.
+        num_states: How many the plant has.
+        places: Where the inner function's numbers are among those of this one.
+        size: How many numbers this one returns.
+    """
+
+    inner: CompiledFunction
+    states: tuple[int, ...]
+    num_states: int
+    places: tuple[int, ...]
+    size: int
+
+    def __call__(self, *arguments: float) -> list[float]:
+        """Returns the numbers at (x, t, constants)."""
+        few = [arguments[i] for i in self.states]
+        found = [0.0] * self.size
+        numbers = self.inner(*few, *arguments[self.num_states :])
+        for place, number in zip(self.places, numbers, strict=True):
+            found[place] = number
+        return found
+
+
+@dataclass(frozen=True)
+class Subsystem:
+    """The states of a plant that a barrier's chain depends on, and what moves them.
+
+    Attributes:
+        states: Their indices.
+        channels: The inputs and, after all inputs, the disturbances that enter there.
+        shape: n, m and q of the plant.
+    """
+
+    states: tuple[int, ...]
+    channels: tuple[int, ...]
+    shape: tuple[int, int, int]
+
+    @staticmethod
+    def of(formula: Formula) -> tuple[Formula, Subsystem]:
+        """Returns a formula of the subsystem's own states, and the subsystem.
+
+        Robots that are alike have the same. Where it is more than half of the plant, or
+        nothing, it is the plant.
+        """
+        x, f, g, E = formula.dynamics
+        n, m, q = len(x), len(g[0]), len(E[0])
+        number = {node: i for i, node in enumerate(x)}
+        states: set[int] = set()
+        found: list[Node | float] = [formula.h]
+        while found:
+            nodes = [each for each in found if isinstance(each, Node)]
+            new = {number[v] for v in variables_of(nodes) if v in number} - states
+            states |= new
+            found = [each for i in new for each in (f[i], *g[i], *E[i])]
+        chosen = sorted(states)
+        if not chosen or 2 * len(chosen) > n:
+            return formula, Subsystem(tuple(range(n)), tuple(range(m + q)), (n, m, q))
+        enters = [
+            j
+            for j in range(m + q)
+            if any((*g[i], *E[i])[j] not in (ZERO, 0.0) for i in chosen)
+        ]
+        own = {x[i]: variable(f"x{k}") for k, i in enumerate(chosen)}
+
+        def renamed(nodes: Sequence[Node | float]) -> tuple[Any, ...]:
+            there = iter(substitute([v for v in nodes if isinstance(v, Node)], own))
+            return tuple(next(there) if isinstance(v, Node) else v for v in nodes)
+
+        columns = [[(*g[i], *E[i])[j] for j in enters] for i in chosen]
+        of_inputs = sum(j < m for j in enters)
+        rows = [renamed(row) for row in columns]
+        dynamics = Dynamics(
+            tuple(own.values()),
+            renamed([f[i] for i in chosen]),
+            tuple(row[:of_inputs] for row in rows),
+            tuple(row[of_inputs:] for row in rows),
+        )
+        (h,) = renamed([formula.h])
+        part = Subsystem(tuple(chosen), tuple(enters), (n, m, q))
+        return formula._replace(h=h, dynamics=dynamics), part
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it is the plant."""
+        return len(self.states) == self.shape[0]
+
+    def row(self, function: CompiledFunction, levels: int) -> CompiledFunction:
+        """Returns [A, b, w] and a number of levels as a function of the plant's x."""
+        _, m, q = self.shape
+        end = m + 1 + q
+        return self._placed(function, [*self._entries, *range(end, end + levels)])
+
+    def gradient(self, function: CompiledFunction) -> CompiledFunction:
+        """Returns the derivatives of [A, b, w] as a function of the plant's x."""
+        n, m, q = self.shape
+        columns = [*self.states, n]
+        places = np.add.outer(np.multiply(self._entries, n + 1), columns).ravel()
+        size = (m + 1 + q) * (n + 1)
+        return self._placed(function, places.tolist(), size)
+
+    def value(self, function: CompiledFunction) -> CompiledFunction:
+        """Returns [h] as a function of the plant's x."""
+        return self._placed(function, [0])
+
+    @property
+    def _entries(self) -> list[int]:
+        m = self.shape[1]
+        inputs = [j for j in self.channels if j < m]
+        return [*inputs, m, *(j + 1 for j in self.channels if j >= m)]
+
+    def _placed(
+        self, function: CompiledFunction, places: Sequence[int], size: int | None = None
+    ) -> CompiledFunction:
+        if self.is_whole:
+            return function
+        size = max(places) + 1 if size is None else size
+        n = self.shape[0]
+        return PlacedFunction(function, self.states, n, tuple(places), size)
