@@ -21,6 +21,10 @@ MOST = 300_000  # A picture's size [bytes].
 REPLAYS = {
     "demo": ("compare blimp-multiple-obstacles --methods dob-cbf-qp,dob-vcbf-qp", 9.5),
     "arm": ("run examples/arm.yaml", 0.9),
+    "two_vehicles": (
+        "compare examples/two_vehicles.yaml --methods cbf-qp,dob-vcbf-qp",
+        4.3,
+    ),
     "quadrotor_slalom": ("run examples/quadrotor_slalom.py", 4.0),
 }
 FIGURES = {"yard": ("run examples/yard/yard.yaml", "paths.png")}

@@ -53,6 +53,34 @@ def test_runs_comparisons_checks_and_studies(robot: str, tmp_path: Path) -> None
     assert [json.loads(each)["outcome"] for each in trials[-2:]] == 2 * ["timeout"]
 
 
+def test_every_command_takes_two_vehicles_or_says_why_not(tmp_path: Path) -> None:
+    crossing = str(EXAMPLES / "two_vehicles.yaml")
+    assert "eastbound: other vehicles" in output("check", crossing)
+    brief = ("--override", "{duration: 0.4}")
+    two = ("--methods", "robust-cbf-qp,dob-vcbf-qp", *brief)
+    output("compare", crossing, *two, "--out", f"{tmp_path}/compare")
+    assert (tmp_path / "compare" / "replay.html").stat().st_size > 1e6
+    for method in ("robust-cbf-qp", "dob-vcbf-qp"):
+        for name in ("eastbound", "northbound"):
+            path = tmp_path / "compare" / method / name / "summary.json"
+            assert json.loads(path.read_text())["least_separation"] > 0.8
+    output("diagram", crossing, "--out", f"{tmp_path}/diagram")
+    drawn = {each.stem for each in (tmp_path / "diagram").glob("*.dot")}
+    assert drawn == {"crossing", "eastbound", "northbound", "safety-filter"}
+    vary = ("--vary", "vehicles.1.initial_state.1: !Add [-0.2, 0.0]", "--trials", "2")
+    study = ("--methods", "cbf-qp", "--workers", "1", *brief)
+    output("monte-carlo", crossing, *vary, *study, "--out", f"{tmp_path}/study")
+    trials = (tmp_path / "study" / "trials.jsonl").read_text().splitlines()
+    found = [json.loads(each) for each in trials]
+    assert [each["outcome"] for each in found] == 2 * ["timeout"]
+    assert found[0]["min_barrier"] != found[1]["min_barrier"]
+    for command in ("plant", "controller", "faults"):
+        shown = CliRunner().invoke(app, (command, crossing))
+        assert shown.exit_code == 2
+        assert shown.output.count("\n") == 1
+        assert "2 vehicles (eastbound, northbound), where one is needed" in shown.output
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_plant_and_controller_in_two_processes(robot: str) -> None:

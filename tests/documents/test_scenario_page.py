@@ -61,6 +61,16 @@ def test_shipped_scenarios_keep_to_the_schema(name: str) -> None:
     check(read, {"$ref": "#/$defs/Scenario"}, schema["$defs"])
 
 
+def test_vehicles_of_one_scenario_keep_to_the_schema() -> None:
+    schema = json.loads(json.dumps(scenario_schema(), allow_nan=False))
+    path = ROOT / "examples" / "two_vehicles.yaml"
+    read = yaml_load(filename=str(path), private=True)
+    check(read["crossing"], schema["additionalProperties"], schema["$defs"])
+    with pytest.raises(AssertionError):
+        del read["crossing"]["vehicles"]
+        check(read["crossing"], schema["additionalProperties"], schema["$defs"])
+
+
 def test_schema_refuses_what_the_loader_refuses() -> None:
     definitions = scenario_schema()["$defs"]
     scenario = definitions["Scenario"]

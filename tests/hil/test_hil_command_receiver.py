@@ -19,7 +19,7 @@ from vcbf_drake.hil import (
 )
 from vcbf_drake.hil.messages import vcbf_command
 from vcbf_drake.hil.vehicle_side import CommandReceiver, Timeline
-from vcbf_drake.simulation.scenario import Hardware
+from vcbf_drake.simulation.sections import Hardware
 
 CAR = ControlAffineModel.from_system(Car())
 MS = 1000  # In microseconds.

@@ -77,6 +77,7 @@ OneOfEverything:
     - center: [2.0, 0.5]
       radius: 0.3
     - {center: [3.0, -0.5], radius: 0.3, velocity: [0.0, 0.1], margin: 0.05}
+  separation: {distance: 0.5}
   barrier:
     form: squared
     gains: [4.0, 4.0]

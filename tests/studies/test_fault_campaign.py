@@ -8,7 +8,7 @@ from vcbf_drake import load_scenario
 from vcbf_drake.cli import app
 from vcbf_drake.simulation import dump_scenario, validate
 from vcbf_drake.simulation.faults import Faults
-from vcbf_drake.simulation.scenario import MeasurementNoise
+from vcbf_drake.simulation.sections import MeasurementNoise
 from vcbf_drake.studies import run_trial
 from vcbf_drake.studies.fault_campaign import (
     FAULTS,

@@ -24,13 +24,12 @@ from pydrake.systems.primitives import (
 import pytest
 
 from vcbf_drake import Blimp, load_scenario, make_loop
-from vcbf_drake.simulation.audit import Audit
 from vcbf_drake.viz.diagram import diagram_dot, filter_dot, write_diagram
 
 # pydot's parser still calls pyparsing by its old names.
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:pydot")
 
-LOOKS_ON = VectorLogSink, Audit
+LOOKS_ON = VectorLogSink
 DIAGRAMS = Path(__file__).parents[2] / "diagrams"
 LOOPS = {
     "blimp": ("blimp-multiple-obstacles", {}),

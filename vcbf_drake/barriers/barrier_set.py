@@ -203,19 +203,24 @@ class BarrierSet:
         ]
         return np.array(values, dtype=float).reshape(len(t), self.size)
 
-    def rows_along(self, x: Array, t: Array) -> RowsAlong:
-        """Returns every row along a trajectory, without perceived obstacles.
+    def rows_along(
+        self, x: Array, t: Array, obstacles: Array | None = None
+    ) -> RowsAlong:
+        """Returns every row along a trajectory.
 
         Args:
             x: The states, shape (T, n).
             t: The times, shape (T,) [s].
+            obstacles: What is perceived at those times, shape (T, obstacles_size).
 
         Raises:
-            ValueError: x or t has another shape.
+            ValueError: x, t or obstacles has another shape.
         """
+        points = self._points(x, t)
+        perceived = [None] * len(t) if obstacles is None else obstacles
         lists = [
-            self._numbers(point, self.functions_at(point[-1]))
-            for point in self._points(x, t)
+            self._numbers(point, self.functions_at(point[-1], seen))
+            for point, seen in zip(points, perceived, strict=True)
         ]
         shape = len(lists), self.size, self._width
         numbers = np.array(lists, dtype=float).reshape(shape)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    from vcbf_drake.simulation.fleet import Fleet
     from vcbf_drake.simulation.scenario import Scenario
 
 # Those of `vcbf_drake.safety.METHODS`, which --help must not import; a test compares.
@@ -66,12 +67,26 @@ def load(
     method: str | None,
     scenario_name: str | None = None,
 ) -> Scenario:
-    """Returns the scenario with the overrides and the method of the command line."""
-    from vcbf_drake.simulation.loading import load_scenario
+    """Returns a scenario of one vehicle, as the command line has it."""
+    from vcbf_drake.simulation.loading import only_one
+
+    fleet = load_vehicles(name_or_path, override, method, scenario_name)
+    return only_one(fleet, name_or_path)
+
+
+def load_vehicles(
+    name_or_path: str,
+    override: str | None,
+    method: str | None,
+    scenario_name: str | None = None,
+) -> Fleet:
+    """Returns the vehicles with the overrides and the method of the command line."""
+    from vcbf_drake.simulation.loading import load_fleet
     from vcbf_drake.simulation.scenario import validate
 
-    scenario = load_scenario(name_or_path, override, scenario_name)
+    fleet = load_fleet(name_or_path, override, scenario_name)
     if method is not None:
-        scenario.method = method
-        validate(scenario)
-    return scenario
+        for each in fleet.vehicles:
+            each.method = method
+        validate(fleet)
+    return fleet

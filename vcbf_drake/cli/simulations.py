@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import dataclasses
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,7 +15,7 @@ from vcbf_drake.cli.options import (
     OverrideOption,
     ScenarioArgument,
     ScenarioNameOption,
-    load,
+    load_vehicles,
     method_names,
     out_option,
 )
@@ -22,8 +23,8 @@ from vcbf_drake.cli.progress import Advance, progress
 from vcbf_drake.files import json_text, whole_directory
 
 if TYPE_CHECKING:
+    from vcbf_drake.simulation.fleet import Fleet
     from vcbf_drake.simulation.result import Result
-    from vcbf_drake.simulation.scenario import Scenario
 
 
 def list_scenarios() -> None:
@@ -88,17 +89,17 @@ def run(
     ] = None,
 ) -> None:
     """Simulate one scenario: results, figures, a replay and a summary."""
-    chosen = load(scenario, override, method, scenario_name)
-    directory = out or Path("out") / f"{chosen.name}-{chosen.method}"
+    fleet = load_vehicles(scenario, override, method, scenario_name)
+    directory = out or Path("out") / f"{fleet.name}-{fleet.vehicles[0].method}"
     if live or by_hand:
-        result = _simulate_live(chosen, by_hand, log_to)
+        results = _simulate_live(fleet, by_hand, log_to)
     with progress() as begin:
         if not (live or by_hand):
-            (result,) = _simulate([chosen], begin, log_to)
+            results = _simulate(fleet, begin, log_to)
         with whole_directory(directory) as staging:
-            result.save(staging)
-        write_pictures([result], directory, begin, replay=replay, figures=figures)
-    report_results([result], directory)
+            _save(results, staging)
+        write_pictures(results, directory, begin, replay=replay, figures=figures)
+    report_results(results, directory)
 
 
 def compare(
@@ -118,17 +119,17 @@ def compare(
     from vcbf_drake.safety.methods import METHODS
 
     names = list(METHODS) if methods is None else method_names(methods)
-    chosen = [load(scenario, override, name, scenario_name) for name in names]
-    directory = out or Path("out") / chosen[0].name
+    fleets = [load_vehicles(scenario, override, m, scenario_name) for m in names]
+    directory = out or Path("out") / fleets[0].name
     with progress() as begin:
-        results = _simulate(chosen, begin)
+        runs = [_simulate(fleet, begin) for fleet in fleets]
         with whole_directory(directory) as staging:
-            for result in results:
-                result.save(staging / result.scenario.method)
-        own = load(scenario, override, None, scenario_name).method
-        in_front = sorted(results, key=lambda each: each.scenario.method == own)
-        write_pictures(in_front, directory, begin)
-    report_results(results, directory)
+            for method, results in zip(names, runs, strict=True):
+                _save(results, staging / method)
+        own = load_vehicles(scenario, override, None, scenario_name).vehicles[0].method
+        in_front = sorted(runs, key=lambda each: each[0].scenario.method == own)
+        write_pictures(list(chain(*in_front)), directory, begin)
+    report_results(list(chain(*runs)), directory)
 
 
 def check(
@@ -144,13 +145,13 @@ def check(
     from vcbf_drake.simulation.run import check_assumptions
     from vcbf_drake.viz.terminal import print_assumptions
 
-    chosen = load(scenario, override, method, scenario_name)
-    assumptions = check_assumptions(chosen)
+    fleet = load_vehicles(scenario, override, method, scenario_name)
+    assumptions = check_assumptions(fleet)
     if as_json:
         numbers = [dataclasses.asdict(each) for each in assumptions]
         typer.echo(json_text(numbers), nl=False)
     else:
-        print_assumptions(chosen, assumptions)
+        print_assumptions(f"{fleet.name}, {fleet.vehicles[0].method}", assumptions)
 
 
 def diagram(
@@ -161,46 +162,53 @@ def diagram(
     out: Annotated[Path | None, out_option("out/SCENARIO-diagram")] = None,
 ) -> None:
     """Draw the block diagrams of the loop and of its filter, as DOT and SVG."""
-    from vcbf_drake.simulation.loop import make_loop
+    from vcbf_drake.simulation.fleet import loops_of, make_fleet_loop
     from vcbf_drake.viz.diagram import write_diagram
 
-    chosen = load(scenario, override, method, scenario_name)
-    directory = out or Path("out") / f"{chosen.name}-diagram"
+    fleet = load_vehicles(scenario, override, method, scenario_name)
+    directory = out or Path("out") / f"{fleet.name}-diagram"
     with whole_directory(directory) as staging:
-        loop = make_loop(chosen)
-        write_diagram(loop, staging, chosen.name)
-        safety_filter = loop.GetSubsystemByName("filter")
+        whole = make_fleet_loop(fleet)
+        loops = loops_of(whole, fleet)
+        for each in dict.fromkeys([whole, *loops]):
+            write_diagram(each, staging, each.get_name())
+        safety_filter = loops[0].GetSubsystemByName("filter")
         write_diagram(safety_filter, staging, "safety-filter")
     typer.echo(f"written to {directory}")
 
 
 def _simulate(
-    scenarios: list[Scenario],
-    begin: Callable[[str], Advance],
-    log_directory: Path | None = None,
+    fleet: Fleet, begin: Callable[[str], Advance], log_directory: Path | None = None
 ) -> list[Result]:
-    from vcbf_drake.simulation.run import simulate
+    from vcbf_drake.simulation.run import simulate_fleet
 
-    return [
-        simulate(each, begin(each.method), log_directory=log_directory)
-        for each in scenarios
-    ]
+    advance = begin(fleet.vehicles[0].method)
+    return simulate_fleet(fleet, advance, log_directory=log_directory)
+
+
+def _save(results: list[Result], directory: Path) -> None:
+    """Saves results; those of several vehicles in directories of their names."""
+    for each in results:
+        several = len(results) > 1
+        each.save(directory / each.scenario.name if several else directory)
 
 
 def _simulate_live(
-    scenario: Scenario, by_hand: bool, log_directory: Path | None
-) -> Result:
-    from vcbf_drake.simulation.run import simulate
+    fleet: Fleet, by_hand: bool, log_directory: Path | None
+) -> list[Result]:
+    from vcbf_drake.simulation.loading import only_one
+    from vcbf_drake.simulation.run import simulate_fleet
     from vcbf_drake.viz.live import LiveView, Stick
 
     def tell(address: str) -> None:
         typer.echo(f"open {address} in a browser; the run begins there", err=True)
 
-    view = LiveView([scenario], tell)
+    driven = only_one(fleet, "--by-hand") if by_hand else None
+    view = LiveView(fleet.vehicles, tell)
     try:
-        controller = Stick(view.meshcat, scenario) if by_hand else None
-        return simulate(
-            scenario, log_directory=log_directory, watch=view, controller=controller
+        controller = Stick(view.meshcat, driven) if driven else None
+        return simulate_fleet(
+            fleet, log_directory=log_directory, watch=view, controller=controller
         )
     finally:
         view.close()
@@ -235,6 +243,8 @@ def report_results(results: list[Result], directory: Path) -> None:
     from vcbf_drake.viz.runs import barrier_unit
     from vcbf_drake.viz.terminal import print_summaries
 
-    unit = barrier_unit(results[0].scenario)
-    print_summaries([result.summary for result in results], unit)
+    for name in dict.fromkeys(each.scenario.name for each in results):
+        own = [each for each in results if each.scenario.name == name]
+        unit = barrier_unit(own[0].scenario)
+        print_summaries([each.summary for each in own], unit)
     typer.echo(f"written to {directory}")

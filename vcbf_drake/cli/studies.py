@@ -16,12 +16,14 @@ from vcbf_drake.cli.options import (
     ScenarioArgument,
     ScenarioNameOption,
     load,
+    load_vehicles,
     method_names,
     out_option,
 )
 from vcbf_drake.cli.progress import progress
 
 if TYPE_CHECKING:
+    from vcbf_drake.simulation.fleet import Fleet
     from vcbf_drake.studies import Record, Trial
 
 _SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the draws.")]
@@ -75,9 +77,9 @@ def monte_carlo(
     if scheduler is not None and workers is not None:
         raise typer.BadParameter("--scheduler and --workers exclude each other")
     names = method_names(methods)
-    chosen = [load(scenario, override, each, scenario_name) for each in names]
-    directory = out or Path("out") / f"{chosen[0].name}-monte-carlo"
-    variation = load_variation(vary or _random_start(len(chosen[0].initial_state)))
+    fleets = [load_vehicles(scenario, override, m, scenario_name) for m in names]
+    directory = out or Path("out") / f"{fleets[0].name}-monte-carlo"
+    variation = load_variation(vary or _random_start(fleets[0]))
     plan = [
         Trial(
             scenario,
@@ -91,7 +93,7 @@ def monte_carlo(
         for index in range(trials)
         for each in names
     ]
-    plan[0].load()  # A draw that does not load is refused before anything runs.
+    plan[0].load_fleet()  # A draw that does not load is refused before anything runs.
     path = directory / "trials.jsonl"
     if not resume and path.exists() and path.stat().st_size > 0:
         raise typer.BadParameter(f"{path} has results; --resume goes on with them")
@@ -155,8 +157,13 @@ def faults(
     typer.echo(f"written to {out}")
 
 
-def _random_start(num_states: int) -> str:
-    entries = [f"initial_state.{i}: !Add [-0.05, 0.05]" for i in range(num_states)]
+def _random_start(fleet: Fleet) -> str:
+    several = len(fleet.vehicles) > 1
+    entries = [
+        f"{f'vehicles.{i}.' * several}initial_state.{k}: !Add [-0.05, 0.05]"
+        for i, each in enumerate(fleet.vehicles)
+        for k in range(len(each.initial_state))
+    ]
     return "{" + ", ".join(entries) + "}"
 
 

@@ -21,7 +21,7 @@ from vcbf_drake.safety import (
     SafetyFilter,
     unpack_feasible_set,
 )
-from vcbf_drake.simulation.scenario import Hardware
+from vcbf_drake.simulation.sections import Hardware
 
 # The share of its timeout for which a vehicle may hear nothing from the controller that
 # it follows, before another one speaks up; and how often that one shows itself [us].

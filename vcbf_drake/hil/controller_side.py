@@ -33,7 +33,8 @@ from vcbf_drake.simulation.loop import (
     make_observer,
 )
 from vcbf_drake.simulation.obstacles import perceived_spheres
-from vcbf_drake.simulation.scenario import Hardware, Scenario
+from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.simulation.sections import Hardware
 
 
 class VehicleLink:

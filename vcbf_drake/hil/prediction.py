@@ -21,7 +21,7 @@ from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
 from vcbf_drake.hil.receivers import StateStamp
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import InputSet
-from vcbf_drake.simulation.scenario import Hardware
+from vcbf_drake.simulation.sections import Hardware
 
 # So many ticks in a row must refute a hypothesis; one is an angle that wraps, a reset.
 _PERSISTENT = 3

@@ -26,7 +26,8 @@ from vcbf_drake.hil.inbox import (
     state_format,
 )
 from vcbf_drake.hil.senders import Reason
-from vcbf_drake.simulation.scenario import Hardware, Scenario
+from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.simulation.sections import Hardware
 
 # How long a vehicle may take to follow a controller that it hears first [us].
 _TO_SETTLE = 300_000

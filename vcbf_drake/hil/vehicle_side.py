@@ -39,7 +39,8 @@ from vcbf_drake.simulation.loop import (
     add_simulated_plant,
 )
 from vcbf_drake.simulation.obstacles import barriers
-from vcbf_drake.simulation.scenario import Hardware, Scenario
+from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.simulation.sections import Hardware
 
 
 class Timeline:

@@ -1,8 +1,10 @@
 """Scenarios, the loop they describe, and what happens when it runs."""
 
 from vcbf_drake.simulation.faults import Faults
+from vcbf_drake.simulation.fleet import Fleet, make_fleet_loop
 from vcbf_drake.simulation.loading import (
     dump_scenario,
+    load_fleet,
     load_scenario,
     shipped_scenarios,
 )
@@ -11,22 +13,28 @@ from vcbf_drake.simulation.loop import make_loop
 from vcbf_drake.simulation.obstacle_files import PolygonMap, SpheresFile
 from vcbf_drake.simulation.obstacles import BodyPoint, barriers
 from vcbf_drake.simulation.result import Result, load_result
-from vcbf_drake.simulation.run import check_assumptions, simulate, step_cpu_time
-from vcbf_drake.simulation.scenario import (
+from vcbf_drake.simulation.run import (
+    check_assumptions,
+    simulate,
+    simulate_fleet,
+)
+from vcbf_drake.simulation.scenario import Scenario, validate
+from vcbf_drake.simulation.schema import scenario_page, scenario_schema
+from vcbf_drake.simulation.sections import (
     BarrierGains,
     Hardware,
     InputLimits,
     Integrator,
     MeasurementNoise,
-    Scenario,
-    validate,
+    Separation,
 )
-from vcbf_drake.simulation.schema import scenario_page, scenario_schema
+from vcbf_drake.simulation.step_time import step_cpu_time
 
 __all__ = [
     "BarrierGains",
     "BodyPoint",
     "Faults",
+    "Fleet",
     "Hardware",
     "InputLimits",
     "Integrator",
@@ -34,18 +42,22 @@ __all__ = [
     "PolygonMap",
     "Result",
     "Scenario",
+    "Separation",
     "SpheresFile",
     "barriers",
     "check_assumptions",
     "dump_scenario",
+    "load_fleet",
     "load_result",
     "load_scenario",
+    "make_fleet_loop",
     "make_loop",
     "read_log_files",
     "scenario_page",
     "scenario_schema",
     "shipped_scenarios",
     "simulate",
+    "simulate_fleet",
     "step_cpu_time",
     "validate",
 ]

@@ -7,16 +7,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydrake.systems.framework import BasicVector, Context, InputPort, LeafSystem
 
 from vcbf_drake.barriers import BarrierSet
 from vcbf_drake.between_ticks.certified_heights import known_along
 from vcbf_drake.checks import Array
-from vcbf_drake.disturbances import (
-    DisturbanceBounds,
-    DisturbanceEstimate,
-    DisturbanceObserver,
-)
+from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceObserver
 from vcbf_drake.safety import Assumption, FilterStatus, InputSet, SafetyFilter
 from vcbf_drake.safety.decay import DecayRates
 from vcbf_drake.simulation.collision_monitor import TOUCH
@@ -77,7 +72,8 @@ def audit_margins(
         bounds: What is declared of the disturbance.
     """
     estimate, bound = known_along(log, safety_filter, bounds.delta1)
-    rows = barriers.rows_along(log["state"], log["time"])
+    seen = log["obstacles"] if barriers.obstacles_size else None
+    rows = barriers.rows_along(log["state"], log["time"], seen)
     status, error = log["status"], log["disturbance"] - estimate
     along, w_norm = _each(rows.w, log["disturbance"]), np.linalg.norm(rows.w, axis=2)
     certified = _each(rows.w, estimate) - w_norm * bound[:, None]
@@ -141,7 +137,7 @@ def audit_findings(
     """
     times = log["time"]
     found = {
-        name: _finding(statement, times, margins, _TOLERANCES.get(name, ROUNDING))
+        name: finding(statement, times, margins, _TOLERANCES.get(name, ROUNDING))
         for (name, statement), margins in zip(
             PROMISES.items(), log["audit"].T, strict=True
         )
@@ -149,7 +145,7 @@ def audit_findings(
     }
     if observer is not None:
         found |= _of_measurements(log, observer)
-    found[BETWEEN_TICKS] = _finding(
+    found[BETWEEN_TICKS] = finding(
         "h >= 0 at every integrator step", path_time, _least_of_each(heights), TOUCH
     )
     if "volume" in found and len(times) > 1:
@@ -178,12 +174,12 @@ def _of_measurements(
         for q in distinct.tolist()
     ]
     return {
-        MEASUREMENT: _finding(
+        MEASUREMENT: finding(
             "no interval's mean disturbance was refused as impossible (E43)",
             log["time"],
             _yes_or_no(refused <= 0.0),
         ),
-        QUADRATURE: _finding(
+        QUADRATURE: finding(
             "the observer's gains allow for the error of the means (E42)",
             log["time"],
             np.array(spare)[which],
@@ -246,9 +242,17 @@ def _decrease_margin(times: Array, volume: Array, gain: float) -> Array:
     return np.nan_to_num(margin, nan=np.inf)
 
 
-def _finding(
+def finding(
     statement: str, times: Array, margins: Array, tolerance: float = ROUNDING
 ) -> dict[str, Any]:
+    """Returns the finding of one promise, as `audit_findings` has it.
+
+    Args:
+        statement: What was promised.
+        times: When it was looked at, shape (T,) [s].
+        margins: How well it was kept, shape (T,); negative where it was not.
+        tolerance: What rounding may take from a margin.
+    """
     broken = np.flatnonzero(margins < -tolerance)
     worst = int(np.argmin(margins))
     return {
@@ -262,7 +266,7 @@ def _finding(
 
 
 def _information(statement: str, times: Array, margins: Array) -> dict[str, Any]:
-    return _finding(statement, times, margins) | {"held": None}
+    return finding(statement, times, margins) | {"held": None}
 
 
 def _each(rows: Array, vectors: Array) -> Array:
@@ -294,82 +298,3 @@ def _least_of_each(values: Array) -> Array:
     flat = values.reshape(len(values), -1)
     least: Array = np.fmin.reduce(flat, axis=1, initial=np.inf)
     return least
-
-
-class Audit(LeafSystem):
-    """Watches, with the truth that only a simulation knows, what the filter promises.
-
-    .. pydrake_system::
-
-        name: Audit
-        input_ports:
-        - state
-        - disturbance
-        - estimate (optional)
-        - input
-        - volume
-        - slack
-        - least_chi
-        - status
-        - backup (optional)
-        output_ports:
-        - margins
-
-    | port | size | what |
-    | --- | --- | --- |
-    | ``state`` | n | the true state |
-    | ``disturbance`` | q | the true disturbance [m/s^2] |
-    | ``margins`` | | of each of `PROMISES`: see `audit_margins` |
-
-    The other ports are the filter's and the observer's; a method without an observer
-    has no port ``estimate``. The system is pure, and costs nothing where nobody asks
-    for its output: `simulate` finds the same margins for all ticks at once, from the
-    log.
-    """
-
-    def __init__(
-        self,
-        safety_filter: SafetyFilter,
-        barriers: BarrierSet,
-        bounds: DisturbanceBounds,
-    ) -> None:
-        """Declares the ports.
-
-        Args:
-            safety_filter: The filter that is watched.
-            barriers: What is truly there, whatever the filter perceives.
-            bounds: What is declared of the disturbance.
-        """
-        super().__init__()
-        self._safety_filter, self._barriers = safety_filter, barriers
-        self._bounds = bounds
-        model = safety_filter.model
-        sizes = {
-            "state": model.num_states,
-            "disturbance": model.num_disturbances,
-            "input": model.num_inputs,
-            "volume": 1,
-            "slack": 1,
-            "least_chi": 1,
-            "status": 1,
-        }
-        if safety_filter.gate is not None:
-            sizes["backup"] = 2
-        if safety_filter.method.disturbance == "estimated":
-            sizes["estimate"] = DisturbanceEstimate.packed_size(model.num_disturbances)
-        self._ports: dict[str, InputPort] = {
-            name: self.DeclareVectorInputPort(name, size)
-            for name, size in sizes.items()
-        }
-        self.DeclareVectorOutputPort("margins", len(PROMISES), self._calc_margins)
-
-    def _calc_margins(self, context: Context, output: BasicVector) -> None:
-        tick = {name: port.Eval(context)[None] for name, port in self._ports.items()}
-        for name in ("volume", "slack", "least_chi", "status"):
-            tick[name] = tick[name][:, 0]
-        if "estimate" in tick:
-            estimate = DisturbanceEstimate.unpack(tick.pop("estimate"))
-            tick |= estimate.log_arrays()
-        tick["time"] = np.array([context.get_time()])
-        margins = audit_margins(tick, self._safety_filter, self._barriers, self._bounds)
-        output.SetFromVector(margins[0])

@@ -9,6 +9,7 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import (
     Context,
     EventStatus,
+    InputPort,
     LeafSystem,
     PublishEvent,
     ValueProducer,
@@ -31,6 +32,7 @@ class CollisionMonitor(LeafSystem):
         name: CollisionMonitor
         input_ports:
         - state
+        - obstacles (where some are perceived)
 
     A witness function finds the instant of the crossing between integrator steps, so
     that a log of every step has it; another ends the simulation once h < -`TOUCH`. The
@@ -45,11 +47,18 @@ class CollisionMonitor(LeafSystem):
         super().__init__()
         self.barrier_set = barriers
         self._state = self.DeclareVectorInputPort("state", num_states)
+        needs = {self._state.ticket(), self.time_ticket()}
+        self._obstacles: InputPort | None = None
+        if barriers.obstacles_size:
+            self._obstacles = self.DeclareVectorInputPort(
+                "obstacles", barriers.obstacles_size
+            )
+            needs.add(self._obstacles.ticket())
         # The witness is asked at the end of a step and at the start of the next.
         self._least = self.DeclareCacheEntry(
             "least barrier value",
             ValueProducer(allocate=lambda: Value[float](), calc=self._calc_least),
-            {self._state.ticket(), self.time_ticket()},
+            needs,
         )
         stop = PublishEvent(
             system_callback=lambda system, context, event: (
@@ -70,7 +79,9 @@ class CollisionMonitor(LeafSystem):
         return least
 
     def _calc_least(self, context: Context, least: Any) -> None:
-        values = self.barrier_set.values(self._state.Eval(context), context.get_time())
+        x, t = self._state.Eval(context), context.get_time()
+        seen = None if self._obstacles is None else self._obstacles.Eval(context)
+        values = self.barrier_set.values(x, t, seen)
         numbers = [h for h in values.tolist() if not math.isnan(h)]
         least.set_value(min(numbers, default=math.inf))
 

@@ -41,6 +41,7 @@ from vcbf_drake.errors import (
     written,
 )
 from vcbf_drake.files import names_file, resolved
+from vcbf_drake.simulation.fleet import Fleet
 from vcbf_drake.simulation.python_file import scenario_of
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.typed import TYPE_WORDS, typed
@@ -48,7 +49,7 @@ from vcbf_drake.typed import TYPE_WORDS, typed
 Node: TypeAlias = Any  # A yaml.Node; PyYAML has no type stubs.
 
 _DIRECTORY = Path(__file__).parent / "scenarios"
-_OVERRIDE = "override"
+_OVERRIDE, VEHICLES = "override", "vehicles"
 # What people write for an angle: 90deg, 90°, pi/2.
 _ANGLE = re.compile(r"\d *(deg|°)|\bpi\b|\brad\b")
 # No quantity is as large, in SI units; a product of a few such numbers is still finite.
@@ -83,48 +84,92 @@ def load_scenario(
     overrides: str | Mapping[str, Any] | None = None,
     scenario_name: str | None = None,
 ) -> Scenario:
-    """Loads one scenario.
+    """Loads one scenario of one vehicle.
 
     Args:
         name_or_path: A shipped scenario's name; a YAML file whose top-level keys are
             scenario names; or a Python file with a function ``scenario()``.
         overrides: Values that replace those of the file, as YAML text or as a
-            mapping. Mappings merge; lists, numbers and tagged mappings replace (in a
-            Python mapping the key ``_tag`` holds the tag, with its ``!``).
+            mapping. Mappings merge, a mapping of whole numbers replaces those entries
+            of a list; lists, numbers and tagged mappings replace (in a Python mapping
+            the key ``_tag`` holds the tag, with its ``!``).
         scenario_name: Which top-level key to load; needed when there are several.
 
     Raises:
         ScenarioError: One line that says where (file, line, key), what was found and
             what is allowed.
     """
+    return only_one(load_fleet(name_or_path, overrides, scenario_name), name_or_path)
+
+
+@typed
+def load_fleet(
+    name_or_path: str | Path,
+    overrides: str | Mapping[str, Any] | None = None,
+    scenario_name: str | None = None,
+) -> Fleet:
+    """Loads one scenario of one or several vehicles.
+
+    The key ``vehicles`` of the latter is a list of scenarios, each with the entries
+    beside it as its own, but for those that it gives itself.
+
+    Args:
+        name_or_path: See `load_scenario`.
+        overrides: See `load_scenario`.
+        scenario_name: See `load_scenario`.
+
+    Raises:
+        ScenarioError: See `load_scenario`.
+    """
     path = scenario_path(name_or_path)
     if path.suffix == ".py":
-        scenario = scenario_of(path)
+        made = scenario_of(path)
+        fleet = made if isinstance(made, Fleet) else Fleet.of(made)
         if overrides is None:
-            return scenario
-        return parse_scenario(dump_scenario(scenario), str(path), overrides)
+            return fleet
+        return _parse(dump_fleet(fleet), str(path), overrides)
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise ScenarioError(f"{path}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise ScenarioError(f"{path}: not a UTF-8 text file") from None
-    return parse_scenario(text, str(path), overrides, scenario_name)
+    return _parse(text, str(path), overrides, scenario_name)
 
 
 def parse_scenario(
+    text: str, source: str, overrides: str | Mapping[str, Any] | None = None
+) -> Scenario:
+    """Returns the scenario of a YAML text from `source`; see `load_scenario`."""
+    return only_one(_parse(text, source, overrides), source)
+
+
+def only_one(fleet: Fleet, source: str | Path) -> Scenario:
+    """Returns the scenario of a fleet's only vehicle.
+
+    Raises:
+        ScenarioError: It has several, as the source says.
+    """
+    if len(fleet.vehicles) > 1:
+        names = ", ".join(each.name for each in fleet.vehicles)
+        raise ScenarioError(
+            f"{source}: {len(fleet.vehicles)} vehicles ({names}), where one is needed"
+        )
+    return fleet.vehicles[0]
+
+
+def _parse(
     text: str,
     source: str,
     overrides: str | Mapping[str, Any] | None = None,
     scenario_name: str | None = None,
-) -> Scenario:
-    """Returns the scenario of a YAML text from `source`; see `load_scenario`."""
+) -> Fleet:
     try:
         node = _select(_compose(text, source), source, scenario_name)
         if overrides is not None:
             node = _merge(node, _compose(overrides))
         try:
-            return cast(Scenario, _build(node, Scenario, ()))
+            return _build_fleet(node)
         except InvalidValueError as error:
             place = f"{_locate(node, error.path)}: {written(error.path)}"
             raise ScenarioError(f"{place}: {error.problem}") from None
@@ -135,6 +180,14 @@ def parse_scenario(
 def dump_scenario(scenario: Scenario) -> str:
     """Returns the whole scenario as YAML text that loads back to the same."""
     return cast(str, yaml_dump({scenario.name: plain(scenario, Scenario)}))
+
+
+def dump_fleet(fleet: Fleet) -> str:
+    """Returns a fleet as YAML text that loads back to the same."""
+    if len(fleet.vehicles) == 1:
+        return dump_scenario(fleet.vehicles[0])
+    vehicles = [plain(each, Scenario) for each in fleet.vehicles]
+    return cast(str, yaml_dump({fleet.name: {VEHICLES: vehicles}}))
 
 
 def merge_overrides(*overrides: str | Mapping[str, Any]) -> str:
@@ -182,7 +235,7 @@ def _select(root: Node, source: str, name: str | None) -> Node:
     """Returns the node of a scenario, which then holds its name."""
     entries = {k: each for k, each in _entries(root).items() if k[:1] != "_"}
     problem = ""
-    known = {*field_types(Scenario), *Scenario.MOVED}
+    known = {*field_types(Scenario), *Scenario.MOVED, VEHICLES}
     if misplaced := [key for key in entries if key in known]:
         problem = f"{misplaced[0]} at the top; a scenario's name is missing above it"
     elif not entries:
@@ -226,8 +279,17 @@ def _entries(node: Node, path: KeyPath = ()) -> dict[str, tuple[Node, Node]]:
 def _merge(base: Node, top: Node) -> Node:
     """Returns the base with the top's values; untagged mappings merge, others replace.
 
-    A node remembers where it was written, so later messages name the right source.
+    Of a list, a mapping replaces the entries that its keys number. A node remembers
+    where it was written, so later messages name the right source.
     """
+    is_list = isinstance(base, yaml.SequenceNode) and isinstance(top, yaml.MappingNode)
+    if is_list and all(name.isdigit() for name in _entries(top)):
+        values = [*base.value]
+        for name, (key, value) in _entries(top).items():
+            if int(name) >= len(values):
+                _fail(key, (), f"{name} is no entry; they are 0 to {len(values) - 1}")
+            values[int(name)] = _merge(values[int(name)], value)
+        return yaml.SequenceNode(base.tag, values, base.start_mark)
     both = isinstance(base, yaml.MappingNode) and isinstance(top, yaml.MappingNode)
     if not both or top.tag.startswith("!"):
         return top
@@ -330,6 +392,23 @@ def tag_of(schema: Any) -> str:
     """Returns a class's tag: ``!Car`` for a CarVehicle, ``!Box`` for a BoxObstacle."""
     name = re.sub("(Vehicle|Obstacle)$", "", schema.__name__)
     return str(getattr(schema, "TAG", f"!{name}"))
+
+
+def _build_fleet(node: Node) -> Fleet:
+    """Returns the vehicles; those of a list share the entries beside it."""
+    entries = dict(_entries(node))
+    if VEHICLES not in entries:
+        return Fleet.of(_build(node, Scenario, ()))
+    _, listed = entries.pop(VEHICLES)
+    _, name = entries.pop("name")
+    if not isinstance(listed, yaml.SequenceNode):
+        _fail(listed, (VEHICLES,), f"expected a list, got {_shown(listed)}")
+    shared = yaml.MappingNode(node.tag, [*entries.values()], node.start_mark)
+    vehicles = []
+    for i, own in enumerate(listed.value):
+        _entries(own, (VEHICLES, i))  # Nothing but a mapping.
+        vehicles.append(_build(_merge(shared, own), Scenario, (VEHICLES, i)))
+    return Fleet(name=name.value, vehicles=vehicles)
 
 
 def _build(node: Node, hint: Any, path: KeyPath) -> Any:

@@ -17,7 +17,7 @@ from vcbf_drake.safety import SafetyFilter, unpack_feasible_set
 from vcbf_drake.simulation.audit import audit_margins
 from vcbf_drake.simulation.loop import COLLISION_MONITOR, LOG_PREFIX
 
-_PATH = "path"
+_PATH, _PATH_OBSTACLES = "path", "path_obstacles"
 _SCALARS = ("slack", "volume", "status", "decay", "least_chi")
 
 
@@ -68,8 +68,9 @@ class RunLog:
         """
         found = {name: _taken(sink, context) for name, sink in self._sinks.items()}
         times, states = found.pop(_PATH)
+        _, seen = found.pop(_PATH_OBSTACLES, (times, None))
         if len(times):
-            heights = self._truth.values_along(states, times)
+            heights = self._truth.values_along(states, times, seen)
             least = np.fmin.reduce(heights, axis=1, initial=np.inf)
             self.path.append({"time": times, "state": states, "least_height": least})
         ticks = {name: values for name, (_, values) in found.items()}

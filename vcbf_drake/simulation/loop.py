@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,12 +15,10 @@ from pydrake.systems.framework import (
     System,
     TriggerType,
 )
-from pydrake.systems.primitives import LogVectorOutput
+from pydrake.systems.primitives import LogVectorOutput, PassThrough
 
 from vcbf_drake.add_safety_filter import AddedSafetyFilter, AddSafetyFilter
-from vcbf_drake.barriers import (
-    BarrierSet,
-)
+from vcbf_drake.barriers import BarrierSet, PerceivedSpheres
 from vcbf_drake.disturbances import (
     DisturbanceBounds,
     DisturbanceObserver,
@@ -28,10 +27,7 @@ from vcbf_drake.disturbances import (
 from vcbf_drake.errors import below
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.model.interface import find_input_port, state_port_of
-from vcbf_drake.safety import (
-    SafetyFilter,
-)
-from vcbf_drake.simulation.audit import Audit
+from vcbf_drake.safety import SafetyFilter
 from vcbf_drake.simulation.collision_monitor import CollisionMonitor
 from vcbf_drake.simulation.fault_systems import (
     faulty_actuator,
@@ -43,6 +39,7 @@ from vcbf_drake.simulation.obstacles import (
     barriers,
     perceived_spheres,
     seen_barriers,
+    separation_barriers,
 )
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.sensors import MeasurementNoise, ObstaclesInSight
@@ -50,11 +47,14 @@ from vcbf_drake.typed import typed
 
 LOG_PREFIX = "log_"
 COLLISION_MONITOR = "collision_monitor"
-AUDIT = "audit"
 
 
 @typed
-def make_loop(scenario: Scenario, controller: System | None = None) -> Diagram:
+def make_loop(
+    scenario: Scenario,
+    controller: System | None = None,
+    others: PerceivedSpheres | None = None,
+) -> Diagram:
     """Returns the whole closed loop of a scenario as a Drake diagram.
 
     The systems are named plant, disturbance, controller, filter, filter_hold and
@@ -62,18 +62,27 @@ def make_loop(scenario: Scenario, controller: System | None = None) -> Diagram:
     tick, and ``log_path`` the true state at every integrator step. The diagram ends a
     simulation at a collision and, with the policy ``stop``, at an infeasible tick.
     The controller compensates the estimate only for the methods that have one; the
-    observer runs, and is logged, with every method. The system audit watches what the
-    filter promises. The scenario's faults are further systems, named after them.
+    observer runs, and is logged, with every method. The scenario's faults are further
+    systems, named after them.
 
     Args:
         scenario: A validated scenario.
         controller: In the place of the vehicle's own, with its ports.
+        others: What describes the other vehicles, where there are some: the diagram has
+            the ports ``others``, which takes it, and ``state`` then.
     """
     builder = DiagramBuilder()
     simulated = add_simulated_plant(builder, scenario)
     plant, source = simulated.plant, simulated.source
     # The filter knows the scenario's plant, whatever is wrong with the true one.
     model = scenario.make_model()
+    if others is None:
+        seen = obstacles_in_sight(builder, scenario, plant)
+    else:
+        told = builder.AddNamedSystem("other_vehicles", PassThrough(others.size))
+        builder.ExportInput(told.get_input_port(), "others")
+        builder.ExportOutput(state_port_of(plant), "state")
+        seen = told.get_output_port()
     added, loop = add_controller_and_filter(
         builder,
         scenario,
@@ -88,14 +97,17 @@ def make_loop(scenario: Scenario, controller: System | None = None) -> Diagram:
             period=scenario.observer.period or scenario.period,
         ),
         plant_input=simulated.input,
-        obstacles=obstacles_in_sight(builder, scenario, plant),
+        obstacles=seen,
+        others=others,
     )
     truth = loop.filter.barrier_set
     if scenario.faults.sight > 0.0:
         truth = BarrierSet(model, barriers(scenario))
-    add_collision_monitor(builder, plant, truth)
-    _add_audit(builder, simulated, truth, loop)
-    _add_logs(builder, scenario, simulated, added, loop)
+    elif others is not None and scenario.separation.margin > 0.0:
+        apart = separation_barriers(scenario, others)
+        truth = BarrierSet(model, [*barriers(scenario), *apart])
+    add_collision_monitor(builder, plant, truth, seen)
+    _add_logs(builder, scenario, simulated, added, loop, seen, truth)
     lose_answers(builder, scenario, loop)
     diagram = builder.Build()
     diagram.set_name(scenario.name)
@@ -148,6 +160,7 @@ def add_controller_and_filter(
     plant_input: InputPort | None = None,
     applied_input: OutputPort | None = None,
     obstacles: OutputPort | None = None,
+    others: PerceivedSpheres | None = None,
 ) -> tuple[LeafSystem, AddedSafetyFilter]:
     """Adds a scenario's controller, and its filter with hold and observer.
 
@@ -162,16 +175,22 @@ def add_controller_and_filter(
         plant_input: Takes the held input; None leaves that to be connected.
         applied_input: What the plant really applied; the held input by default.
         obstacles: What is seen of the obstacles; they are known without.
+        others: Or what describes the other vehicles: then that alone is seen.
     """
     if controller is None:
         controller = scenario.vehicle.make_controller(scenario.target)
     controller = builder.AddNamedSystem("controller", controller)
     builder.Connect(state, controller.GetInputPort("state"))
+    if others is not None:
+        kept = replace(others, margin=scenario.separation.margin)
+        guarded = [*barriers(scenario), *separation_barriers(scenario, kept)]
+    else:
+        guarded = barriers(scenario) if obstacles is None else seen_barriers(scenario)
     loop = AddSafetyFilter(
         builder,
         plant=plant_input,
         reference=controller.GetOutputPort("reference"),
-        barriers=barriers(scenario) if obstacles is None else seen_barriers(scenario),
+        barriers=guarded,
         input_set=scenario.input_set.input_set(),
         bounds=bounds,
         settings=scenario,
@@ -264,14 +283,26 @@ def _measured_state(
 
 
 def add_collision_monitor(
-    builder: DiagramBuilder, plant: LeafSystem, barrier_set: BarrierSet
+    builder: DiagramBuilder,
+    plant: LeafSystem,
+    barrier_set: BarrierSet,
+    seen: OutputPort | None = None,
 ) -> None:
-    """Adds what ends a simulation when a barrier becomes negative."""
+    """Adds what ends a simulation when a barrier becomes negative.
+
+    Args:
+        builder: Holds the plant.
+        plant: What must not collide.
+        barrier_set: With what.
+        seen: Where the perceived ones of the barriers are.
+    """
     state = state_port_of(plant)
     monitor = builder.AddNamedSystem(
         COLLISION_MONITOR, CollisionMonitor(barrier_set, state.size())
     )
     builder.Connect(state, monitor.GetInputPort("state"))
+    if seen is not None and monitor.HasInputPort("obstacles"):
+        builder.Connect(seen, monitor.GetInputPort("obstacles"))
 
 
 def logged_ports(
@@ -290,36 +321,14 @@ def logged_ports(
     return ports
 
 
-def _add_audit(
-    builder: DiagramBuilder,
-    simulated: SimulatedPlant,
-    barrier_set: BarrierSet,
-    loop: AddedSafetyFilter,
-) -> None:
-    audit = builder.AddNamedSystem(
-        AUDIT, Audit(loop.filter, barrier_set, simulated.source.bounds)
-    )
-    for name, port in {
-        "state": state_port_of(simulated.plant),
-        "disturbance": simulated.disturbance,
-        "estimate": loop.observer.GetOutputPort("estimate"),
-        "input": loop.filter.GetOutputPort("command"),
-        "least_chi": loop.filter.GetOutputPort("row_margin"),
-        **{n: loop.filter.GetOutputPort(n) for n in ("volume", "slack", "status")},
-    }.items():
-        if audit.HasInputPort(name):
-            builder.Connect(port, audit.GetInputPort(name))
-    if audit.HasInputPort("backup"):
-        port = loop.filter.GetOutputPort("backup")
-        builder.Connect(port, audit.GetInputPort("backup"))
-
-
 def _add_logs(
     builder: DiagramBuilder,
     scenario: Scenario,
     simulated: SimulatedPlant,
     controller: LeafSystem,
     loop: AddedSafetyFilter,
+    seen: OutputPort | None,
+    truth: BarrierSet,
 ) -> None:
     state = state_port_of(simulated.plant)
     ports = {
@@ -327,12 +336,14 @@ def _add_logs(
         "disturbance": simulated.disturbance,
         **logged_ports(controller, loop.filter, loop.observer),
     }
-    if loop.filter.HasInputPort("obstacles"):
-        ports["obstacles"] = builder.GetSubsystemByName(
-            "obstacles_in_sight"
-        ).get_output_port()
+    steps = {"path": state}
+    if seen is not None:
+        ports["obstacles"] = seen
+        if truth.obstacles_size:
+            steps["path_obstacles"] = seen
     for name, port in ports.items():
         log = LogVectorOutput(port, builder, scenario.period)
         log.set_name(LOG_PREFIX + name)
-    path = LogVectorOutput(state, builder, {TriggerType.kPerStep})
-    path.set_name(LOG_PREFIX + "path")
+    for name, port in steps.items():
+        log = LogVectorOutput(port, builder, {TriggerType.kPerStep})
+        log.set_name(LOG_PREFIX + name)

@@ -141,6 +141,24 @@ def seen_barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
     return _all_barriers(scenario, known, seen)
 
 
+def separation_barriers(scenario: Scenario, others: PerceivedSpheres) -> list[Barrier]:
+    """Returns the barriers of the other vehicles.
+
+    Args:
+        scenario: Of the vehicle that keeps apart.
+        others: What describes the others, one slot each.
+    """
+    apart = scenario.separation
+    found = others.barriers(apart.gains, scenario.vehicle.position, "other vehicle")
+    return _robust(scenario, found) if apart.robust else found
+
+
+def _robust(scenario: Scenario, found: Sequence[Barrier]) -> list[Barrier]:
+    """The barriers, made for a disturbance before the input."""
+    bound = scenario.make_source().bounds.delta1
+    return [barrier.robust_to(bound) for barrier in found]
+
+
 def perceived_spheres(scenario: Scenario) -> PerceivedSpheres:
     """Returns what describes the spheres; their margins are in the radii."""
     capacity = len(scenario.spheres)
@@ -188,8 +206,7 @@ def _all_barriers(
                 each.name += point.name
             found += made
     if settings.robust:
-        bound = scenario.make_source().bounds.delta1
-        found = [barrier.robust_to(bound) for barrier in found]
+        found = _robust(scenario, found)
     return [*found, *scenario.vehicle.barriers()]
 
 

@@ -10,10 +10,11 @@ import traceback
 from types import ModuleType
 
 from vcbf_drake.errors import InvalidValueError, ScenarioError
+from vcbf_drake.simulation.fleet import Fleet
 from vcbf_drake.simulation.scenario import Scenario
 
 
-def scenario_of(path: Path) -> Scenario:
+def scenario_of(path: Path) -> Scenario | Fleet:
     """Returns the scenario of a Python file, made anew.
 
     Args:
@@ -30,11 +31,11 @@ def scenario_of(path: Path) -> Scenario:
     except Exception as error:  # The file's own code may raise anything.
         kind = type(error).__name__
         raise ScenarioError(f"{_place(path, error)}: {kind}: {error}") from error
-    if not isinstance(made, Scenario):
+    if not isinstance(made, Scenario | Fleet):
         found = "no function scenario()" if make is None else f"a {type(made).__name__}"
         raise ScenarioError(
             f"{path}: {found}; it must have a function scenario() that returns a"
-            " vcbf_drake.Scenario"
+            " vcbf_drake.Scenario or Fleet"
         )
     made.name = made.name or path.stem
     return made

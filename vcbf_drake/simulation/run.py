@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 import math
 from pathlib import Path
 import time
+from typing import Any
 
 import numpy as np
 from pydrake.systems.analysis import (
@@ -21,7 +23,6 @@ from vcbf_drake.between_ticks.certified_heights import (
     is_certifiable,
 )
 from vcbf_drake.checks import Array
-from vcbf_drake.disturbances import DisturbanceEstimate
 from vcbf_drake.errors import ModelError, naming_user_code
 from vcbf_drake.model.interface import state_port_of
 from vcbf_drake.safety import (
@@ -38,20 +39,29 @@ from vcbf_drake.simulation.audit import (
     reasons_against,
     reasons_against_feasibility,
 )
+from vcbf_drake.simulation.collision_monitor import TOUCH
 from vcbf_drake.simulation.faults import fault_assumptions
+from vcbf_drake.simulation.fleet import (
+    OTHERS,
+    Fleet,
+    least_separation,
+    loops_of,
+    make_fleet_loop,
+    others_assumption,
+    others_finding,
+)
 from vcbf_drake.simulation.loading import load_scenario
 from vcbf_drake.simulation.log import RunLog
-from vcbf_drake.simulation.loop import make_loop, measurement_noise
+from vcbf_drake.simulation.loop import COLLISION_MONITOR, measurement_noise
 from vcbf_drake.simulation.result import Result
 from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.simulation.step_time import step_cpu_time
 from vcbf_drake.simulation.summary import Ending, summarise
 from vcbf_drake.typed import typed
 
 Progress = Callable[[float], None]
 Watch = Callable[[Diagram, Context], None]
 
-# Ticks whose CPU time is measured.
-_SAMPLES = 200
 # Isolates the instant of a collision to a microsecond; integration has fixed steps.
 _WITNESS_ACCURACY = 1e-4
 # How often what was logged is finished, audited and put away: after this time [s], and
@@ -84,15 +94,83 @@ def simulate(
     """
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(scenario)
-    diagram = make_loop(scenario, controller)
-    simulator = make_simulator(diagram, scenario)
-    found = loop_assumptions(scenario, diagram, simulator.get_context())
-    record = RunLog(diagram, log_directory)
+    (result,) = simulate_fleet(
+        Fleet.of(scenario), progress, step_time, log_directory, watch, controller
+    )
+    return result
+
+
+@typed
+def simulate_fleet(
+    fleet: Fleet,
+    progress: Progress | None = None,
+    step_time: bool = True,
+    log_directory: str | Path | None = None,
+    watch: Watch | None = None,
+    controller: System | None = None,
+) -> list[Result]:
+    """Runs the loops of a fleet together; returns the result of each vehicle.
+
+    Where there are several, each one's summary has the least distance from the others
+    too, as ``least_separation`` [m].
+
+    Args:
+        fleet: The vehicles.
+        progress: See `simulate`.
+        step_time: See `simulate`.
+        log_directory: See `simulate`; of several vehicles each has a directory there.
+        watch: See `simulate`.
+        controller: In the place of an only vehicle's own, with its ports.
+    """
+    diagram = make_fleet_loop(fleet, controller)
+    simulator = make_simulator(diagram, fleet)
+    loops, root = loops_of(diagram, fleet), simulator.get_mutable_context()
+    found = [
+        loop_assumptions(each, loop, root, len(loops) > 1)
+        for each, loop in zip(fleet.vehicles, loops, strict=True)
+    ]
+    records = []
+    for each, loop in zip(fleet.vehicles, loops, strict=True):
+        place = None if log_directory is None else Path(log_directory)
+        if place is not None and len(loops) > 1:
+            place /= each.name
+        records.append(RunLog(loop, place))
     started = time.process_time()
-    with naming_user_code(simulator.get_context().get_time):
-        ending = _advance(simulator, scenario, record, progress, watch)
-    log, path = record.ticks.arrays(), record.path.arrays()
+    with naming_user_code(root.get_time):
+        status = _advance(simulator, fleet, records, progress, watch)
+    logs = [(each.ticks.arrays(), each.path.arrays()) for each in records]
     cpu_time = time.process_time() - started
+    results = []
+    for each, loop, (log, path), known in zip(
+        fleet.vehicles, loops, logs, found, strict=True
+    ):
+        ending = _ending(status, each, len(loops), path)
+        summary = _summary(each, loop, log, path, known, ending)
+        results.append(Result(each, summary, log))
+    places = [
+        each.vehicle.positions(path["state"])
+        for each, (_, path) in zip(fleet.vehicles, logs, strict=True)
+    ]
+    for i, (result, loop) in enumerate(zip(results, loops, strict=True)):
+        if len(loops) > 1:
+            result.summary["least_separation"] = least_separation(places, i)
+        if step_time:
+            safety_filter = loop.GetSubsystemByName("filter")
+            result.summary["step_cpu_ms"] = step_cpu_time(safety_filter, result.log)
+        rate = status.return_time() / max(cpu_time, 1e-9)
+        result.summary["real_time_factor"] = rate
+    return results
+
+
+def _summary(
+    scenario: Scenario,
+    diagram: Diagram,
+    log: dict[str, Array],
+    path: dict[str, Array],
+    found: Sequence[Assumption],
+    ending: Ending,
+) -> dict[str, Any]:
+    """The summary of one vehicle's run, with its assumptions and audit."""
     safety_filter: SafetyFilter = diagram.GetSubsystemByName("filter")
     times, heights = path["time"], path["least_height"]
     summary = summarise(
@@ -104,7 +182,10 @@ def simulate(
     summary["audit"] = audit_findings(
         log, times, heights, scenario.volume.gain, observer if is_estimated else None
     )
-    is_known = all(
+    has_others = diagram.HasSubsystemNamed("other_vehicles")
+    if has_others:
+        summary["audit"][OTHERS] = others_finding(log, scenario)
+    is_known = not has_others and all(
         summary["audit"].get(name, {}).get("held") is not False for name in KNOWLEDGE
     )
     summary["certified_min_barrier"] = (
@@ -117,19 +198,15 @@ def simulate(
         summary["reasons_against"].append(f"not certified: {BETWEEN_TICKS}")
     summary["guaranteed"] = not summary["reasons_against"]
     if safety_filter.gate is not None:
-        faults = {
-            each.name for each in fault_assumptions(scenario.faults, scenario.noise.std)
-        }
+        faults = fault_assumptions(scenario.faults, scenario.noise.std)
+        against = {*FEASIBILITY_HYPOTHESES, OTHERS, *(each.name for each in faults)}
         summary["reasons_against_feasible"] = reasons_against_feasibility(
-            [each for each in found if each.name in {*FEASIBILITY_HYPOTHESES, *faults}],
+            [each for each in found if each.name in against],
             summary["audit"],
             summary["outcome"] == "collision",
         )
         summary["guaranteed_feasible"] = not summary["reasons_against_feasible"]
-    if step_time:
-        summary["step_cpu_ms"] = step_cpu_time(safety_filter, log)
-    summary["real_time_factor"] = ending.time / max(cpu_time, 1e-9)
-    return Result(scenario, summary, log)
+    return summary
 
 
 def _certified_least(
@@ -164,37 +241,58 @@ def _fell_short(scenario: Scenario, certified: float | None) -> bool:
     return asked and certified is not None and certified < -ROUNDING
 
 
-def check_assumptions(scenario: Scenario) -> tuple[Assumption, ...]:
-    """Returns the theorems' hypotheses with numbers, before anything moves."""
-    diagram = make_loop(scenario)
-    simulator = make_simulator(diagram, scenario)
-    return loop_assumptions(scenario, diagram, simulator.get_context())
+def check_assumptions(scenario: Scenario | Fleet) -> tuple[Assumption, ...]:
+    """Returns the theorems' hypotheses with numbers, before anything moves.
+
+    Those of several vehicles one after the other, each with its vehicle's name.
+    """
+    fleet = scenario if isinstance(scenario, Fleet) else Fleet.of(scenario)
+    diagram = make_fleet_loop(fleet)
+    context = make_simulator(diagram, fleet).get_context()
+    loops, found = loops_of(diagram, fleet), list[Assumption]()
+    for each, loop in zip(fleet.vehicles, loops, strict=True):
+        if len(loops) == 1:
+            return loop_assumptions(each, loop, context)
+        found += [
+            replace(assumption, name=f"{each.name}: {assumption.name}")
+            for assumption in loop_assumptions(each, loop, context, True)
+        ]
+    return tuple(found)
 
 
-def make_simulator(diagram: Diagram, scenario: Scenario) -> Simulator:
-    """Returns a simulator of a diagram with the scenario's plant at its start."""
-    simulator = Simulator(diagram)
+def make_simulator(diagram: Diagram, scenario: Scenario | Fleet) -> Simulator:
+    """Returns a simulator of a diagram with the scenario's plants at their start."""
+    fleet = scenario if isinstance(scenario, Fleet) else Fleet.of(scenario)
+    first, simulator = fleet.vehicles[0], Simulator(diagram)
     ApplySimulatorConfig(
         SimulatorConfig(
-            integration_scheme=scenario.integrator.scheme,
-            max_step_size=scenario.integrator.max_step or min(scenario.period, 0.01),
+            integration_scheme=first.integrator.scheme,
+            max_step_size=first.integrator.max_step or min(first.period, 0.01),
             use_error_control=False,
         ),
         simulator,
     )
     context = simulator.get_mutable_context()
     context.SetAccuracy(_WITNESS_ACCURACY)
-    plant = diagram.GetSubsystemByName("plant")
-    plant.GetMyMutableContextFromRoot(context).SetContinuousState(
-        np.array(scenario.initial_state)
-    )
+    for each, loop in zip(fleet.vehicles, loops_of(diagram, fleet), strict=True):
+        plant = loop.GetSubsystemByName("plant")
+        plant.GetMyMutableContextFromRoot(context).SetContinuousState(
+            np.array(each.initial_state)
+        )
     return simulator
 
 
 def loop_assumptions(
-    scenario: Scenario, diagram: Diagram, context: Context
+    scenario: Scenario, diagram: Diagram, context: Context, has_others: bool = False
 ) -> tuple[Assumption, ...]:
-    """Returns the hypotheses with the numbers of a loop, at what its context holds."""
+    """Returns the hypotheses with the numbers of a loop, at what its context holds.
+
+    Args:
+        scenario: What `make_loop` made the loop of.
+        diagram: The loop.
+        context: The root's.
+        has_others: Whether there are other vehicles.
+    """
     safety_filter: SafetyFilter = diagram.GetSubsystemByName("filter")
     with naming_user_code(context.get_time):
         found = assumptions(
@@ -203,44 +301,51 @@ def loop_assumptions(
             diagram.GetSubsystemByName("filter_observer"),
             measurement_noise(scenario, safety_filter.model),
         )
-    return (*found, *fault_assumptions(scenario.faults, scenario.noise.std))
+    others = [others_assumption(scenario)] * has_others
+    faults = fault_assumptions(scenario.faults, scenario.noise.std)
+    return (*found, *others, *faults)
 
 
 def _advance(
     simulator: Simulator,
-    scenario: Scenario,
-    record: RunLog,
+    fleet: Fleet,
+    records: Sequence[RunLog],
     progress: Progress | None,
     watch: Watch | None,
-) -> Ending:
-    if scenario.ends_at_target:
-        simulator.set_monitor(lambda root: _ends_at_target(scenario, simulator, root))
+) -> SimulatorStatus:
+    first, context = fleet.vehicles[0], simulator.get_mutable_context()
+    if first.ends_at_target:
+        simulator.set_monitor(lambda root: _ends_at_target(fleet, simulator, root))
     status = simulator.Initialize()
-    least = _FRAMES * scenario.duration if watch else 100 if progress else 1
-    for stop in _stops(scenario, math.ceil(least)):
-        if _ending(status).monitor:
+    least = _FRAMES * fleet.duration if watch else 100 if progress else 1
+    for stop in _stops(first, math.ceil(least)):
+        if _has_ended(status):
             break
         if watch is not None:
-            watch(simulator.get_system(), simulator.get_mutable_context())
+            watch(simulator.get_system(), context)
         status = simulator.AdvanceTo(stop)
-        record.take(simulator.get_mutable_context())
+        for record in records:
+            record.take(context)
         if progress is not None:
-            progress(stop / scenario.duration)
-    record.take(simulator.get_mutable_context())  # Where it ended before it began.
+            progress(stop / fleet.duration)
+    for record in records:
+        record.take(context)  # Where it ended before it began.
     if watch is not None:
-        watch(simulator.get_system(), simulator.get_mutable_context())
-    return _ending(status)
+        watch(simulator.get_system(), context)
+    return status
 
 
 def _ends_at_target(
-    scenario: Scenario, simulator: Simulator, context: Context
+    fleet: Fleet, simulator: Simulator, context: Context
 ) -> EventStatus:
-    plant = simulator.get_system().GetSubsystemByName("plant")
-    state = state_port_of(plant).Eval(plant.GetMyContextFromRoot(context))
-    (place,) = scenario.vehicle.positions(state[None])
-    if math.dist(place, scenario.target) > scenario.arrival_distance:
-        return EventStatus.DidNothing()
-    return EventStatus.ReachedTermination(plant, "arrived")
+    loops = loops_of(simulator.get_system(), fleet)
+    for each, loop in zip(fleet.vehicles, loops, strict=True):
+        plant = loop.GetSubsystemByName("plant")
+        state = state_port_of(plant).Eval(plant.GetMyContextFromRoot(context))
+        (place,) = each.vehicle.positions(state[None])
+        if math.dist(place, each.target) > each.arrival_distance:
+            return EventStatus.DidNothing()
+    return EventStatus.ReachedTermination(simulator.get_system(), "arrived")
 
 
 def _stops(scenario: Scenario, least: int) -> list[float]:
@@ -257,55 +362,19 @@ def _stops(scenario: Scenario, least: int) -> list[float]:
     return [*(tick * period for tick in sorted(ticks - {0})), duration]
 
 
-def _ending(status: SimulatorStatus) -> Ending:
-    ended = status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition
-    return Ending(
-        status.return_time(), str(status.system().get_name()) if ended else ""
-    )
+def _has_ended(status: SimulatorStatus) -> bool:
+    reason = SimulatorStatus.ReturnReason.kReachedTerminationCondition
+    return bool(status.reason() == reason)
 
 
-def step_cpu_time(
-    safety_filter: SafetyFilter, log: dict[str, Array]
-) -> dict[str, float]:
-    """Returns median and 99th percentile of one filter tick's CPU time [ms].
-
-    The filter is pure, so its ticks are simply evaluated again, from the log, with
-    nothing else around them: rows, ellipsoid, gradient and QP.
-
-    Args:
-        safety_filter: The filter that ran.
-        log: What was logged.
-    """
-    context = safety_filter.CreateDefaultContext()
-    ticks = np.unique(
-        np.linspace(0, len(log["time"]) - 1, _SAMPLES).round().astype(int)
-    )
-    held = np.zeros(safety_filter.model.num_inputs)
-    spent = []
-    for tick in ticks:
-        values = {
-            "state": log["state"][tick],
-            "reference": log["reference"][tick],
-            "held_input": held,
-        }
-        if "obstacles" in log:
-            values["obstacles"] = log["obstacles"][tick]
-        if safety_filter.HasInputPort("estimate"):
-            values["estimate"] = DisturbanceEstimate(
-                log["disturbance_estimate"][tick],
-                log["estimate_rate"][tick],
-                log["error_bound"][tick],
-                log["error_bound_rate"][tick],
-                log["refused_intervals"][tick],
-                log["quadrature_error"][tick],
-            ).pack()
-        context.SetTime(float(log["time"][tick]))
-        for name, value in values.items():
-            safety_filter.GetInputPort(name).FixValue(context, value)
-        started = time.thread_time()
-        safety_filter.decision(context)
-        spent.append(1e3 * (time.thread_time() - started))
-    return {
-        "median": float(np.median(spent)),
-        "p99": float(np.percentile(spent, 99.0)),
-    }
+def _ending(
+    status: SimulatorStatus, scenario: Scenario, loops: int, path: Mapping[str, Array]
+) -> Ending:
+    """How the run ended for one vehicle: another's monitor may have ended it."""
+    monitor = ""
+    if _has_ended(status):
+        *_, owner, monitor = status.system().GetSystemPathname().split("::")
+        if owner != scenario.name and loops > 1:
+            collides = path["least_height"][-1] < -TOUCH
+            monitor = COLLISION_MONITOR if collides else ""
+    return Ending(status.return_time(), monitor)

@@ -13,6 +13,7 @@ from typing import Any, Literal, get_args, get_origin
 from vcbf_drake.plants import Vehicle
 from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.simulation.loading import (
+    VEHICLES,
     allowed_types,
     field_types,
     plain,
@@ -38,14 +39,24 @@ def scenario_schema() -> dict[str, Any]:
     to be told the tags, for VS Code's YAML extension in ``yaml.customTags``, as
     ``"!Blimp mapping"``.
     """
+    definitions = {
+        schema.__name__: _object_schema(schema) for schema, _ in _all_classes()
+    }
+    part = definitions["Scenario"] | {"required": []}
+    vehicles = {"type": "array", "items": {"$ref": "#/$defs/PartOfScenario"}}
+    fleet = part["properties"] | {VEHICLES: vehicles}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "vcbf_drake scenarios",
         "type": "object",
         "patternProperties": {"^_": {}},
-        "additionalProperties": {"$ref": "#/$defs/Scenario"},
-        "$defs": {
-            schema.__name__: _object_schema(schema) for schema, _ in _all_classes()
+        "additionalProperties": {
+            "anyOf": [{"$ref": "#/$defs/Scenario"}, {"$ref": "#/$defs/Fleet"}]
+        },
+        "$defs": definitions
+        | {
+            "PartOfScenario": part,
+            "Fleet": part | {"properties": fleet, "required": [VEHICLES]},
         },
     }
 

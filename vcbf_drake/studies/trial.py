@@ -2,33 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 import math
 import shlex
 from typing import Any
 
-from vcbf_drake.simulation.loading import load_scenario, merge_overrides
-from vcbf_drake.simulation.run import simulate
+from vcbf_drake.simulation.fleet import Fleet
+from vcbf_drake.simulation.loading import load_fleet, merge_overrides, only_one
+from vcbf_drake.simulation.run import simulate_fleet
 from vcbf_drake.simulation.scenario import Scenario, validate
 from vcbf_drake.studies.variation import Draw, Variation
 
 Record = dict[str, Any]
 
-_NUMBERS = (
-    "running_time",
-    "reached_at",
-    "infeasible_at",
-    "collided_at",
-    "min_barrier",
-    "min_volume",
-    "max_abs_slack",
-    "ticks",
-    "relaxed_ticks",
-    "infeasible_ticks",
-    "decayed_ticks",
-    "failed_ticks",
-    "final_status",
-)
+# The numbers of a summary that are kept, and which of several vehicles' is worst.
+_NUMBERS: dict[str, Callable[..., Any]] = {
+    "running_time": min,
+    "reached_at": max,
+    "infeasible_at": min,
+    "collided_at": min,
+    "min_barrier": min,
+    "min_volume": min,
+    "max_abs_slack": max,
+    "ticks": max,
+    "relaxed_ticks": max,
+    "infeasible_ticks": max,
+    "decayed_ticks": max,
+    "failed_ticks": max,
+    "final_status": max,
+}
+# The best first.
+_OUTCOMES = ("reached", "timeout", "infeasible", "failed", "collision")
 
 
 @dataclass(frozen=True)
@@ -72,20 +78,31 @@ class Trial:
             ScenarioError: The scenario does not load.
         """
         given = self.overrides or "{}"
-        base = load_scenario(self.scenario, given, self.scenario_name or None)
+        base: Any = load_fleet(self.scenario, given, self.scenario_name or None)
+        if len(base.vehicles) == 1:
+            (base,) = base.vehicles
         return merge_overrides(given, self.variation.draw(base, self.seed, self.index))
 
     def load(self) -> Scenario:
-        """Returns the scenario of this trial.
+        """Returns the scenario of this trial's only vehicle.
 
         Raises:
-            ScenarioError: It does not load.
+            ScenarioError: It does not load, or has several.
+        """
+        return only_one(self.load_fleet(), self.scenario)
+
+    def load_fleet(self) -> Fleet:
+        """Returns the vehicles of this trial.
+
+        Raises:
+            ScenarioError: They do not load.
         """
         overrides, name = self.all_overrides(), self.scenario_name or None
-        scenario = load_scenario(self.scenario, overrides, name)
-        scenario.method = self.method
-        validate(scenario)
-        return scenario
+        fleet = load_fleet(self.scenario, overrides, name)
+        for each in fleet.vehicles:
+            each.method = self.method
+        validate(fleet)
+        return fleet
 
     def command(self) -> str:
         """Returns the command line that runs this trial again, with its pictures."""
@@ -102,24 +119,36 @@ def run_trial(trial: Trial) -> Record:
     Returns:
         The trial's identity; the outcome and the numbers of the run's summary, the
         running time being the lesser of the duration and the first infeasible tick
-        (R47); why it is not guaranteed; the error, or None.
+        (R47); why it is not guaranteed; the error, or None. Of several vehicles what
+        is worst of each.
     """
     try:
-        scenario = trial.load()
-        summary = simulate(scenario, step_time=False).summary
+        fleet = trial.load_fleet()
+        summaries = [each.summary for each in simulate_fleet(fleet, step_time=False)]
     except Exception as error:
         return error_record(trial, f"{type(error).__name__}: {error}")
-    numbers = {name: _finite(summary[name]) for name in _NUMBERS}
+    numbers = {
+        name: _finite(_worst_of(worse, [each[name] for each in summaries]))
+        for name, worse in _NUMBERS.items()
+    }
     # Only where a backup manoeuvre is kept there is something to guarantee.
-    numbers["guaranteed_feasible"] = summary.get("guaranteed_feasible")
-    numbers["running_time"] = min(scenario.duration, summary["running_time"])
+    kept = [each.get("guaranteed_feasible") for each in summaries]
+    numbers["guaranteed_feasible"] = None if None in kept else all(kept)
+    numbers["running_time"] = min(fleet.duration, numbers["running_time"] or 0.0)
+    if None in [each["reached_at"] for each in summaries]:
+        numbers["reached_at"] = None
+    reasons = chain.from_iterable(each["reasons_against"] for each in summaries)
     return {
         **trial.identity,
-        "outcome": summary["outcome"],
+        "outcome": max((each["outcome"] for each in summaries), key=_OUTCOMES.index),
         **numbers,
-        "reasons_against": summary["reasons_against"],
+        "reasons_against": list(dict.fromkeys(reasons)),
         "error": None,
     }
+
+
+def _worst_of(worse: Callable[..., Any], values: Sequence[float | None]) -> Any:
+    return worse((each for each in values if each is not None), default=None)
 
 
 def error_record(trial: Trial, error: str) -> Record:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from functools import lru_cache
 import hashlib
 import math
@@ -251,15 +251,21 @@ def _drawn(node: Any, own: Any, generator: Generator, place: str) -> Any:
 
 def _drawn_entries(
     node: Mapping[Any, Any], own: list[Any], generator: Generator, place: str
-) -> list[Any]:
-    """The scenario's list with some entries drawn, by their indices."""
+) -> list[Any] | dict[str, Any]:
+    """The scenario's list with some entries drawn, by their indices.
+
+    Of a list of sections, such as vehicles, an override of those that are drawn alone.
+    """
+    of_sections = bool(own) and is_dataclass(own[0])
+    drawn: dict[str, Any] = {}
     for key, child in node.items():
         if not str(key).isdigit() or int(key) >= len(own):
             raise ScenarioError(
                 f"variation: {place}.{key}: entries are 0 to {len(own) - 1}"
             )
-        own[int(key)] = _drawn(child, own[int(key)], generator, f"{place}.{key}")
-    return own
+        value = _drawn(child, own[int(key)], generator, f"{place}.{key}")
+        drawn[str(key)] = own[int(key)] = value
+    return drawn if of_sections else own
 
 
 def _field(own: Any, key: str) -> Any:

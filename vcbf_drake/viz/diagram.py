@@ -23,12 +23,11 @@ from pydrake.systems.framework import (
 from pydrake.systems.primitives import VectorLogSink
 
 from vcbf_drake.safety import METHODS, SafetyFilter
-from vcbf_drake.simulation.audit import Audit
 from vcbf_drake.viz.block_graph import Block, Pin, Wire, graph_dot, write_dot
 from vcbf_drake.viz.style import INK, METHOD_STYLES
 
 # What only looks on, at everything.
-_NOT_DRAWN = VectorLogSink, Audit
+_NOT_DRAWN = VectorLogSink
 
 _SCALAR = "_\N{MATHEMATICAL BOLD SCRIPT CAPITAL T}"  # Begins a template's arguments.
 _ADDRESS = re.compile(r"@[0-9a-f]{8,}$")
@@ -56,7 +55,7 @@ def write_diagram(
 def diagram_dot(diagram: Diagram) -> str:
     """A diagram's picture as DOT: one block per system that takes part.
 
-    Log sinks and the audit only look on. The text depends on the systems' names, types,
+    Log sinks only look on. The text depends on the systems' names, types,
     ports and connections only: it is the same in every process.
     """
     drawn = [s for s in diagram.GetSystems() if not isinstance(s, _NOT_DRAWN)]

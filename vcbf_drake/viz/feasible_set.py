@@ -24,7 +24,7 @@ from vcbf_drake.viz.style import (
 )
 
 if TYPE_CHECKING:
-    from vcbf_drake.simulation.scenario import InputLimits
+    from vcbf_drake.simulation.sections import InputLimits
 
 MARGIN = 0.35  # Room around the limits [share of their width].
 

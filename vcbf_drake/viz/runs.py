@@ -20,7 +20,8 @@ from vcbf_drake.viz.style import METHOD_STYLES, VEHICLE_COLORS
 if TYPE_CHECKING:
     from vcbf_drake.plants.vehicle import Vehicle
     from vcbf_drake.simulation.result import Result
-    from vcbf_drake.simulation.scenario import InputLimits, Scenario
+    from vcbf_drake.simulation.scenario import Scenario
+    from vcbf_drake.simulation.sections import InputLimits
 
 
 @dataclass(frozen=True)

@@ -89,9 +89,9 @@ def print_summaries(
             console.print(f"{summary['method']}: {remark}")
 
 
-def print_assumptions(scenario: Scenario, assumptions: Sequence[Assumption]) -> None:
+def print_assumptions(heading: str, assumptions: Sequence[Assumption]) -> None:
     """Prints the hypotheses with their numbers, and what those that fail cost."""
-    console = _console(f"{scenario.name}, {scenario.method}")
+    console = _console(heading)
     table = Table.grid(padding=(0, 2))
     for assumption in assumptions:
         table.add_row(_VERDICTS[assumption.holds], Text(assumption.name, "bold"))
@@ -199,6 +199,7 @@ def _cell(value: Any) -> str | Text:
 
 def _cells(summary: Mapping[str, Any], barrier_unit: str) -> dict[str, str | Text]:
     outcome, cpu = summary["outcome"], summary["step_cpu_ms"]
+    apart = summary.get("least_separation")  # Where there are other vehicles.
     return {
         "outcome": Text(outcome, OUTCOME_STYLES[outcome]),
         "running s": number_text(summary["running_time"]),
@@ -207,6 +208,7 @@ def _cells(summary: Mapping[str, Any], barrier_unit: str) -> dict[str, str | Tex
         "collided s": number_text(summary["collided_at"]),
         "guaranteed": _GUARANTEED[summary.get("guaranteed")],
         f"min h {barrier_unit}".strip(): number_text(summary["min_barrier"]),
+        **({} if apart is None else {"min apart m": number_text(apart)}),
         "min V_v": number_text(summary["min_volume"]),
         "max |slack|": number_text(summary["max_abs_slack"]),
         "distance m": number_text(summary["final_distance"]),

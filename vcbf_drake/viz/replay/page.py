@@ -27,7 +27,7 @@ from vcbf_drake.viz.stage import View
 from vcbf_drake.viz.style import multiples
 
 if TYPE_CHECKING:
-    from vcbf_drake.simulation.scenario import InputLimits
+    from vcbf_drake.simulation.sections import InputLimits
 
 MAX_SAMPLES = 800  # A plot is a few hundred pixels wide.
 MAX_SETS = 400

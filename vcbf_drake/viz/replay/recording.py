@@ -20,7 +20,7 @@ from vcbf_drake.checks import Array
 from vcbf_drake.errors import naming_user_code
 from vcbf_drake.plants.shapes import Part
 from vcbf_drake.safety import SafetyFilter, unpack_feasible_set
-from vcbf_drake.simulation.scenario import InputLimits
+from vcbf_drake.simulation.sections import InputLimits
 from vcbf_drake.viz.replay.page import Words, page_data, write_page
 from vcbf_drake.viz.replay.scene import (
     draw_body,

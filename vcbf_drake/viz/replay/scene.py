@@ -75,6 +75,11 @@ def draw_stage(meshcat: Meshcat, stage: Stage) -> None:
     for index, (run, motion) in enumerate(zip(stage.runs, stage.motions, strict=True)):
         for body in motion.bodies:
             draw_body(meshcat, body, 1.0 / stage.fraction)
+        apart = run.scenario.separation.distance
+        if run.name and apart > 0.0 and not run.ghost:
+            # Of two vehicles that are as near as they may be, these touch.
+            around = ring(0.5 * apart, thickness).moved(turn=UPRIGHT)
+            draw_mesh(meshcat, f"{motion.bodies[0].path}/apart", around, run.color)
         count = min(len(motion.position), most)
         kept = np.linspace(0, len(motion.position) - 1, count).round().astype(int)
         way = tube(motion.position[kept], thickness * (0.7 if run.ghost else 1.0))
