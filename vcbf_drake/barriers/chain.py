@@ -75,18 +75,7 @@ class Symbols:
             (x, p), time = (np.array(each, dtype=object) for each in nodes), TIME
         if of_position is not None:
             x = self.model.position_of(x, of_position)
-        try:
-            return function(x, time, p)
-        except (
-            AttributeError,
-            IndexError,
-            RuntimeError,
-            TypeError,
-            ValueError,
-        ) as error:
-            raise ModelError(
-                f"function(x, t, p) fails on symbols: {explained(error)}"
-            ) from None
+        return called(function, x, time, p)
 
     def read(self, values: Any) -> Nodes:
         """Returns the formulas of what a function returned, of the same shape.
@@ -108,6 +97,20 @@ class Symbols:
             ) from None
         except NotImplementedError as error:
             raise ModelError(f"function(x, t, p) cannot be compiled: {error}") from None
+
+
+def called(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Returns what a barrier's or limit's function makes of symbols.
+
+    Raises:
+        ModelError: It raises.
+    """
+    try:
+        return function(*arguments)
+    except (AttributeError, IndexError, RuntimeError, TypeError, ValueError) as error:
+        raise ModelError(
+            f"function(x, t, p) fails on symbols: {explained(error)}"
+        ) from None
 
 
 def as_expressions(values: Any) -> Expressions:

@@ -29,6 +29,7 @@ from vcbf_drake.barriers.chain import (
     ChainFunctions,
     Formula,
     as_expressions,
+    called,
     class_k_formula,
     compiled_chain,
 )
@@ -36,7 +37,6 @@ from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.compiled import Expressions
 from vcbf_drake.model.control_affine import Dynamics
-from vcbf_drake.model.explained import explained
 from vcbf_drake.model.graph import ZERO, Node, Nodes, variable
 from vcbf_drake.model.multibody_model import MultibodyModel
 from vcbf_drake.model.outputs import (
@@ -123,13 +123,8 @@ def _formula(
     place: Expressions = x
     if barrier.of_position is not None:
         place = model.position_of(x, barrier.of_position)
-    try:
-        written = barrier.function(place, Expression(time), as_expressions(p))
-        (h,) = as_expressions([np.asarray(written, dtype=object).item()])
-    except (AttributeError, IndexError, RuntimeError, TypeError, ValueError) as error:
-        raise ModelError(
-            f"function(x, t, p) fails on symbols: {explained(error)}"
-        ) from None
+    written = called(barrier.function, place, Expression(time), as_expressions(p))
+    (h,) = called(as_expressions, [called(np.asarray(written, dtype=object).item)])
     used = {v.get_id() for v in h.GetVariables()}
     known: list[tuple[Variable, Output]] = [
         *((v, StateOutput(i)) for i, v in enumerate(model.state)),

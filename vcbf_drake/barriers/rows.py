@@ -8,7 +8,6 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.chain import (
@@ -93,17 +92,6 @@ class BarrierRows:
         authority: Array = np.linalg.norm(self.A * scale, axis=1)
         authority[list(self.early)] = np.inf
         return authority
-
-    def rows_without_authority(
-        self, scale: Array, tolerance: float = 1e-6
-    ) -> NDArray[np.bool_]:
-        """Returns which rows no input can move at this state (R33), shape (N,).
-
-        Args:
-            scale: What counts as one of each input, shape (m,).
-            tolerance: The least authority that counts, in units of b.
-        """
-        return self.authority(scale) <= tolerance
 
 
 class RowsAlong(NamedTuple):
@@ -190,7 +178,9 @@ def early_functions(model: ControlAffineModel, limit: EarlyInputLimit) -> RowFun
     """Returns the functions of the row of an early level (E8a)."""
     barrier, k = limit.barrier, limit.level
     formula, part = Subsystem.of(barrier_formula(model, barrier))
-    row, gradient = _compile_early(formula, k)
+    chain, dynamics = Chain.of(formula), formula.dynamics
+    entries = (*-dynamics.input_rates(chain.levels[k - 1]), chain.levels[k])
+    row, gradient = _compile_limit(entries, dynamics, chain.constants)
     row, gradient = part.row(row, 0), part.gradient(gradient)
     parameters = tuple(barrier.parameters.tolist())
     return RowFunctions(row, gradient, barrier.constants, _no_value, parameters, 0)
@@ -248,27 +238,13 @@ def limit_functions(model: ControlAffineModel, limit: StateInputLimit) -> RowFun
 
 
 @lru_cache(maxsize=64)
-def _compile_early(
-    formula: Formula, level: int
-) -> tuple[CompiledFunction, CompiledFunction]:
-    """Returns `row` and `gradient` of RowFunctions, for any constants."""
-    chain, dynamics = Chain.of(formula), formula.dynamics
-    A = -dynamics.input_rates(chain.levels[level - 1])
-    none = [number(0.0)] * len(dynamics.E[0])
-    entries = np.array([*A, chain.levels[level], *none], dtype=object)
-    slopes = gradients(entries, [*dynamics.x, TIME]).ravel()
-    row = chain.compiled(entries, "early_row")
-    return row, chain.compiled(slopes, "early_gradient")
-
-
-@lru_cache(maxsize=64)
 def _compile_limit(
-    entries: tuple[Node, ...], dynamics: Dynamics, parameters: tuple[Node, ...]
+    entries: tuple[Node, ...], dynamics: Dynamics, constants: tuple[Node, ...]
 ) -> tuple[CompiledFunction, CompiledFunction]:
     """Returns `row` and `gradient` of RowFunctions."""
     no_disturbance = map(number, np.zeros(len(dynamics.E[0])))
     outputs, xbar = [*entries, *no_disturbance], [*dynamics.x, TIME]
-    slopes, arguments = gradients(outputs, xbar), [*xbar, *parameters]
+    slopes, arguments = gradients(outputs, xbar), [*xbar, *constants]
     return (
         compile_nodes(arguments, outputs, "limit_row"),
         compile_nodes(arguments, slopes.ravel(), "limit_gradient"),

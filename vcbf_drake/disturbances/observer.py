@@ -10,7 +10,6 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import (
     BasicVector,
-    CacheEntry,
     Context,
     DiscreteValues,
     LeafSystem,
@@ -116,6 +115,7 @@ class DisturbanceObserver(LeafSystem):
         bounds: delta1, delta2 and delta3 (E16, bounds of the disturbance).
         basis: What the error bound rests on; only ``proven`` and ``worst case`` are
             certain.
+        period: Time between measurements [s].
         estimate_gain: How the unknown error drives the estimate [1/s] (E60):
             d(dhat)/dt = estimate_rate + estimate_gain (d - dhat).
         longest_interval: The longest time between measurements that is bridged [s];
@@ -163,7 +163,7 @@ class DisturbanceObserver(LeafSystem):
             check_parameter("longest_interval", longest_interval)
         self.longest_interval = max(period, longest_interval or math.inf)
         self._model = model
-        self._period = period
+        self.period = period
         # What is nearer together is one time [s].
         self._instant = 1e-6 * period
         self._error_bound = error_bound
@@ -184,7 +184,12 @@ class DisturbanceObserver(LeafSystem):
         )
         self.DeclareDiscreteState(self._nothing)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
-        self._posterior = self._declare_posterior()
+        needs = {self._state.ticket(), self._input.ticket()}
+        self._posterior = self.DeclareCacheEntry(
+            "posterior",
+            ValueProducer(lambda: Value[object](), self._calc_posterior),
+            needs | {self.xd_ticket(), self.time_ticket()},
+        )
         estimated = {self._posterior.ticket()}
         self.DeclareVectorOutputPort(
             "estimate",
@@ -197,15 +202,10 @@ class DisturbanceObserver(LeafSystem):
         )
 
     @property
-    def period(self) -> float:
-        """Time between measurements [s]."""
-        return self._period
-
-    @property
     def certified_interval(self) -> float:
         """The time between measurements that the error bound is for [s]."""
         is_given = math.isfinite(self.longest_interval)
-        return self.longest_interval if is_given else self._period
+        return self.longest_interval if is_given else self.period
 
     def error_bound(self, t: float) -> float:
         """Returns the error bound a time t [s] after the first measurement [m/s^2]."""
@@ -241,18 +241,6 @@ class DisturbanceObserver(LeafSystem):
 
     def _estimate_rate(self, memory: Array) -> Array:
         raise NotImplementedError
-
-    def _declare_posterior(self) -> CacheEntry:
-        return self.DeclareCacheEntry(
-            "posterior",
-            ValueProducer(lambda: Value[object](), self._calc_posterior),
-            {
-                self._state.ticket(),
-                self._input.ticket(),
-                self.xd_ticket(),
-                self.time_ticket(),
-            },
-        )
 
     def _calc_posterior(self, context: Context, posterior: Any) -> None:
         stored = context.get_discrete_state_vector().CopyToVector()

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
-import math
 from operator import add
 from typing import Protocol
 
 import numpy as np
-from pydrake.polynomial import Polynomial
 from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import (
     Adder,
@@ -99,61 +97,6 @@ class Tones:
             np.concatenate([self.frequency, other.frequency]),
             np.concatenate([self.phase, other.phase]),
         )
-
-
-@dataclass(frozen=True)
-class Transition:
-    """A rise from 0 to an amplitude along ``10 s^3 - 15 s^4 + 6 s^5``.
-
-    First and second derivative vanish at both ends, so it is C2 over all time.
-
-    Attributes:
-        amplitude: Where it ends, shape (q,).
-        start: When it begins to rise [s].
-        duration: How long it rises [s]; s = (t - start) / duration.
-    """
-
-    amplitude: Array
-    start: float
-    duration: float
-
-    @property
-    def size(self) -> int:
-        """How many channels it has, q."""
-        return len(self.amplitude)
-
-    def derivative(self, t: float | Array, order: int = 0) -> Array:
-        """Returns the derivative of an order from 0 to 3; see `Curve`."""
-        s = (np.asarray(t) - self.start) / self.duration
-        rise = np.polyval(_QUINTIC[order], np.clip(s, 0.0, 1.0))
-        if order > 0:
-            rise = np.where((s > 0.0) & (s < 1.0), rise, 0.0)
-        value: Array = np.multiply.outer(rise / self.duration**order, self.amplitude)
-        return value
-
-    def derivative_bound(self, order: int) -> float:
-        """Returns the exact maximum of the derivative's norm."""
-        size = float(np.linalg.norm(self.amplitude))
-        return size * _QUINTIC_MAXIMUM[order] / self.duration**order
-
-    def system(self) -> System:
-        """Returns the rise as a trajectory, held at its ends; see `Curve`."""
-        powers = self.duration ** -np.arange(len(_QUINTIC[0]))
-        coefficients = np.outer(self.amplitude, _QUINTIC[0][::-1] * powers)
-        rise = [[Polynomial(each)] for each in coefficients]
-        times = [self.start, self.start + self.duration]
-        return TrajectorySource(PiecewisePolynomial([rise], times))
-
-
-# 6 s^5 - 15 s^4 + 10 s^3 and its derivatives, highest power first; their maxima on
-# [0, 1], at s = 1, 1/2, 1/2 -+ 1/sqrt(12), 0.
-_QUINTIC = (
-    (6.0, -15.0, 10.0, 0.0, 0.0, 0.0),
-    (30.0, -60.0, 30.0, 0.0, 0.0),
-    (120.0, -180.0, 60.0, 0.0),
-    (360.0, -360.0, 60.0),
-)
-_QUINTIC_MAXIMUM = (1.0, 15 / 8, 10 / math.sqrt(3), 60.0)
 
 
 class Spline:

@@ -6,12 +6,15 @@ annotations. A field that has only the empty list as default has to be given.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import math
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.polynomial import Polynomial
+from pydrake.systems.framework import Diagram, DiagramBuilder, System
+from pydrake.systems.primitives import TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
 
 from vcbf_drake.checks import (
     Array,
@@ -26,7 +29,6 @@ from vcbf_drake.disturbances.signals import (
     Spline,
     Sum,
     Tones,
-    Transition,
     supremum,
 )
 from vcbf_drake.errors import InvalidValueError, ModelError
@@ -93,27 +95,68 @@ class Sinusoid:
         )
 
 
+# 6 s^5 - 15 s^4 + 10 s^3 and its derivatives, highest power first; their maxima on
+# [0, 1], at s = 1, 1/2, 1/2 -+ 1/sqrt(12), 0.
+_QUINTIC = (
+    (6.0, -15.0, 10.0, 0.0, 0.0, 0.0),
+    (30.0, -60.0, 30.0, 0.0, 0.0),
+    (120.0, -180.0, 60.0, 0.0),
+    (360.0, -360.0, 60.0),
+)
+_QUINTIC_MAXIMUM = (1.0, 15 / 8, 10 / math.sqrt(3), 60.0)
+
+
 @dataclass
 class SmoothStep:
     """A gust that comes to stay: from 0 to its amplitude along a quintic.
 
+    ``10 s^3 - 15 s^4 + 6 s^5`` has no slope and no bend at both ends, so it is C2.
+
     Attributes:
         amplitude: One final value a disturbed channel [m/s^2].
         start: When it begins to rise [s].
-        duration: How long it rises [s]. A sudden step is not C2.
+        duration: How long it rises [s]; s = (t - start) / duration. A sudden step is
+            not C2.
     """
 
     amplitude: list[float] = field(default_factory=list)
     start: float = 0.0
     duration: float = 1.0
 
-    def curve(self, horizon: float) -> Transition:
-        """Returns the signal as a function of time; see `Signal`."""
+    def curve(self, horizon: float) -> Curve:
+        """Returns the signal itself, checked; see `Signal`."""
         check_fields(self)
-        amplitude = _vector("amplitude", self.amplitude)
+        _vector("amplitude", self.amplitude)
         check_finite("start", self.start)
         check_parameter("duration", self.duration)
-        return Transition(amplitude, self.start, self.duration)
+        return replace(self, amplitude=[*self.amplitude])
+
+    @property
+    def size(self) -> int:
+        """How many channels it has, q."""
+        return len(self.amplitude)
+
+    def derivative(self, t: float | Array, order: int = 0) -> Array:
+        """Returns the derivative of an order from 0 to 3; see `Curve`."""
+        s = (np.asarray(t) - self.start) / self.duration
+        rise = np.polyval(_QUINTIC[order], np.clip(s, 0.0, 1.0))
+        if order > 0:
+            rise = np.where((s > 0.0) & (s < 1.0), rise, 0.0)
+        value: Array = np.multiply.outer(rise / self.duration**order, self.amplitude)
+        return value
+
+    def derivative_bound(self, order: int) -> float:
+        """Returns the exact maximum of the derivative's norm."""
+        size = float(np.linalg.norm(self.amplitude))
+        return size * _QUINTIC_MAXIMUM[order] / self.duration**order
+
+    def system(self) -> System:
+        """Returns the rise as a trajectory, held at its ends; see `Curve`."""
+        powers = self.duration ** -np.arange(len(_QUINTIC[0]))
+        coefficients = np.outer(self.amplitude, _QUINTIC[0][::-1] * powers)
+        rise = [[Polynomial(each)] for each in coefficients]
+        times = [self.start, self.start + self.duration]
+        return TrajectorySource(PiecewisePolynomial([rise], times))
 
 
 @dataclass

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 import csv
 from dataclasses import dataclass, field
 import io
@@ -110,7 +111,11 @@ class PolygonMap:
         if Path(self.file).suffix == ".csv":
             rings = _csv_rings(self.file)
         else:
-            rings = [*_geojson_rings(self.file, _parsed(self.file), "")]
+            try:
+                content = json.loads(_text(self.file))
+            except (json.JSONDecodeError, RecursionError) as error:
+                raise _wrong(self.file, f"not JSON: {error}") from None
+            rings = [*_geojson_rings(self.file, content, "")]
         if not rings:
             raise _wrong(self.file, "no polygon")
         return [self._polygon(where, corners) for where, corners in rings]
@@ -129,16 +134,13 @@ class PolygonMap:
             around = corners[ConvexHull(corners).vertices].tolist()
         except QhullError:
             raise _wrong(self.file, f"{where}: {reason}") from None
-        _say(self.file, f"{where} is taken as its convex hull ({reason})")
+        hull = f"{where} is taken as its convex hull ({reason})"
+        _LOG.warning("%s: %s", self.file, hull)
         return PolygonObstacle(around, self.margin, self.smoothing)
 
 
 def _wrong(file: str, problem: str) -> InvalidValueError:
     return InvalidValueError("file", f"{file}: {problem}")
-
-
-def _say(file: str, what: str) -> None:
-    _LOG.warning("%s: %s", file, what)
 
 
 def _text(file: str) -> str:
@@ -170,21 +172,14 @@ def _table(
         if len(values) != len(names):
             problem = f"{len(values)} values for {len(names)} columns"
             raise _wrong(file, f"line {line}: {problem}")
-        yield line, dict(zip(names, _numbers(file, line, names, values), strict=True))
-
-
-def _numbers(
-    file: str, line: int, names: Sequence[str], values: Sequence[str]
-) -> Iterator[float]:
-    for name, value in zip(names, values, strict=True):
-        try:
-            number = float(value)
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number):
-            problem = f"{name}: {value[:40]!r}; it must be a finite number"
-            raise _wrong(file, f"line {line}: {problem}")
-        yield number
+        row = {}
+        for name, value in zip(names, values, strict=True):
+            with suppress(ValueError):
+                row[name] = float(value)
+            if not math.isfinite(row.get(name, math.nan)):
+                problem = f"{name}: {value[:40]!r}; it must be a finite number"
+                raise _wrong(file, f"line {line}: {problem}")
+        yield line, row
 
 
 def _csv_rings(file: str) -> list[tuple[str, Array]]:
@@ -192,13 +187,6 @@ def _csv_rings(file: str) -> list[tuple[str, Array]]:
     for _, row in _table(file, ("polygon", *_PLANE)):
         rings.setdefault(row["polygon"], []).append([row["x"], row["y"]])
     return [(f"polygon {key:g}", np.array(each)) for key, each in rings.items()]
-
-
-def _parsed(file: str) -> Any:
-    try:
-        return json.loads(_text(file))
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise _wrong(file, f"not JSON: {error}") from None
 
 
 def _geojson_rings(file: str, part: Any, at: str) -> Iterator[tuple[str, Array]]:
@@ -242,5 +230,5 @@ def _outer(file: str, rings: Any, where: str) -> Array:
         raise _wrong(file, f"{where}: it must be rings of 3 corners or more, each x, y")
     if holes:
         number = "a hole" if len(holes) == 1 else f"{len(holes)} holes"
-        _say(file, f"{where} has {number}, which is taken as filled")
+        _LOG.warning("%s: %s has %s, which is taken as filled", file, where, number)
     return corners
