@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from tests.helpers.fixed_set import fixed_set
 from vcbf_drake import load_scenario, simulate
-from vcbf_drake.barriers import BarrierRows, HalfSpace
-from vcbf_drake.safety import DisturbanceKnowledge, FilterStatus, InputSet
+from vcbf_drake.barriers import HalfSpace
+from vcbf_drake.safety import FilterStatus, InputSet
 from vcbf_drake.safety.decay import DecayRates
-from vcbf_drake.safety.feasible_set import feasible_set
 from vcbf_drake.safety.qp import choose_input
 
 LINE = InputSet.box([-1.0], [1.0])
@@ -16,17 +16,8 @@ LINE = InputSet.box([-1.0], [1.0])
 def decide(b, slopes, reference, most=9.0, policy="decay", **choices):
     """Of u <= b_1, -u <= b_2, ... in turn, |u| <= 1, each with its lambda phi."""
     A = np.array([[1.0], [-1.0]] * len(b))[: len(b)]
-    rows = BarrierRows(
-        value=np.ones(len(b)),
-        chain=tuple(np.ones(2) for _ in b),
-        A=A,
-        b=np.array(b, dtype=float),
-        w=np.zeros((len(b), 1)),
-        num_states=2,
-        gradients=lambda rows: np.zeros((len(rows), 3, 3)),
-    )
     return choose_input(
-        feasible_set(LINE, rows, DisturbanceKnowledge.constant(1, 0.0)),
+        fixed_set(LINE, A, b),
         None,
         np.array([reference]),
         np.zeros(1),
@@ -107,20 +98,10 @@ def test_optimal_decay_solves_the_smooth_problem_without_its_variables():
         slopes = np.append(rng.uniform(0.1, 2.0, 4), 0.0)
         penalties = np.array([np.inf, np.inf, np.inf, 3.0, np.inf])
         A[4], b[4] = [1.0, 0.0, 0.0], 0.3  # The row that cannot grow.
-        rows = BarrierRows(
-            value=np.ones(5),
-            chain=tuple(np.ones(2) for _ in b),
-            A=A,
-            b=b,
-            w=np.zeros((5, 1)),
-            num_states=2,
-            gradients=lambda rows: np.zeros((len(rows), 3, 3)),
-        )
         reference = rng.uniform(-2.0, 2.0, 3) * box.scale
-        known = DisturbanceKnowledge.constant(1, 0.0)
         rates = DecayRates(slopes, np.full(5, 1e3), 20.0, only_where_empty=False)
         found = choose_input(
-            feasible_set(box, rows, known, None, penalties),
+            fixed_set(box, A, b, penalties),
             None,
             reference,
             np.zeros(3),
@@ -140,22 +121,12 @@ def test_optimal_decay_solves_the_smooth_problem_without_its_variables():
 
 def test_rates_at_a_tick():
     """Gains (4, 3) are rates of 3 and 1: the slope is phi_1, the most 0.9 / T."""
-    rows = BarrierRows(
-        value=np.ones(3),
-        chain=(np.array([2.0, 5.0]), np.array([2.0, -5.0]), np.array([-1.0])),
-        A=np.ones((3, 1)),
-        b=np.ones(3),
-        w=np.zeros((3, 1)),
-        num_states=2,
-        gradients=lambda rows: np.zeros((len(rows), 3, 3)),
-    )
+    chain = (np.array([2.0, 5.0]), np.array([2.0, -5.0]), np.array([-1.0]))
     wall = HalfSpace([-1.0, 0.0], -5.0).barrier([4.0, 3.0], name="wall")
-    rates = DecayRates.at(rows.chain, [wall] * 3, 0.02)
+    rates = DecayRates.at(chain, [wall] * 3, 0.02)
     np.testing.assert_allclose(rates.slopes, [5.0, 0.0, 0.0])
     np.testing.assert_allclose(rates.most, [45.0, 1.0, 1.0])
-    cubic = DecayRates.at(
-        rows.chain, [wall.with_class_k(lambda p: 0.1 * p**3)] * 3, 0.02
-    )
+    cubic = DecayRates.at(chain, [wall.with_class_k(lambda p: 0.1 * p**3)] * 3, 0.02)
     np.testing.assert_allclose(cubic.slopes, [12.5, 0.0, 0.0])
     np.testing.assert_allclose(cubic.most[0], 0.9 * 5.0 / (12.5 * 0.02))
 

@@ -4,15 +4,13 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
+from tests.helpers.fixed_set import fixed_set
 from vcbf_drake import Car, ControlAffineModel, SafetyFilter, SphereObstacle
-from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.safety import (
-    DisturbanceKnowledge,
     FilterSettings,
     FilterStatus,
     InputSet,
 )
-from vcbf_drake.safety.feasible_set import feasible_set
 from vcbf_drake.safety.qp import choose_input
 from vcbf_drake.safety.row_names import RowNames
 
@@ -20,20 +18,9 @@ FAR = [1e6, 1e8, 1e9, 1e10, 1e12, 1e300, 1.7e308, np.inf]
 
 
 def choose(input_set, A, b, reference, policy="least_violation"):
-    A, b = np.atleast_2d(np.array(A, dtype=float)), np.array(b, dtype=float)
-    n, m = A.shape
-    rows = BarrierRows(
-        value=np.ones(n),
-        chain=(),
-        A=A,
-        b=b,
-        w=np.zeros((n, 1)),
-        num_states=1,
-        gradients=lambda rows: np.zeros((len(rows), m + 2, 2)),
-    )
-    feasible = feasible_set(input_set, rows, DisturbanceKnowledge.constant(1, 0.0))
+    feasible, held = fixed_set(input_set, A, b), np.zeros(len(reference))
     reference = np.array(reference, dtype=float)
-    return choose_input(feasible, None, reference, np.zeros(m), input_set, True, policy)
+    return choose_input(feasible, None, reference, held, input_set, True, policy)
 
 
 @pytest.mark.parametrize("far", FAR)

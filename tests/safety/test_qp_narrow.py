@@ -6,13 +6,12 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from tests.helpers.fixed_set import fixed_set
 from tests.properties.campaign import make_example
 from tests.properties.first_order_optimality import solve_exactly
-from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.errors import EmptySetError
-from vcbf_drake.safety import DisturbanceKnowledge, FilterStatus, InputSet
+from vcbf_drake.safety import FilterStatus, InputSet
 from vcbf_drake.safety.active_set import nearest_by_active_set
-from vcbf_drake.safety.feasible_set import feasible_set
 from vcbf_drake.safety.projection import minimise_linear, nearest_point
 from vcbf_drake.safety.qp import choose_input
 from vcbf_drake.safety.tick_qp import VolumeRow
@@ -44,21 +43,9 @@ def exact_projection(A, b, reference):
 
 def in_unit_box(A, b, reference, volume_row=None, exact_slack=True):
     """What the filter answers in the box |u_j| <= 1."""
-    A = np.array(A, dtype=float)
-    n, m = A.shape
-    box = InputSet.box(-np.ones(m), np.ones(m))
-    rows = BarrierRows(
-        value=np.ones(n),
-        chain=(),
-        A=A,
-        b=np.array(b, dtype=float),
-        w=np.zeros((n, 1)),
-        num_states=1,
-        gradients=lambda rows: np.zeros((len(rows), m + 2, 2)),
-    )
-    feasible = feasible_set(box, rows, DisturbanceKnowledge.constant(1, 0.0))
     reference = np.array(reference, dtype=float)
-    held = np.zeros(m)
+    box = InputSet.box(-np.ones(len(reference)), np.ones(len(reference)))
+    feasible, held = fixed_set(box, A, b), np.zeros(len(reference))
     return choose_input(
         feasible, volume_row, reference, held, box, exact_slack, "least_violation"
     )

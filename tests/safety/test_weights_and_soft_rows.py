@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 import quadprog
 
-from vcbf_drake.barriers import BarrierRows
+from tests.helpers.fixed_set import fixed_set
 from vcbf_drake.safety import (
-    DisturbanceKnowledge,
     FilterSettings,
     FilterStatus,
     InputSet,
 )
-from vcbf_drake.safety.feasible_set import feasible_set
 from vcbf_drake.safety.qp import choose_input
 from vcbf_drake.safety.tick_qp import Frame, VolumeRow
 
@@ -21,26 +19,13 @@ BOX = InputSet.box([-1.0, -4.0, -2.0], [3.0, 4.0, 2.0])
 def choose(
     A, b, reference, weights=None, penalties=None, volume_row=None, box=BOX, linear=None
 ):
-    A, b = np.atleast_2d(np.array(A, dtype=float)), np.array(b, dtype=float)
-    n, m = A.shape
-    rows = BarrierRows(
-        value=np.ones(n),
-        chain=(),
-        A=A,
-        b=b,
-        w=np.zeros((n, 1)),
-        num_states=1,
-        gradients=lambda rows: np.zeros((len(rows), m + 2, 2)),
-    )
-    known = DisturbanceKnowledge.constant(1, 0.0)
     penalties = None if penalties is None else np.array(penalties)
     linear = None if linear is None else np.array(linear)
-    feasible = feasible_set(box, rows, known, None, penalties, linear)
     return choose_input(
-        feasible,
+        fixed_set(box, A, b, penalties, linear),
         volume_row,
         np.array(reference, dtype=float),
-        np.zeros(m),
+        np.zeros(len(reference)),
         box,
         True,
         "least_violation",
