@@ -1,9 +1,11 @@
-"""Buses in memory that stand in for DrakeLcm."""
+"""Buses in memory that stand in for DrakeLcm, and a clock that runs."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable
+
+from vcbf_drake.hil import SimulatedClock
 
 
 class MemoryLcm:
@@ -56,3 +58,11 @@ class OneSlotLcm:
             for handler in self._handlers[channel]:
                 handler(data)
         return len(kept)
+
+
+class RunningClock(SimulatedClock):
+    """Goes on by 1 ms whenever somebody looks at it."""
+
+    def utime(self) -> int:
+        self.now += 1000
+        return self.now

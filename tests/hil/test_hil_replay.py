@@ -11,6 +11,7 @@ from pydrake.lcm import DrakeLcm
 import pytest
 from typer.testing import CliRunner
 
+from tests.helpers.memory_bus import RunningClock
 from vcbf_drake import load_scenario, simulate
 from vcbf_drake.cli import app
 import vcbf_drake.cli.hardware as hardware_module
@@ -24,6 +25,7 @@ from vcbf_drake.hil import (
     InProcess,
     LinkFaults,
     LoggedController,
+    PlantProcess,
     SimulatedClock,
     controller_of,
     read_event_log,
@@ -124,6 +126,27 @@ def test_silence_and_a_controller_that_starts_again_come_out_again() -> None:
     assert len({command.session for command in commands}) == 2
     again = driven(loaded, events)
     assert of(again, "VCBF_COMMAND") == of(events, "VCBF_COMMAND")
+
+
+def test_a_log_of_a_clock_that_runs_while_it_is_read_comes_out_again() -> None:
+    """States about as old as they may be: what was true then is true again."""
+    loaded = scenario("car-avoidance", hardware={"max_state_age": 0.03})
+    lcm, clock, events = DrakeLcm("memq://"), RunningClock(), []
+    bus, rng = Bus(lcm, clock), np.random.default_rng(5)
+    bus.taps.append(lambda *event: events.append(Event(*event)))
+    controller = controller_of(loaded, bus)
+    vehicle = PlantProcess(loaded, Bus(lcm, clock))
+    start = clock.now
+    for tick in range(1, 100):
+        clock.now = max(clock.now, start + 20_000 * tick)
+        vehicle.advance_to(0.02 * tick)
+        clock.now += int(rng.integers(10_000, 25_000))
+        controller.step()
+        vehicle.bus.poll()
+    commands = of(events, "VCBF_COMMAND")
+    modes = {vcbf_command.decode(data).mode for data in commands}
+    assert modes >= {CommandMode.APPLY, CommandMode.HOLD}
+    assert of(driven(loaded, events), "VCBF_COMMAND") == commands
 
 
 def test_a_controller_that_was_not_followed_comes_out_again() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from pydrake.lcm import DrakeLcm
 import pytest
 
-from tests.helpers.memory_bus import OneSlotLcm
+from tests.helpers.memory_bus import OneSlotLcm, RunningClock
 from tests.helpers.relayed_loop import RelayedLoop
 from vcbf_drake import load_scenario, simulate
 from vcbf_drake.errors import UserCodeError
@@ -394,14 +394,6 @@ def test_a_slow_vehicle_is_not_called_a_slow_controller() -> None:
     rates = [line for line in said if "rate" in line or "slow" in line]
     assert rates == ["the vehicle is slow: 25 of 50 periods had no state"]
     assert run.controller.report()["deadlines_missed"] == 0
-
-
-class RunningClock(SimulatedClock):
-    """Goes on by 1 ms whenever somebody looks at it."""
-
-    def utime(self) -> int:
-        self.now += 1000
-        return self.now
 
 
 def test_a_second_vehicle_of_the_name_speaks_once_a_second() -> None:

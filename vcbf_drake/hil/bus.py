@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 import heapq
 import hmac
@@ -145,7 +146,7 @@ class Bus:
         check_name(name)
         self.name, self._key = name, key
         self.lcm = lcm or DrakeLcm(DEFAULT_URL)
-        self.clock = clock or WallClock()
+        self.clock: Clock = clock or WallClock()
         self.taps: list[Tap] = []
         self._handlers: dict[str, list[Handler]] = {}
         self._faults = faults or LinkFaults()
@@ -163,6 +164,15 @@ class Bus:
         """Makes what is sent from now on newer than anything that others send now."""
         self.session = self.clock.utime()
         self.sent: Counter[str] = Counter()
+
+    @contextmanager
+    def one_instant(self) -> Iterator[None]:
+        """Has the clock stand still, so that what is decided is true when stamped."""
+        clock, self.clock = self.clock, SimulatedClock(self.clock.utime())
+        try:
+            yield
+        finally:
+            self.clock = clock
 
     def send(self, channel: str, message: Any) -> None:
         """Fills in a message's version, session, number and time, and publishes it."""

@@ -172,6 +172,11 @@ class CommandSender(LeafSystem):
         return held
 
     def _send(self, context: Context) -> None:
+        # The log of a command tells when its verdict was reached.
+        with self._bus.one_instant():
+            self._send_now(context)
+
+    def _send_now(self, context: Context) -> None:
         stamp = StateStamp(*self._held(context, "stamp").tolist())
         verdict, u = self.verdict(context), self._input.Eval(context)
         is_ticking = not math.isnan(stamp.sequence)

@@ -257,7 +257,7 @@ class Inbox:
         self.newest: Any = None
         self.received_at = 0
         self.round_trips: deque[float] = deque(maxlen=65_536)
-        self._format, self._clock = message_format, bus.clock
+        self._format = message_format
         self._max_age = round(1e6 * max_age)
         self._silence = round(1e6 * (max_age if silence is None else silence))
         self._max_offset = round(1e6 * max_clock_offset)
