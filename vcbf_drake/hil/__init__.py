@@ -1,8 +1,8 @@
 """Hardware in the loop: a vehicle and its controller as two processes on an LCM bus.
 
-What comes from the bus passes one checked function (`decoding`) and one `Inbox` per
-channel before anything sees it. The vehicle's half is `make_vehicle`, the controller's
-`make_hardware_loop`; a process around each lets it run in real time.
+A message's way: `bus` (bytes), `inbox` (checked, accepted, the newest), `senders` (who
+sent it, in which order, by which clock). The vehicle's half is `make_vehicle`, the
+controller's `make_hardware_loop`; a process around each lets it run in real time.
 """
 
 from vcbf_drake.hil.bus import (
