@@ -20,7 +20,11 @@ from pydrake.systems.framework import System
 from vcbf_drake.barriers import Barrier, StateInputLimit
 from vcbf_drake.checks import Array, check_parameter, require
 from vcbf_drake.errors import InvalidValueError, below
-from vcbf_drake.model.interface import find_input_port, state_port_of
+from vcbf_drake.model.interface import (
+    find_input_port,
+    state_port_of,
+    with_ports_held,
+)
 from vcbf_drake.plants.shapes import Part
 from vcbf_drake.plants.vehicle import Vehicle, tag
 from vcbf_drake.typed import check_fields
@@ -183,17 +187,18 @@ def _check_motion(vehicle: Vehicle, state: Array, inputs: Sequence[Array]) -> No
     if context.num_continuous_states() != len(state):
         return  # Whoever derives its model says so.
     context.SetContinuousState(state)
-    if plant.HasInputPort("disturbance"):
-        port = plant.GetInputPort("disturbance")
-        port.FixValue(context, np.zeros(port.size()))
+
+    def rate() -> Array:
+        derivatives: Array = plant.EvalTimeDerivatives(context).CopyToVector()
+        return derivatives
+
     for u in [np.zeros_like(inputs[0]), *inputs]:
         find_input_port(plant).FixValue(context, np.where(np.isfinite(u), u, 0.0))
         try:
             with np.errstate(all="ignore"):
-                rate = plant.EvalTimeDerivatives(context).CopyToVector()
+                most = float(np.abs(with_ports_held(plant, context, rate)).max())
         except (ArithmeticError, ValueError):  # Divided by 0; the root of -1.
-            rate = np.array([np.nan])
-        most = float(np.abs(rate).max())
+            most = math.nan
         rule = f"one whose dx/dt at initial_state is at most {_LARGEST:g}, not {most:g}"
         require(most <= _LARGEST, "vehicle", repr(vehicle)[:200], rule)
 
@@ -205,7 +210,7 @@ def _check_numbers(made: Any) -> None:
         if is_dataclass(value):
             with below(each.name):
                 _check_numbers(value)
-        elif isinstance(value, float) or (isinstance(value, list | tuple) and value):
+        elif isinstance(value, float | list | tuple | np.ndarray):
             numbers = np.ravel(np.array(value, dtype=object))
             is_nan = any(isinstance(v, float) and math.isnan(v) for v in numbers)
             require(not is_nan, each.name, value, "a number")
