@@ -88,13 +88,13 @@ def check_type(path: str | Path, value: Any, hint: Any) -> None:
         InvalidValueError: It is of another type.
     """
     path = (path,) if isinstance(path, str) else path
-    members = _members(hint)
+    members = members_of(hint)
     if any(_is(value, each) for each in members):
         return
     items = [_item(each) for each in members if _item(each) is not None]
     if items and _is_list(value):
         nested = len(value) > 0 and _is_list(value[0])
-        deeper = [each for each in items if _item(_members(each)[0]) is not None]
+        deeper = [each for each in items if _item(members_of(each)[0]) is not None]
         for index, item in enumerate(value):
             check_type(
                 (*path, index), item, deeper[0] if nested and deeper else items[0]
@@ -110,8 +110,8 @@ def _field_hints(kind: Any) -> dict[str, Any]:
     return {name: hints[name] for name in kind.__dataclass_fields__}
 
 
-def _members(hint: Any) -> list[Any]:
-    """The types a hint allows; an array beside lists is one of them."""
+def members_of(hint: Any) -> list[Any]:
+    """Returns the types a hint allows; an array beside lists is one of them."""
     if hint == ArrayLike:
         return [Array]
     is_union = get_origin(hint) in (types.UnionType, Union)
@@ -179,7 +179,7 @@ def _is_array(value: Any, hint: Any) -> bool:
 def _in_words(hint: Any) -> str:
     item = _item(hint)
     if item is not None:
-        inner = _members(item)[0]
+        inner = members_of(item)[0]
         lists = _item(inner) is not None
         name = "lists" if lists else _PLURALS.get(inner, "")
         name = name or getattr(inner, "__name__", "values") + "s"

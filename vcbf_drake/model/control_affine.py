@@ -205,9 +205,9 @@ class ControlAffineModel:
 
         Args:
             system: The System; all its state must be continuous.
-            input_port: The port of u: an InputPort, its name or its index; None for a
-                MultibodyPlant's actuators, or the only vector input port beside the
-                disturbance's.
+            input_port: The port of u: an InputPort, its name or its index; None for the
+                one called "input" or, as a MultibodyPlant's actuators are, "actuation",
+                or the only vector input port beside the disturbance's.
             disturbance_port: The port of d, likewise; None for the port called
                 "disturbance" if there is one, else q = 0.
             context: Holds the parameters, and values for the other input ports; None

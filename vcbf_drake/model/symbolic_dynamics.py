@@ -80,18 +80,14 @@ def symbolic_dynamics(
 
     Args:
         system: The System; all its state must be continuous.
-        input_port: The port of u: an InputPort, its name or its index; None for a
-            MultibodyPlant's actuators, or the only vector input port beside the
-            disturbance's.
-        disturbance_port: The port of d, likewise; None for the port called
-            "disturbance" if there is one, else q = 0.
-        context: Holds the parameters, and values for the other input ports; None for
-            the defaults. Other ports without a value are left unconnected if the
-            System tolerates it, and held at 0 if not.
+        input_port: The port of u; see `ControlAffineModel.from_system`.
+        disturbance_port: The port of d, likewise.
+        context: Holds the parameters and other ports' values, likewise.
 
     Raises:
         ModelError: The System is not symbolic, has a state that is not continuous or
-            none at all, depends on time, or its ports are not what is needed.
+            none at all, depends on time, is not affine in u and d, E is not constant,
+            or the ports are not what is needed.
     """
     name = name_of(system)
     disturbance = find_disturbance_port(system, disturbance_port)

@@ -9,7 +9,7 @@ from numbers import Integral
 from pathlib import Path
 import re
 import types
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 from pydrake.geometry import Convex, Mesh
@@ -27,7 +27,7 @@ from vcbf_drake.model.interface import (
 )
 from vcbf_drake.plants.shapes import Part
 from vcbf_drake.plants.vehicle import Vehicle, tag
-from vcbf_drake.typed import check_fields
+from vcbf_drake.typed import check_fields, members_of
 
 _SCALARS = (float, int, bool, str, types.NoneType)
 _LARGEST = 1e15  # Of a scenario's numbers, and of what its plant makes of them.
@@ -139,11 +139,7 @@ def _check_parameters(vehicle: Vehicle) -> None:
 
 def _is_parameter(hint: Any) -> bool:
     """Whether a scenario file can hold what has a type."""
-    is_union = get_origin(hint) in (types.UnionType, Union)
-    members = [*get_args(hint)] if is_union else [hint]
-    if len(members) > 1:  # An array beside a list is written as one.
-        members = [each for each in members if get_origin(each) is not np.ndarray]
-    return all(map(_is_member, members))
+    return all(map(_is_member, members_of(hint)))
 
 
 def _is_member(hint: Any) -> bool:

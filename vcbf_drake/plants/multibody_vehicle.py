@@ -16,7 +16,7 @@ from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
 from pydrake.systems.framework import System
 
 from vcbf_drake.barriers import Barrier, StateInputLimit, StateLimit
-from vcbf_drake.checks import Array, check_finite, check_parameter, require
+from vcbf_drake.checks import Array, check_finite, check_parameter, require_choice
 from vcbf_drake.errors import below
 from vcbf_drake.files import IS_FILE
 from vcbf_drake.model.position import Position, point_position
@@ -94,8 +94,7 @@ class MultibodyVehicle(Vehicle):
             for instance in range(1, plant.num_model_instances())
             for index in plant.GetFrameIndices(ModelInstanceIndex(instance))
         ]
-        there = ", ".join(filter(None, frames))
-        require(self.frame in frames, "frame", self.frame, f"one of {there}")
+        require_choice("frame", self.frame, [*filter(None, frames)])
         with below("controller"):
             self.controller.check(plant)
         if len(self.posture):

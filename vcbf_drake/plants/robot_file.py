@@ -18,7 +18,7 @@ from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint, ModelInstanceIndex, RigidBody
 
-from vcbf_drake.checks import require
+from vcbf_drake.checks import require, require_choice
 from vcbf_drake.errors import InvalidValueError
 from vcbf_drake.plants.meshes import DRAWN, draw
 
@@ -160,7 +160,7 @@ class RobotFile:
             if "type" in each.attrib  # A transmission names its joint in one, too.
         }
         for name in self.fixed:
-            _require_one("fixed", name, [*joints])
+            require_choice("fixed", name, [*joints])
             joints[name].set("type", "fixed")
         for each in robot.findall("transmission"):
             if {joint.get("name") for joint in each.iter("joint")} <= {*self.fixed}:
@@ -189,7 +189,7 @@ class RobotFile:
         wanted = self.actuators or [*has] or [*joints]
         require(bool(wanted), "file", self.file, "a robot with joints that move")
         for name in wanted:
-            _require_one("actuators", name, [*joints])
+            require_choice("actuators", name, [*joints])
             if name not in has:
                 effort = _efforts(path).get(name, math.inf)
                 plant.AddJointActuator(name, joints[name], effort)
@@ -201,7 +201,7 @@ class RobotFile:
         if not self.weld:
             return
         bodies = {each.name(): each for each in bodies_of(plant)}
-        _require_one("weld", self.weld, [*bodies])
+        require_choice("weld", self.weld, [*bodies])
         try:
             plant.WeldFrames(plant.world_frame(), bodies[self.weld].body_frame())
         except RuntimeError:
@@ -248,10 +248,6 @@ def joints_of(plant: MultibodyPlant) -> list[Joint]:
 
 def _is_single(joint: Joint) -> bool:
     return bool(joint.num_velocities() == 1)
-
-
-def _require_one(field: str, name: str, allowed: Sequence[str]) -> None:
-    require(name in allowed, field, name, f"one of {', '.join(allowed)}")
 
 
 def _multiply(element: ElementTree.Element, factor: float) -> None:
