@@ -24,10 +24,10 @@ from vcbf_drake.simulation import (
 from vcbf_drake.simulation.loading import (
     dump_scenario,
     load_scenario,
-    merge_overrides,
     shipped_scenarios,
-    tag_of,
 )
+from vcbf_drake.simulation.yaml_nodes import merge_overrides
+from vcbf_drake.simulation.yaml_values import tag_of
 
 SHIPPED = (
     "blimp-multiple-obstacles",
@@ -292,10 +292,16 @@ def test_dump_takes_arrays(tmp_path: Path) -> None:
     assert load_scenario(path).initial_state == [0.0, 0.0, 0.1 + 0.2, 0.0]
 
 
+def test_a_period_at_which_every_watchdog_would_bite_is_refused() -> None:
+    message = refusal("car-avoidance", "{period: 0.1}")
+    rule = "hardware.command_timeout: 0.1; it must be above the control period, 0.1 s"
+    assert message.endswith(rule)
+
+
 def test_one_scenario_of_several(tmp_path: Path) -> None:
     path = tmp_path / "two.yaml"
-    path.write_text(f"one: {{}}\ntwo: {SMALL[:-1]}, period: 0.1}}\n")
-    assert load_scenario(path, scenario_name="two").period == 0.1
+    path.write_text(f"one: {{}}\ntwo: {SMALL[:-1]}, period: 0.05}}\n")
+    assert load_scenario(path, scenario_name="two").period == 0.05
     assert "must be one of one, two" in refusal(path)
     assert "did you mean two?" in refusal(path, scenario_name="tow")
 
@@ -505,6 +511,11 @@ REFUSED = [
     ),
     ("{input_set: {A: [[1, 0, 0]], b: [-9]}}", "input_set", "is empty"),
     ("{period: 30}", "period", "at most the duration, 20 s"),
+    (
+        "{period: 0.05, hardware: {max_state_age: 0.05}}",
+        "hardware.max_state_age",
+        "above the control period, 0.05 s",
+    ),
     (
         "{observer: {period: 1}}",
         "observer.period",

@@ -162,6 +162,11 @@ class Scenario(FilterSettings):
         require(period <= duration, "period", period, rule)
         delay = self.faults.measurement_delay
         require(delay <= duration, ("faults", "measurement_delay"), delay, rule)
+        # Or a watchdog would bite between one message and the next.
+        rule = f"above the control period, {period:g} s"
+        for name in ("command_timeout", "max_state_age"):
+            limit = getattr(self.hardware, name)
+            require(limit > period, ("hardware", name), limit, rule)
 
     def _check_sizes(self, numbered: Sequence[tuple[int, AnyObstacle]]) -> None:
         plant = checked_plant(self.vehicle)

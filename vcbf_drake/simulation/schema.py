@@ -12,15 +12,15 @@ from typing import Any, Literal, get_args, get_origin
 
 from vcbf_drake.plants import Vehicle
 from vcbf_drake.plants.channels import channels_of
-from vcbf_drake.simulation.loading import (
-    VEHICLES,
+from vcbf_drake.simulation.loading import VEHICLES
+from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.simulation.yaml_values import (
     allowed_types,
     field_types,
     plain,
     tag_of,
     tagged_types,
 )
-from vcbf_drake.simulation.scenario import Scenario
 
 _WORDS = {float: "number", int: "integer", bool: "boolean", str: "string"}
 _KINDS = {

@@ -10,9 +10,10 @@ import shlex
 from typing import Any
 
 from vcbf_drake.simulation.fleet import Fleet
-from vcbf_drake.simulation.loading import load_fleet, merge_overrides, only_one
+from vcbf_drake.simulation.loading import load_fleet, only_one
 from vcbf_drake.simulation.run import simulate_fleet
 from vcbf_drake.simulation.scenario import Scenario, validate
+from vcbf_drake.simulation.yaml_nodes import merge_overrides
 from vcbf_drake.studies.variation import Draw, Variation
 
 Record = dict[str, Any]

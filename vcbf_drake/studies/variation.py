@@ -14,9 +14,9 @@ import numpy as np
 import yaml
 
 from vcbf_drake.errors import ScenarioError
-from vcbf_drake.simulation.loading import merge_overrides
 from vcbf_drake.simulation.python_file import module_of
 from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.simulation.yaml_nodes import merge_overrides
 
 Generator = np.random.Generator
 
