@@ -18,13 +18,11 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, OutputPort
 
-from vcbf_drake.barriers import MovingObstacle
-from vcbf_drake.barriers.obstacles import Obstacle
 from vcbf_drake.barriers.shapes import Shape
 from vcbf_drake.model.interface import state_port_of
 from vcbf_drake.plants.shapes import Part, of_body
 from vcbf_drake.plants.vehicle import Vehicle
-from vcbf_drake.viz.solids import in_space, solids
+from vcbf_drake.viz.solids import place_at, solids
 from vcbf_drake.viz.style import OBSTACLE
 
 BLUE = "#0072b2"
@@ -177,7 +175,7 @@ class ObstacleGeometry(PosedGeometry):
     def poses(self, context: Context) -> Sequence[RigidTransform]:
         """Returns every obstacle's pose."""
         time = context.get_time()
-        return [_pose(obstacle, time) for obstacle in self._obstacles]
+        return [RigidTransform(place_at(each, time)) for each in self._obstacles]
 
     @staticmethod
     def AddToBuilder(
@@ -194,18 +192,9 @@ class ObstacleGeometry(PosedGeometry):
         return geometry
 
 
-def _pose(obstacle: Shape, time: float) -> RigidTransform:
-    """Where the frame of an obstacle is: at its centre, if it has one."""
-    if isinstance(obstacle, MovingObstacle):
-        return RigidTransform(in_space(obstacle.offset_at(time)))
-    if isinstance(obstacle, Obstacle):
-        return RigidTransform(in_space(obstacle.center_at(time)))
-    return RigidTransform()
-
-
 def _parts(obstacle: Shape, color: str) -> Iterator[Part]:
     """The solids of an obstacle, in its frame; in the plane pillars on the ground."""
-    to_frame = _pose(obstacle, 0.0).inverse()
+    to_frame = RigidTransform(-place_at(obstacle, 0.0))
     for i, solid in enumerate(solids(obstacle, PILLAR_HEIGHT)):
         name, body = f"body_{i}" if i else "body", solid.body
         yield Part(name, body.shape, color, to_frame @ body.pose)

@@ -22,6 +22,7 @@ from vcbf_drake.barriers import (
     PolygonObstacle,
     SphereObstacle,
 )
+from vcbf_drake.barriers.obstacles import Obstacle
 from vcbf_drake.checks import Array
 
 if TYPE_CHECKING:
@@ -62,19 +63,18 @@ class Solid:
     Attributes:
         body: The obstacle.
         keep_out: The obstacle with its margin around it; None without a margin.
-        velocity: How fast both move, shape (3,) [m/s].
-        path: What carries them in place of a velocity.
+        obstacle: What it is a solid of, and moves with.
     """
 
     body: Piece
     keep_out: Piece | None
-    velocity: Array
-    path: MovingObstacle | None = None
+    obstacle: Thing | MovingObstacle
 
     @property
     def moves(self) -> bool:
         """Whether it moves at all."""
-        return self.path is not None or bool(self.velocity.any())
+        on_a_path = isinstance(self.obstacle, MovingObstacle)
+        return on_a_path or bool(self.offset_at(1.0).any())
 
     @property
     def whole(self) -> Piece:
@@ -83,13 +83,12 @@ class Solid:
 
     def offset_at(self, time: float) -> Array:
         """How far it has moved by a time [s], shape (3,) [m]."""
-        if self.path is None:
-            return time * self.velocity
-        return in_space(self.path.offset_at(time) - self.path.offset_at(0.0))
+        return place_at(self.obstacle, time) - place_at(self.obstacle, 0.0)
 
     def key_times(self, end: float) -> Array:
         """Times up to an end [s] between which it goes straight on, or nearly."""
-        return np.linspace(0.0, end, 2 if self.path is None else _KEY_TIMES)
+        on_a_path = isinstance(self.obstacle, MovingObstacle)
+        return np.linspace(0.0, end, _KEY_TIMES if on_a_path else 2)
 
 
 @dataclass(frozen=True)
@@ -153,21 +152,27 @@ def solids(obstacle: object, height: float) -> Iterator[Solid]:
         height: How high it is in the plane [m].
     """
     if isinstance(obstacle, MovingObstacle):
-        start = RigidTransform(in_space(obstacle.offset_at(0.0)))
+        start = RigidTransform(place_at(obstacle, 0.0))
         for each in solids(obstacle.shape, height):
             keep_out = each.keep_out and each.keep_out.moved(start)
-            yield Solid(each.body.moved(start), keep_out, np.zeros(3), obstacle)
+            yield Solid(each.body.moved(start), keep_out, obstacle)
     if not isinstance(obstacle, Thing):
         return
     bodies = _pieces(obstacle, 0.0, height)
     keep_outs: Sequence[Piece | None] = [None] * len(bodies)
     if obstacle.margin > 0.0:
         keep_outs = _pieces(obstacle, obstacle.margin, _KEEP_OUT_HEIGHT * height)
-    travel = np.zeros(3)
-    if not isinstance(obstacle, PolygonObstacle):
-        travel = np.array(in_space(obstacle.moving_center.velocity))
     for body, keep_out in zip(bodies, keep_outs, strict=True):
-        yield Solid(body, keep_out, travel)
+        yield Solid(body, keep_out, obstacle)
+
+
+def place_at(obstacle: object, time: float) -> Array:
+    """Where an obstacle's centre is at a time [s], shape (3,) [m]; 0 without one."""
+    if isinstance(obstacle, MovingObstacle):
+        return in_space(obstacle.offset_at(time))
+    if isinstance(obstacle, Obstacle):
+        return in_space(obstacle.center_at(time))
+    return np.zeros(3)
 
 
 def walls_of(scenario: Scenario) -> list[Wall]:
