@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 import json
+from pathlib import Path
 import struct
 from threading import Timer
 import time
@@ -18,7 +19,9 @@ from tests.helpers.browser import browser
 from tests.helpers.pages import page_data
 from vcbf_drake import load_scenario, simulate
 from vcbf_drake.errors import InvalidValueError
+from vcbf_drake.simulation.loading import load_fleet
 from vcbf_drake.simulation.result import Result
+from vcbf_drake.simulation.run import simulate_fleet
 from vcbf_drake.viz.live import LiveView, Stick
 
 SHORT = {"duration": 1.0, "target": [0.2, 0.0]}
@@ -64,6 +67,29 @@ def test_a_page_is_told_what_the_log_has() -> None:
         assert len(point["sets"]["outline"]) == 1
     events = [event for point in told for event in point["events"]]
     assert [event["kind"] for event in events] == ["reached"]
+
+
+def test_of_two_vehicles_a_page_is_told_each() -> None:
+    file = Path(__file__).parents[2] / "examples" / "two_vehicles.yaml"
+    fleet = load_fleet(file, {"duration": 0.4})
+    told: list[Future[Any]] = []
+
+    def act(address: str) -> list[list[dict[str, Any]]]:
+        with urlopen(address + "stream", timeout=60.0) as stream:
+            *found, _ = stream.read().decode().strip().split("\n\n")
+        return [json.loads(each.removeprefix("data: ")) for each in found]
+
+    with ThreadPoolExecutor() as beside:
+        view = LiveView(
+            fleet.vehicles, lambda url: told.append(beside.submit(act, url))
+        )
+        results = simulate_fleet(fleet, step_time=False, watch=view)
+        view.close()
+        last = told[0].result(60.0)[-1]
+    for point, result in zip(last, results, strict=True):
+        tick = np.searchsorted(result.log["time"], point["time"][0] - 1e-9)
+        place = [*result.log["state"][tick, :2], 0.0]
+        assert point["path"][0] == pytest.approx(place, abs=1e-3)
 
 
 def test_a_pause_holds_the_run_up() -> None:

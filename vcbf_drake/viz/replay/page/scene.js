@@ -172,6 +172,10 @@ class ReplayScene {
       }
     });
     place(false, -1);
+    for (const run of this.data.runs.filter((each) => !each.ghost)) {
+      const { x, y } = this.onScreen(pointAt(run.path, frame));
+      taken.push({ x: x - 16, y: y - 10, width: 32, height: 20 }); // The vehicle itself.
+    }
     this.data.labels.forEach((label, k) =>
       this.placeLabel(this.labels[k], label.position, label.side, taken));
     place(true, 1);
