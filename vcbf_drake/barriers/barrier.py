@@ -179,21 +179,20 @@ def _check_class_k(class_k: ClassK, name: str) -> None:
     with np.errstate(all="ignore"):
         found = [class_k(point) for point in points]
     rule = f"barrier '{name}': class_k must be 0 at 0 and increase"
-    for point, value in zip(points, found, strict=True):
-        if not isinstance(value, Real):
-            raise ValueError(f"{rule}; at {point:g} it is {value!r}, no number")
-    values = np.array(found, dtype=float)
-    if not abs(values[len(positive)]) <= 1e-12:
-        raise ValueError(f"{rule}; at 0 it is {values[len(positive)]:g}")
-    finite = np.isfinite(values)  # It may overflow far away, or level off.
-    nowhere = ~finite & (np.abs(points) < 1.0)
-    if nowhere.any():
-        i = int(nowhere.argmax())
-        raise ValueError(f"{rule}; at {points[i]:.7g} it is {values[i]:g}")
-    points, values = points[finite], values[finite]
-    steps, near = np.diff(values), np.abs(points[1:]) < 1.0
-    rounding = 1e-12 * np.abs(values[1:])
-    falls = (steps < -rounding) | (near & (steps <= 0.0))
+    is_number = np.array([isinstance(value, Real) for value in found])
+    numbers = zip(is_number, found, strict=True)
+    values = np.array([value if is_real else np.nan for is_real, value in numbers])
+    values = values.astype(float)
+    finite, near = np.isfinite(values), np.abs(points) < 1.0
+    # It may overflow far away, or level off.
+    wrong = ~is_number | (near & ~finite)
+    wrong |= (points == 0.0) & ~(np.abs(values) <= 1e-12)
+    if wrong.any():
+        i = int(wrong.argmax())
+        raise ValueError(f"{rule}; at {points[i]:.7g} it is {found[i]!r}")
+    points, values, near = points[finite], values[finite], near[finite]
+    steps, rounding = np.diff(values), 1e-12 * np.abs(values[1:])
+    falls = (steps < -rounding) | (near[1:] & (steps <= 0.0))
     if falls.any():
         i = int(falls.argmax())
         raise ValueError(

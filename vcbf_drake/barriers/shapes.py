@@ -113,16 +113,7 @@ class SmoothShape(Shape):
         position: Position | None = None,
         name: str | None = None,
     ) -> Barrier:
-        """Returns the barrier h >= 0 of the shape; see `Shape.barriers`.
-
-        Args:
-            gains: K of (E4); their number is the relative degree.
-            position: Which states are the position, or a function to it.
-            name: What error messages and logs call it; None for the kind of shape.
-
-        Raises:
-            ValueError: `position` has not one index a dimension, or bad gains.
-        """
+        """Returns the barrier h >= 0 of the shape; arguments as for `barriers`."""
         size, formula, parameters = self.formula()
         name = name or self.kind
         if position is None:
@@ -147,9 +138,9 @@ class SmoothShape(Shape):
             trajectory: (k, 1), with as many derivatives as there are gains and one more
                 (PiecewisePolynomial, BsplineTrajectory, ...) [m]; the shape stands
                 before its start and after its end.
-            gains: K of (E4); their number is the relative degree.
-            position: As for `barrier`.
-            name: What error messages and logs call it; None for the kind of shape.
+            gains: As for `barriers`, like position and name.
+            position: Likewise.
+            name: Likewise.
 
         Raises:
             ValueError: A trajectory of other dimensions or without derivatives,
@@ -193,19 +184,17 @@ def position_function(position: Position, size: int, name: str) -> PositionFunct
     Raises:
         ValueError: Not one index per dimension, or one of them twice.
     """
-    if callable(position):
-        return _checked(position, size)
-    indices = list(position)
-    if len(indices) != size or len(set(indices)) != size:
-        raise ValueError(
-            f"barrier '{name}': position must name {size} states, got {indices}"
-        )
-    return lambda x: x[indices]
+    if not callable(position):
+        indices = list(position)
+        if len(indices) != size or len(set(indices)) != size:
+            raise ValueError(
+                f"barrier '{name}': position must name {size} states, got {indices}"
+            )
+        return lambda x: x[indices]
+    function = position
 
-
-def _checked(position: PositionFunction, size: int) -> PositionFunction:
     def checked(x: Expressions) -> Expressions:
-        point = position(x)
+        point = function(x)
         if len(point) != size:
             raise ValueError(
                 f"position(x) must return {size} numbers, not {len(point)}"
