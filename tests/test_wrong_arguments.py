@@ -22,7 +22,7 @@ from vcbf_drake.simulation import (
     scenario_schema,
 )
 from vcbf_drake.simulation.faults import Faults, StepGust
-from vcbf_drake.simulation.scenario import (
+from vcbf_drake.simulation.sections import (
     BarrierGains,
     Hardware,
     Integrator,
