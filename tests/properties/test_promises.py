@@ -118,6 +118,13 @@ def test_slabs_that_are_empty_or_not_by_a_rounding(number):
     assert make_example(3, number).broken == ()
 
 
+@pytest.mark.parametrize(("seed", "number"), [(17, 19867), (20, 16745)])
+def test_rows_through_one_point_are_no_conflict_for_their_rounding(seed, number):
+    example = make_example(seed, number)
+    assert example.broken == ()
+    assert example.decision.status == FilterStatus.FILTERED
+
+
 def test_a_volume_row_has_no_part_in_a_conflict():
     """Barrier rows empty by 9e-10, and more so beside a volume row that gave way."""
     assert make_example(1, 5211).broken == ()

@@ -14,8 +14,8 @@ from vcbf_drake.safety import (
 )
 from vcbf_drake.safety.feasible_set import feasible_set
 from vcbf_drake.safety.projection import nearest_point
-from vcbf_drake.safety.qp import choose_input, failed_decision
-from vcbf_drake.safety.tick_qp import VolumeRow
+from vcbf_drake.safety.qp import choose_input, least_violation
+from vcbf_drake.safety.tick_qp import Frame, VolumeRow
 
 BOX = InputSet.box([-1.0, -2.0], [3.0, 2.0])
 ORIGIN = np.zeros(2)
@@ -208,11 +208,9 @@ def test_no_answer_at_all_is_a_failure(monkeypatch):
 def test_the_fallback_on_a_set_that_is_not_empty_stays_near_the_reference():
     """No barrier need give way, so none is kept further than it asks for."""
     feasible = set_of([[1.0, 0.0], [0.0, 1.0]], [0.5, 5.0])
-    decision = failed_decision(
-        feasible, BOX.center + BOX.scale * [0.4, 0.2], ORIGIN, BOX
-    )
-    assert decision.status == FilterStatus.FAILED
-    np.testing.assert_allclose(decision.input, [0.5, 0.4], atol=1e-6)
+    reference = BOX.center + BOX.scale * [0.4, 0.2]
+    found = least_violation(feasible, Frame.of(BOX), reference, ORIGIN)
+    np.testing.assert_allclose(found, [0.5, 0.4], atol=1e-6)
 
 
 def test_a_volume_row_that_holds_after_all_has_no_slack(monkeypatch):

@@ -7,6 +7,7 @@ from pydrake.geometry.optimization import HPolyhedron
 from pydrake.systems.analysis import Simulator
 import pytest
 
+from tests.helpers.volume_rate import volume_rate
 from vcbf_drake import Blimp, ControlAffineModel, InputSet, SphereObstacle
 from vcbf_drake.barriers import BarrierRows, BarrierSet
 from vcbf_drake.safety import DisturbanceKnowledge, VolumeBarrier
@@ -149,7 +150,8 @@ def test_volume_row_is_the_worst_case_of_the_total_derivative(blimp):
         errors = rng.normal(size=(4000, 3))
         errors *= known.bound / np.linalg.norm(errors, axis=1, keepdims=True)
         rates = [
-            exact.rate(
+            volume_rate(
+                exact,
                 drift + g @ u + model.disturbance_matrix @ (known.estimate + error),
                 known,
                 known.estimate + error,
@@ -200,7 +202,7 @@ def closed_loop(fidelity):
         d = source.value(context.get_time())
         rate = drift + g @ u + model.disturbance_matrix @ d
         values.append(now.value)
-        total.append(now.rate(rate, known, d))
+        total.append(volume_rate(now, rate, known, d))
         printed.append(now.state @ rate + now.time + now.bound * known.bound_rate)
         rates.append(known.rate)
     measured = np.diff(values) / scenario.period

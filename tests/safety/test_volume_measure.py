@@ -8,6 +8,7 @@ from pydrake.geometry.optimization import HPolyhedron
 from pydrake.systems.analysis import Simulator
 import pytest
 
+from tests.helpers.volume_rate import volume_rate
 from vcbf_drake import Blimp, ControlAffineModel, InputSet, SphereObstacle
 from vcbf_drake.barriers import BarrierRows, BarrierSet
 from vcbf_drake.safety import DisturbanceKnowledge, VolumeBarrier
@@ -211,7 +212,7 @@ def closed_loop(widening, fidelity):
         d = source.value(context.get_time())
         rate = drift + g @ u + model.disturbance_matrix @ d
         values.append(now.value)
-        total.append(now.rate(rate, known, d))
+        total.append(volume_rate(now, rate, known, d))
         printed.append(now.state @ rate + now.time + now.bound * known.bound_rate)
         rates.append(known.rate)
     measured = np.diff(values) / scenario.period

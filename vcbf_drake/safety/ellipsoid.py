@@ -28,7 +28,6 @@ from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.polytope import (
     chebyshev_ball,
     dikin_frame,
-    largest_ball,
     recession_direction,
 )
 from vcbf_drake.safety.programs import DEFAULT_SOLVER, EllipsoidProgram
@@ -88,7 +87,7 @@ def _search(rows: UnitRows) -> Ellipsoid | None:
     u = center + frame z, of the rows around the Chebyshev centre, and then of what it
     finds.
     """
-    (center, radius), (A, b) = largest_ball(rows), rows.without_blanks()
+    (center, radius), (A, b) = chebyshev_ball(*rows.given), rows.without_blanks()
     # Of the rows it touches, |b_i| = |a_i center + radius|.
     if radius <= _ROUNDING * (float(np.linalg.norm(center)) + abs(radius)):
         raise EmptySetError(*rows.given, radius)
@@ -156,11 +155,6 @@ class InscribedEllipsoidSolver:
         # Every answer on the plateau shares these.
         self.free.center.flags.writeable = False
         self.free.frame.flags.writeable = False
-
-    @property
-    def num_inputs(self) -> int:
-        """The number of inputs m."""
-        return self._A.shape[1]
 
     def solve(self, A: Array, b: Array) -> Ellipsoid:
         """Returns the largest ellipsoid in v of the input set with ``A v <= b``.

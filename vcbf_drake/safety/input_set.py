@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vcbf_drake.checks import Array, require
-from vcbf_drake.errors import EmptySetError, UnboundedSetError, VcbfError
+from vcbf_drake.errors import EmptySetError, UnboundedSetError
 from vcbf_drake.safety.polytope import chebyshev_ball, recession_direction
 from vcbf_drake.safety.projection import minimise_linear, nearest_point
 from vcbf_drake.safety.unit_rows import UnitRows
@@ -174,20 +174,9 @@ class InputSet:
         v = self.normalised_near(u)
         if np.all(self.A_normalised @ v <= self.b_normalised + _TOLERANCE):
             return np.where(self.scale > 0.0, u, self.center)
-        try:
-            v = nearest_point(self.A_normalised, self.b_normalised, v).point
-        except VcbfError:
-            pass  # Without a verified nearest point, what follows still ends inside.
-        return self.center + self.scale * self._pulled_inside(v)
-
-    def _pulled_inside(self, v: Array) -> Array:
-        """Returns the last point inside on the segment from the interior to v."""
-        if np.all(self.A_normalised @ v <= self.b_normalised + _TOLERANCE):
-            return v
-        start = self.normalised(self.interior)
-        room = self.b_normalised - self.A_normalised @ start
-        approach = self.A_normalised @ (v - start)
-        return start + (v - start) / np.max(approach / room)
+        A, b = self.A_normalised, self.b_normalised
+        v = nearest_point(A, b, v, num_firm=len(b)).point
+        return self.center + self.scale * v
 
 
 class _Box(InputSet):

@@ -39,15 +39,6 @@ def chebyshev_ball(A: ArrayLike, b: ArrayLike) -> tuple[Array, float]:
     rows = UnitRows.checked(A, b)
     if rows.conflict is not None:
         return np.zeros(rows.A.shape[1]), -np.inf
-    return largest_ball(rows)
-
-
-def largest_ball(rows: UnitRows) -> tuple[Array, float]:
-    """Returns the centre and the signed radius of the largest ball.
-
-    Raises:
-        UnboundedSetError: The set holds balls of every size.
-    """
     A, b = rows.without_blanks()
     n, m = A.shape
     if n == 0:

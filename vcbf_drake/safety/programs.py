@@ -131,34 +131,31 @@ def _kept(kind: Any, *size: Any) -> FixedProgram:
 
 
 class LinearProgram(FixedProgram):
-    """min c'v subject to ``A v <= b``.
+    """min c'v subject to ``A v <= b``, by Clp.
 
     Args:
         num_rows: n.
         num_variables: m.
-        solver: One of `SOLVERS` that takes linear programs.
     """
 
-    def __init__(self, num_rows: int, num_variables: int, solver: str = "Clp") -> None:
-        super().__init__(num_variables, SOLVERS[solver](), SolverOptions())
+    def __init__(self, num_rows: int, num_variables: int) -> None:
+        super().__init__(num_variables, ClpSolver(), SolverOptions())
         v, self._below = self.variables, np.full(num_rows, -np.inf)
         self._cost = self.program.AddLinearCost(
             np.zeros(num_variables), 0.0, v
         ).evaluator()
         self._rows = self.program.AddLinearConstraint(
             np.ones((num_rows, num_variables)), self._below, self._below, v
-        )
+        ).evaluator()
 
-    def solve(self, cost: Array, A: Array, b: Array) -> tuple[Array, Array] | None:
-        """Returns a minimiser and the rows' multipliers y >= 0; None without one."""
+    def solve(self, cost: Array, A: Array, b: Array) -> Array | None:
+        """Returns a minimiser; None without one."""
         with self._lock:
             self._cost.UpdateCoefficients(cost, 0.0)
-            self._rows.evaluator().UpdateCoefficients(A, self._below, b)
+            self._rows.UpdateCoefficients(A, self._below, b)
             result = self._solve()
-        if not result.is_success():
-            return None
-        multipliers = -np.asarray(result.GetDualSolution(self._rows))
-        return result.get_x_val(), np.maximum(multipliers, 0.0)
+        point: Array = result.get_x_val()
+        return point if result.is_success() else None
 
 
 class NearestPointProgram(FixedProgram):

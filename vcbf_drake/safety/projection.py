@@ -32,7 +32,7 @@ from vcbf_drake.safety.unit_rows import (
 )
 
 # Rows of sets that may have no interior are opened by so much of the tolerance, ...
-_OPENING = 0.6 * FEASIBILITY_TOLERANCE
+OPENING = 0.6 * FEASIBILITY_TOLERANCE
 # ... and a verified solution leaves the opened rows by no more than so much of it.
 _EXCESS = 0.1 * FEASIBILITY_TOLERANCE
 # No point of the set as given is better by more, relative to the distance from the
@@ -133,7 +133,7 @@ def minimise_linear(
     bounds = rows.b + opening(rows, len(b) if num_firm is None else num_firm)
     cost = cost / (float(np.linalg.norm(cost)) or 1.0)
     found = LinearProgram.of_size(*A.shape).solve(_SHARPNESS * cost, rows.A, bounds)
-    point = np.zeros(len(cost)) if found is None else found[0]
+    point = np.zeros(len(cost)) if found is None else found
     for step in _STEPS:
         nearest = nearest_by_active_set(rows.A, bounds, point - step * cost)
         _raise_if_empty(nearest, rows, bounds)
@@ -173,7 +173,7 @@ def opening(rows: UnitRows, num_firm: int) -> Array:
         rows: Its rows.
         num_firm: How many rows, the first, stay where they are; blank rows do too.
     """
-    distance = np.where(rows.is_blank, 0.0, _OPENING)
+    distance = np.where(rows.is_blank, 0.0, OPENING)
     distance[:num_firm] = 0.0
     return distance
 

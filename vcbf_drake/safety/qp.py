@@ -18,7 +18,7 @@ from vcbf_drake.safety.decay import DecayRates
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.programs import DEFAULT_SOLVER
-from vcbf_drake.safety.projection import minimise_linear
+from vcbf_drake.safety.projection import OPENING, minimise_linear
 from vcbf_drake.safety.tick_qp import (
     MARGIN,
     QP,
@@ -149,26 +149,19 @@ def choose_input(
             )
             if finer is not None:
                 found, solved = _better(stated(finer), found, qp, feasible, solver)
-    except (EmptySetError, SolverError, LinAlgError) as error:
-        # At the barriers' own rates.
-        hard = state_qp(feasible, frame, None, reference, exact_slack).hard
-        if not isinstance(error, EmptySetError):
-            u = least_violation(feasible, hard, held_input, solver)
-            return FilterDecision(u, FilterStatus.FAILED)
+    except EmptySetError as error:
         # Rows of the feasible set all: those that may give way are in no conflict, and
         # those that limit decay rates say nothing beside the rows that these belong to.
         own = [i for i in error.conflict if i < len(feasible.cutting)]
         conflict = tuple(feasible.cutting[own].tolist())
-        decay = 1.0
-        if policy == "hold":
-            u = input_set.project(held_input)
-        elif policy == "decay" and decay_rates is not None:
-            u, decay = _decayed(feasible, hard, decay_rates, held_input, solver)
-        else:
-            u = least_violation(feasible, hard, held_input, solver)
-        return FilterDecision(
-            u, FilterStatus.INFEASIBLE, conflict=conflict, decay=decay
+        u, decay = _fallback(
+            feasible, frame, policy, decay_rates, reference, held_input, solver
         )
+        status = FilterStatus.INFEASIBLE
+        return FilterDecision(u, status, conflict=conflict, decay=decay)
+    except (SolverError, LinAlgError):
+        u = least_violation(feasible, frame, reference, held_input, solver)
+        return FilterDecision(u, FilterStatus.FAILED)
     u = solved.frame.input(found.point)
     slack = volume_row.slack(u) if volume_row and gave_way else 0.0
     status = FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
@@ -178,8 +171,37 @@ def choose_input(
     return FilterDecision(u, status, slack, soft_slacks=soft, decay=decay, qp=solved)
 
 
+def _fallback(
+    feasible: FeasibleSet,
+    frame: Frame,
+    policy: InfeasiblePolicy,
+    rates: DecayRates | None,
+    reference: Array,
+    held_input: Array,
+    solver: str,
+) -> tuple[Array, float]:
+    """The policy's input where the rows have none, and its factor omega (E69)."""
+    project = feasible.input_set.project
+    if policy == "hold":
+        return project(held_input), 1.0
+    if policy == "decay" and rates is not None:
+        hard = state_qp(feasible, frame, None, reference, exact_slack=True).hard
+        try:
+            z = rates.grown(hard, feasible).solved(solver).point
+        except (EmptySetError, SolverError, LinAlgError):
+            pass  # No rate helps.
+        else:
+            u = project(frame.input(z))
+            return u, rates.factor(feasible, u)
+    return least_violation(feasible, frame, reference, held_input, solver), 1.0
+
+
 def least_violation(
-    feasible: FeasibleSet, qp: QP, held_input: Array, solver: str
+    feasible: FeasibleSet,
+    frame: Frame,
+    reference: Array,
+    held_input: Array,
+    solver: str = DEFAULT_SOLVER,
 ) -> Array:
     """Returns the input whose worst weighted barrier violation is least, shape (m,).
 
@@ -187,26 +209,25 @@ def least_violation(
     it that is allowed, where none was verified.
 
     Args:
-        feasible: Input limits and barrier rows.
-        qp: The QP of its rows, `QP.hard`.
+        feasible: Input limits and barrier rows, all finite.
+        frame: The coordinates.
+        reference: The controller's input, finite, shape (m,).
         held_input: The input applied now, shape (m,).
         solver: The solver's name.
     """
-    project, k = feasible.input_set.project, qp.num_firm
+    best = held_input
     try:
-        u = qp.frame.input(_least_violation(feasible, qp, solver))
+        for _ in range(2):
+            qp = state_qp(feasible, frame, None, reference, exact_slack=True).hard
+            best = frame.input(_least_violation(feasible, qp, solver))
+            violated = (qp.A @ _coordinates(best, frame) > qp.b)[qp.num_firm :]
+            finer = finer_frame(feasible, frame, best, violated)
+            if finer is None:
+                break
+            frame = finer
     except (EmptySetError, SolverError, LinAlgError):
-        return project(held_input)
-    violated = (qp.A @ _coordinates(u, qp.frame) > qp.b)[k:]
-    frame = finer_frame(feasible, qp.frame, u, violated)
-    if frame is not None:
-        reference = qp.frame.input(qp.reference)
-        finer = state_qp(feasible, frame, None, reference, exact_slack=True).hard
-        try:
-            u = frame.input(_least_violation(feasible, finer, solver))
-        except (EmptySetError, SolverError, LinAlgError):
-            pass  # In the coordinates before there is an answer.
-    return project(u)
+        pass  # In the coordinates before there may be an answer.
+    return feasible.input_set.project(best)
 
 
 def _coordinates(u: Array, frame: Frame) -> Array:
@@ -232,25 +253,6 @@ def _least_violation(feasible: FeasibleSet, qp: QP, solver: str) -> Array:
     z = minimise_linear(last, rows, np.append(b, 0.0), reach=qp.frame.reach)[:-1]
     b[k:] += np.max(A[k:] @ z - b[k:], initial=0.0) + MARGIN
     return replace(qp, A=A, b=b).solved(solver).point
-
-
-def _decayed(
-    feasible: FeasibleSet,
-    hard: QP,
-    rates: DecayRates,
-    held_input: Array,
-    solver: str,
-) -> tuple[Array, float]:
-    """The input nearest to the reference with faster decay (E69), and omega.
-
-    Where no rate helps omega is 1, and the input that of the least violation.
-    """
-    try:
-        z = rates.grown(hard, feasible).solved(solver).point
-    except (EmptySetError, SolverError, LinAlgError):
-        return least_violation(feasible, hard, held_input, solver), 1.0
-    u = feasible.input_set.project(hard.frame.input(z))
-    return u, rates.factor(feasible, u)
 
 
 def _cuts(row: VolumeRow, input_set: InputSet) -> bool:
@@ -282,40 +284,24 @@ def _better(
         # A conflict with the volume row says nothing of the others: are they empty?
         finer.hard.solved(solver)
     except EmptySetError as error:
-        if _excludes_every_input(feasible, error.conflict):
+        u = qp.frame.input(found.point)
+        if _excludes_every_input(feasible, error.conflict, u):
             raise
     return found, qp
 
 
-def _excludes_every_input(feasible: FeasibleSet, conflict: Sequence[int]) -> bool:
+def _excludes_every_input(
+    feasible: FeasibleSet, conflict: Sequence[int], u: Array
+) -> bool:
     """Whether rows in conflict are one for every input, as they were given.
 
     In finer coordinates the input set is large, and what is left of y'A there, next to
     nothing, may be worth more than y'b. In rational numbers nothing is left of it.
+    Nor may the conflict be no more than the rounding of the rows' terms near an input.
     """
     rows = [*feasible.input_set.limits, *feasible.cutting[list(conflict)]]
     chosen = np.unique(rows).astype(int)
     A, b = feasible.A[chosen], feasible.b[chosen]
+    terms = np.abs(b) + np.abs(A) @ np.abs(u)
+    b = b + np.where(chosen < feasible.num_input_rows, 0.0, OPENING * terms)
     return nearest_in_rationals(A, b, feasible.input_set.center).conflict is not None
-
-
-def failed_decision(
-    feasible: FeasibleSet,
-    reference: Array,
-    held_input: Array,
-    input_set: InputSet,
-    solver: str = DEFAULT_SOLVER,
-) -> FilterDecision:
-    """Returns the fallback where no solver's answer was verified.
-
-    Args:
-        feasible: Input limits and barrier rows, all finite.
-        reference: The controller's input, finite, shape (m,).
-        held_input: The input applied now, shape (m,).
-        input_set: The inputs the actuators can produce.
-        solver: The solver's name.
-    """
-    frame = Frame.of(input_set)
-    qp = state_qp(feasible, frame, None, reference, exact_slack=True)
-    u = least_violation(feasible, qp.hard, held_input, solver)
-    return FilterDecision(u, FilterStatus.FAILED)

@@ -36,7 +36,7 @@ from vcbf_drake.safety.qp import (
     FilterDecision,
     FilterStatus,
     choose_input,
-    failed_decision,
+    least_violation,
 )
 from vcbf_drake.safety.row_holder import RowHolder, Tick
 from vcbf_drake.safety.row_names import RowNames
@@ -505,7 +505,7 @@ class SafetyFilter(CachedSystem):
         reference, held = self._reference.Eval(context), self._held(context)
         if not (feasible.is_finite and np.isfinite(reference).all()):
             return inputs.project(held)
-        return failed_decision(feasible, reference, held, inputs).input
+        return least_violation(feasible, Frame.of(inputs), reference, held)
 
     def _calc_packed_feasible_set(self, context: Context, output: BasicVector) -> None:
         feasible, known = self.feasible_set(context), self.volume(context)

@@ -126,24 +126,6 @@ class Volume:
         moving = self.state.any() or self.time or self.estimate.any() or self.bound
         return bool(self.value >= 0.0 and not moving)
 
-    def rate(
-        self, state_rate: Array, known: DisturbanceKnowledge, disturbance: Array
-    ) -> float:
-        """Returns dV_v/dt when the disturbance is known (E60) [1/s].
-
-        Args:
-            state_rate: dx/dt under the input and the disturbance, shape (n,).
-            known: What the observer says.
-            disturbance: The true disturbance, shape (q,).
-        """
-        estimate_rate = known.rate + known.gain * (disturbance - known.estimate)
-        return float(
-            self.state @ state_rate
-            + self.time
-            + self.estimate @ estimate_rate
-            + self.bound * known.bound_rate
-        )
-
 
 class VolumeMeasure:
     """det B of the largest ellipsoid of an input set under barrier rows (E49).
