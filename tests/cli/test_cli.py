@@ -20,6 +20,7 @@ from vcbf_drake.cli import app
 from vcbf_drake.cli.options import METHODS as METHOD_NAMES
 from vcbf_drake.safety.assumptions import Assumption
 from vcbf_drake.safety.methods import METHODS
+from vcbf_drake.simulation.fleet import Fleet
 from vcbf_drake.simulation.loading import load_scenario, shipped_scenarios
 from vcbf_drake.simulation.log import LogFiles
 import vcbf_drake.simulation.run as run_module
@@ -83,16 +84,15 @@ def stand_ins(monkeypatch: pytest.MonkeyPatch) -> list[Scenario]:
     """Replaces the simulation and the pictures; collects the scenarios run."""
     simulated: list[Scenario] = []
 
-    def simulate(
-        scenario: Scenario,
-        progress: Callable[[float], None],
-        log_directory: Path | None,
-    ) -> StandInResult:
+    def simulate_fleet(
+        fleet: Fleet, progress: Callable[[float], None], log_directory: Path | None
+    ) -> list[StandInResult]:
+        (scenario,) = fleet.vehicles
         simulated.append(scenario)
         progress(0.5)
         if log_directory is not None:
             LogFiles(log_directory).append({"time": np.zeros(1)})
-        return StandInResult(scenario)
+        return [StandInResult(scenario)]
 
     def write_figures(results: Sequence[Any], directory: Path) -> list[Path]:
         path = directory / "paths.svg"
@@ -103,7 +103,7 @@ def stand_ins(monkeypatch: pytest.MonkeyPatch) -> list[Scenario]:
         path.write_text(" ".join(result.scenario.method for result in results))
         return path
 
-    monkeypatch.setattr(run_module, "simulate", simulate)
+    monkeypatch.setattr(run_module, "simulate_fleet", simulate_fleet)
     monkeypatch.setattr(figures_module, "write_figures", write_figures)
     monkeypatch.setattr(replay_module, "write_replay", write_replay)
     return simulated
@@ -306,10 +306,10 @@ def test_a_log_can_grow_somewhere_else(
 def test_other_failures_are_one_line_and_status_1(
     stand_ins: list[Scenario], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def simulate(scenario: Scenario, progress: object, **_: object) -> None:
+    def simulate_fleet(fleet: Fleet, progress: object, **_: object) -> None:
         raise RuntimeError("the solver\nbroke")
 
-    monkeypatch.setattr(run_module, "simulate", simulate)
+    monkeypatch.setattr(run_module, "simulate_fleet", simulate_fleet)
     arguments = ["run", "car-avoidance", "--out", str(tmp_path / "out")]
     shown = invoke(*arguments)
     assert shown.exit_code == 1
@@ -320,7 +320,7 @@ def test_other_failures_are_one_line_and_status_1(
     shown = invoke("--traceback", *arguments)
     assert shown.exit_code == 1
     assert "Traceback" in shown.output
-    assert "in simulate" in shown.output
+    assert "in simulate_fleet" in shown.output
 
 
 # Results ---------------------------------------------------------------------------

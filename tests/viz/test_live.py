@@ -196,6 +196,8 @@ def test_a_browser_shows_the_present() -> None:
         with browser() as tab:
             tab.open(address)
             text = "document.getElementById('{}')?.innerText ?? null".format
+            over = "document.documentElement.classList.contains('over') || null"
+            assert tab.settle(over)  # However late the run is.
             assert tab.settle(text("clock")).startswith("3.00 s")
             path = "['drake', 'vehicle', '0', 'point']"
             x = f"viewer.scene_tree.find({path}).object.position.x"
