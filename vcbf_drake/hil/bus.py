@@ -156,6 +156,11 @@ class Bus:
         self._came = 0
         self.begin_session()
 
+    @property
+    def subscribed(self) -> tuple[str, ...]:
+        """The channels that someone listens to here."""
+        return tuple(self._handlers)
+
     def channel(self, base: str) -> str:
         """Returns what a channel is called on this bus: with the vehicle's name."""
         return f"{base}/{self.name}" if self.name else base
