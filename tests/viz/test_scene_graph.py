@@ -20,7 +20,8 @@ from pydrake.systems.primitives import ConstantVectorSource
 import pytest
 
 from tests.helpers.synthetic_results import car_result
-from vcbf_drake import SphereObstacle
+from vcbf_drake import BoxObstacle, SphereObstacle
+from vcbf_drake.barriers import MovingObstacle
 from vcbf_drake.plants import BlimpVehicle, CarVehicle
 from vcbf_drake.plants.shapes import Part
 from vcbf_drake.viz import ObstacleGeometry, VehicleGeometry, write_replay
@@ -78,6 +79,18 @@ def test_frames_follow_the_states(scene):
 def test_obstacles_move_with_time(scene):
     assert pose(scene, "stone_0", 5.0).translation() == pytest.approx([4.0, 1.0, 1.0])
     assert pose(scene, "stone_1", 5.0).translation() == pytest.approx([1.0, 1.0, 0.0])
+
+
+def test_an_obstacle_goes_along_its_waypoints():
+    builder = DiagramBuilder()
+    scene_graph = builder.AddSystem(SceneGraph())
+    box = BoxObstacle([1.0, 0.0], [0.2, 0.3])
+    moving = MovingObstacle(box, [0.0, 4.0], [[2.0, 1.0], [3.0, -1.0]])
+    ObstacleGeometry.AddToBuilder(builder, [moving], scene_graph, "cart")
+    scene = builder.Build(), scene_graph, None
+    for time, place in ((-1.0, [2.0, 1.0]), (2.0, [2.5, 0.0]), (9.0, [3.0, -1.0])):
+        there = pose(scene, "cart_0", time).translation()
+        assert there == pytest.approx([*place, 0.0])
 
 
 def test_every_piece_is_there_for_visualisers_and_cameras(scene):

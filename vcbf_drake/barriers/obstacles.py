@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
@@ -25,12 +24,25 @@ SphereForm = Literal["distance", "squared"]
 
 
 class Obstacle(SmoothShape):
-    """A shape to stay clear of, which moves at a constant velocity."""
+    """A shape to stay clear of, which moves at a constant velocity.
+
+    Attributes:
+        center: Its centre at t = 0, shape (k,) with k = 2 or 3 [m].
+        velocity: Shape (k,) [m/s]; None or empty: it stands.
+    """
+
+    center: Sequence[float] | Array
+    velocity: Sequence[float] | Array | None
+
+    def __post_init__(self) -> None:
+        check_fields(self, f"{self.kind}: ")
+        MovingPoint.of(self.center, self.velocity, self.kind)
+        check_parameter(f"{self.kind}: margin", self.margin, zero_allowed=True)
 
     @property
-    @abstractmethod
     def moving_center(self) -> MovingPoint:
-        """The centre c(t), checked."""
+        """The centre c(t)."""
+        return MovingPoint.of(self.center, self.velocity, self.kind)
 
     @property
     def moves(self) -> bool:
@@ -42,25 +54,8 @@ class Obstacle(SmoothShape):
         return self.moving_center.at(t)
 
 
-class CentredObstacle(Obstacle):
-    """An obstacle that is given by its centre at t = 0.
-
-    Attributes:
-        center: Shape (k,) with k = 2 or 3 [m].
-        velocity: Shape (k,) [m/s]; None or empty: it stands.
-    """
-
-    center: Sequence[float] | Array
-    velocity: Sequence[float] | Array | None
-
-    @property
-    def moving_center(self) -> MovingPoint:
-        """The centre c(t), checked."""
-        return MovingPoint.of(self.center, self.velocity, self.kind)
-
-
 @dataclass
-class SphereObstacle(CentredObstacle):
+class SphereObstacle(Obstacle):
     """A sphere, or in the plane a disc, that moves at a constant velocity.
 
     With the position p, the centre c(t) and the safety distance R = radius + margin,
@@ -86,10 +81,8 @@ class SphereObstacle(CentredObstacle):
     form: SphereForm | None = None
 
     def __post_init__(self) -> None:
-        check_fields(self, "obstacle: ")
-        MovingPoint.of(self.center, self.velocity, "obstacle")
+        super().__post_init__()
         check_parameter("obstacle: radius", self.radius, zero_allowed=True)
-        check_parameter("obstacle: margin", self.margin, zero_allowed=True)
         check_parameter("obstacle: radius + margin", self.safety_distance)
 
     @property
@@ -122,7 +115,7 @@ class SphereObstacle(CentredObstacle):
 
 
 @dataclass(frozen=True)
-class EllipsoidObstacle(CentredObstacle):
+class EllipsoidObstacle(Obstacle):
     """An ellipsoid, or in the plane an ellipse, that moves at a constant velocity.
 
     With the semi-axes a_i along the columns of R, Q = R diag(1 / a_i^2) R' and the
@@ -152,11 +145,10 @@ class EllipsoidObstacle(CentredObstacle):
     margin: float = 0.0
 
     def __post_init__(self) -> None:
-        check_fields(self, "ellipsoid: ")
+        super().__post_init__()
         size = self.moving_center.size
         check_parameter("ellipsoid: semi_axes", self.semi_axes, size=size)
         rotation_matrix(self.rotation, size, "ellipsoid")
-        check_parameter("ellipsoid: margin", self.margin, zero_allowed=True)
 
     @property
     def shape(self) -> Array:
@@ -181,7 +173,7 @@ class EllipsoidObstacle(CentredObstacle):
 
 
 @dataclass(frozen=True)
-class BoxObstacle(CentredObstacle):
+class BoxObstacle(Obstacle):
     """A box, or in the plane a rectangle, that moves at a constant velocity.
 
     With z = R' (p - c(t)), the position along the box's own axes, the half-widths a
@@ -215,13 +207,12 @@ class BoxObstacle(CentredObstacle):
     smoothing: float = 0.05
 
     def __post_init__(self) -> None:
-        check_fields(self, "box: ")
+        super().__post_init__()
         size = self.moving_center.size
         check_parameter(
             "box: half_widths", self.half_widths, size=size, zero_allowed=True
         )
         rotation_matrix(self.rotation, size, "box")
-        check_parameter("box: margin", self.margin, zero_allowed=True)
         check_parameter("box: smoothing", self.smoothing)
 
     @property

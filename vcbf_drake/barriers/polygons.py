@@ -87,34 +87,22 @@ class PolygonObstacle(SmoothShape):
 
     def formula(self) -> tuple[int, ShapeFunction, list[float]]:
         """Returns 2, h(position, t, p) with p = (sides, smoothing, margin), and p."""
-        return _formula(self.pieces, self.smoothing, self.margin)
+        pieces = self.pieces
+        ends = np.cumsum([len(piece) for piece in pieces])[:-1].tolist()
 
+        @arithmetic
+        def h(position: Expressions, t: Expression, p: Expressions) -> Expression:
+            (x, y), (smoothing, margin) = position[:2], p[-2:]
+            each = [
+                in_pairs(
+                    [a * x + b * y - c for a, b, c in sides], smoothing, smooth_maximum
+                )
+                for sides in np.split(p[:-2].reshape(-1, 3), ends)
+            ]
+            return in_pairs(each, smoothing, smooth_minimum) - margin
 
-def _formula(
-    pieces: Sequence[Array], smoothing: float, margin: float
-) -> tuple[int, ShapeFunction, list[float]]:
-    sizes = [len(piece) for piece in pieces]
-
-    @arithmetic
-    def h(position: Expressions, t: Expression, p: Expressions) -> Expression:
-        smoothing, margin = p[-2:]
-        sides = iter(p[:-2].reshape(-1, 3))
-        each = [
-            in_pairs(
-                [a * position[0] + b * position[1] - c for a, b, c in _next(sides, n)],
-                smoothing,
-                smooth_maximum,
-            )
-            for n in sizes
-        ]
-        return in_pairs(each, smoothing, smooth_minimum) - margin
-
-    sides = np.concatenate([_sides(piece) for piece in pieces])
-    return 2, h, [*sides.flat, smoothing, margin]
-
-
-def _next(sides: object, count: int) -> list[Expressions]:
-    return [next(sides) for _ in range(count)]  # type: ignore[call-overload]
+        sides = np.concatenate([_sides(piece) for piece in pieces])
+        return 2, h, [*sides.flat, self.smoothing, self.margin]
 
 
 def _sides(piece: Array) -> Array:
