@@ -27,6 +27,7 @@ from vcbf_drake.simulation.sections import (
     Hardware,
     Integrator,
     MeasurementNoise,
+    Separation,
 )
 
 PACKAGE = str(Path(v.__file__).parent)
@@ -147,6 +148,9 @@ MADE = [
     (Integrator, {}),
     (MeasurementNoise, {}),
     (MultibodyVehicle, {"file": ARM, "frame": "hand", "weld": "base"}),
+    (Separation, {}),
+    (v.Fleet, {"vehicles": [SCENARIO]}),
+    (v.load_fleet, {"name_or_path": "car-avoidance"}),
     (v.load_scenario, {"name_or_path": "car-avoidance"}),
     (
         lambda **given: v.Scenario(**given),
@@ -205,7 +209,8 @@ def test_what_does_not_belong_is_refused_in_one_line(
             assert "\n" not in message and len(message) < 400, kind
             # A file's error says which file; one in a matrix, what belongs to it.
             says = name in message or "input port" in message
-            elsewhere = make in (v.load_scenario, v.simulate) or name in MATRICES
+            by_name = (v.load_fleet, v.load_scenario, v.simulate)
+            elsewhere = make in by_name or name in MATRICES
             assert says or elsewhere, (kind, message)
         else:
             # A number, None or a text belongs where the others of its kind do.
@@ -225,7 +230,7 @@ def test_what_belongs_is_taken(make, right):
 
 def test_every_part_of_a_scenario_file_is_in_the_table():
     """Or is one of these, which take what others in it take."""
-    others = {"Scenario", "BlimpVehicle", "CarVehicle", "TurnLimit"}
+    others = {"Scenario", "PartOfScenario", "BlimpVehicle", "CarVehicle", "TurnLimit"}
     signals = {"Constant", "Sinusoid", "SmoothStep", "BandLimitedNoise", "Recorded"}
     parts = set(scenario_schema()["$defs"])
     made = {make.__name__ for make, _ in MADE if isinstance(make, type)}

@@ -70,11 +70,14 @@ from .safety import (
     assumptions as assumptions,
 )
 from .simulation import (
+    Fleet as Fleet,
     InputLimits as InputLimits,
     Scenario as Scenario,
+    load_fleet as load_fleet,
     load_scenario as load_scenario,
     make_loop as make_loop,
     simulate as simulate,
+    simulate_fleet as simulate_fleet,
 )
 
 __version__: str
