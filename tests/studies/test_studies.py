@@ -27,6 +27,7 @@ from typer.testing import CliRunner
 from examples.paper.table_1 import RANDOM_GAINS, RANDOM_STARTS
 from vcbf_drake.cli import app
 from vcbf_drake.errors import ScenarioError
+from vcbf_drake.simulation.fleet import Fleet
 from vcbf_drake.simulation.loading import dump_scenario, load_scenario
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.studies import (
@@ -94,11 +95,12 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> list[Scenario]:
     """Replaces the simulation in this process; collects the scenarios run."""
     scenarios: list[Scenario] = []
 
-    def simulate(scenario: Scenario, step_time: bool) -> SimpleNamespace:
+    def simulate_fleet(fleet: Fleet, step_time: bool) -> list[SimpleNamespace]:
+        (scenario,) = fleet.vehicles
         scenarios.append(scenario)
-        return SimpleNamespace(summary=stand_in_summary(scenario))
+        return [SimpleNamespace(summary=stand_in_summary(scenario))]
 
-    monkeypatch.setattr(trial_module, "simulate", simulate)
+    monkeypatch.setattr(trial_module, "simulate_fleet", simulate_fleet)
     return scenarios
 
 
@@ -313,13 +315,14 @@ def test_an_interrupted_study_keeps_what_is_done(
     run_study(trials, tmp_path / "undisturbed.jsonl")
     path = tmp_path / "trials.jsonl"
 
-    def interrupt(scenario: Scenario, step_time: bool) -> SimpleNamespace:
+    def interrupt(fleet: Fleet, step_time: bool) -> list[SimpleNamespace]:
+        (scenario,) = fleet.vehicles
         if scenario.method == "dob-vcbf-qp":
             raise KeyboardInterrupt
-        return SimpleNamespace(summary=stand_in_summary(scenario))
+        return [SimpleNamespace(summary=stand_in_summary(scenario))]
 
     with monkeypatch.context() as interrupted:
-        interrupted.setattr(trial_module, "simulate", interrupt)
+        interrupted.setattr(trial_module, "simulate_fleet", interrupt)
         with pytest.raises(KeyboardInterrupt):
             run_study(trials, path)
     assert path.read_text().count("\n") == 1
@@ -618,13 +621,13 @@ def test_the_command_writes_everything(
 def test_the_command_shows_what_to_run_again(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def simulate(scenario: Scenario, step_time: bool) -> SimpleNamespace:
+    def simulate_fleet(fleet: Fleet, step_time: bool) -> list[SimpleNamespace]:
+        (scenario,) = fleet.vehicles
         if scenario.method == "cbf-qp":
             raise RuntimeError("broken")
-        found = stand_in_summary(scenario)
-        return SimpleNamespace(summary=found)
+        return [SimpleNamespace(summary=stand_in_summary(scenario))]
 
-    monkeypatch.setattr(trial_module, "simulate", simulate)
+    monkeypatch.setattr(trial_module, "simulate_fleet", simulate_fleet)
     shown = invoke(
         *("--trials", "7", "--workers", "1", "--out", str(tmp_path / "out")),
         *("--methods", "dob-vcbf-qp, dob-cbf-qp,cbf-qp"),
