@@ -21,6 +21,7 @@ from examples.paper.experiment import Settings
 from examples.paper.report import Figure, Replay, write_report
 from examples.paper.words import fixed, readable, table
 from tests.helpers.browser import browser
+from tests.helpers.stand_ins import of_each_vehicle
 from vcbf_drake.simulation import simulate
 import vcbf_drake.studies.trial as trial_module
 
@@ -66,7 +67,7 @@ def made_up(scenario, step_time):
 def reproduced(directory, experiments):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(archive_module, "simulate", short)
-        patch.setattr(trial_module, "simulate", made_up)
+        patch.setattr(trial_module, "simulate_fleet", of_each_vehicle(made_up))
         data = reproduce(directory, experiments, Settings(True, 2, 3, 2, 1, 1, 1))
     write_report(directory, ALL)
     return data

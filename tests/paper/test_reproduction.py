@@ -35,6 +35,7 @@ from examples.paper.experiment import (
 )
 from examples.paper.one_obstacle import clearance, estimation
 from tests.helpers.runs import shipped_run
+from tests.helpers.stand_ins import of_each_vehicle
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.simulation import load_scenario, simulate
 from vcbf_drake.studies import Trial
@@ -42,6 +43,7 @@ from vcbf_drake.studies import Trial
 ROOT = Path(__file__).parents[2]
 CAR, BLIMP = "car-avoidance", "blimp-multiple-obstacles"
 METHODS = ("dob-cbf-qp", "dob-vcbf-qp")
+SIMULATE_FLEET = "vcbf_drake.studies.trial.simulate_fleet"
 CLAIMS = [claim for each in EXPERIMENTS.values() for claim in each.claims]
 
 
@@ -105,7 +107,7 @@ def test_what_is_there_is_not_run_again(tmp_path, monkeypatch):
     def refuse(*_: Any, **__: Any) -> None:
         raise AssertionError("run again")
 
-    monkeypatch.setattr("vcbf_drake.studies.trial.simulate", refuse)
+    monkeypatch.setattr(SIMULATE_FLEET, of_each_vehicle(refuse))
     monkeypatch.setattr("examples.paper.archive.simulate", refuse)
     run_tiny(tmp_path)
     assert results(tmp_path) == before
@@ -186,7 +188,7 @@ def test_a_crashed_trial_is_recorded_and_does_not_end_the_study(tmp_path, monkey
             raise RuntimeError("broken")
         return simulate(scenario, step_time=step_time)
 
-    monkeypatch.setattr("vcbf_drake.studies.trial.simulate", crash)
+    monkeypatch.setattr(SIMULATE_FLEET, of_each_vehicle(crash))
     methods = run_tiny(tmp_path, lambda s: tiny(s, count=2))["tiny"]["methods"]
     assert methods["dob-vcbf-qp"]["outcomes"] == {"error": 1, "timeout": 1}
     assert methods["dob-cbf-qp"]["outcomes"] == {"timeout": 2}
@@ -215,7 +217,7 @@ def test_studies_come_to_numbers_in_pairs(tmp_path, monkeypatch):
         numbers["running_time"] = 4.0 if stops else scenario.duration
         return SimpleNamespace(summary=numbers)
 
-    monkeypatch.setattr("vcbf_drake.studies.trial.simulate", made_up)
+    monkeypatch.setattr(SIMULATE_FLEET, of_each_vehicle(made_up))
     few = Settings(True, 2, 3, 2, 1, 1, 1)
     names = ("table_1", "population_blimp", "population_car", "ablation", "knobs")
     data = reproduce(tmp_path, [EXPERIMENTS[name] for name in names], few)
@@ -247,7 +249,7 @@ def test_a_worse_trial_is_listed_with_its_command(tmp_path, monkeypatch):
         numbers["running_time"] = 4.0 if worse else scenario.duration
         return SimpleNamespace(summary=numbers)
 
-    monkeypatch.setattr("vcbf_drake.studies.trial.simulate", made_up)
+    monkeypatch.setattr(SIMULATE_FLEET, of_each_vehicle(made_up))
     few = Settings(True, 1, 1, 1, 1, 1, 1)
     chosen = [EXPERIMENTS[name] for name in ("table_1", "population_blimp")]
     data = reproduce(tmp_path, chosen, few)
