@@ -294,10 +294,15 @@ class _Rows:
         return float(np.max(-self.slack(v) - self.rounding, initial=0.0))
 
     def is_optimal(self, gradient: Array, v: Array) -> bool:
-        """Whether no point that meets the rows is better to first order."""
+        """Whether no point that meets the rows is better to first order.
+
+        By what is known of them: between rows that are all but opposite multipliers are
+        so large that the rounding of h is worth more than what may be missing.
+        """
         enough = OPTIMALITY * (1.0 + float(np.linalg.norm(gradient)))
         reach = np.full(len(v), 2.0)  # In the box |v_j| <= 1 that bounds all inputs.
-        return suboptimality(gradient, self.G, self.h, v, reach, enough) <= enough
+        h = self.h - self.rounding
+        return suboptimality(gradient, self.G, h, v, reach, enough) <= enough
 
 
 def _is_held(tick: Tick, limits: _Rows, v: Array) -> bool:
