@@ -392,3 +392,21 @@ def test_a_plant_without_a_manoeuvre_is_told_so():
     box = InputSet.box([-1.0, -1.0], [1.0, 1.0])
     with pytest.raises(ModelError, match="no backup manoeuvre"):
         BackupGate(model, BarrierSet(model, [obstacle]), box, 0.02, 0.0)
+
+
+def test_a_soft_barrier_stops_no_plan():
+    """A ball that a car may touch, behind one that it may not."""
+    soft, hard = ((1.2, 0.0), 0.4), ((3.0, 0.0), 0.5)
+    world = World(Car(), car_rate, [soft, hard], [1.0, 1.0], 0.1, 0.02)
+    is_hard = np.array([False, True])
+    world.gate = BackupGate(
+        world.model, world.barriers, world.inputs, world.period, world.delta, is_hard
+    )
+    # The brake leaves 0.5 / kg - 0.1: 0.8 m to rest, into the soft ball.
+    x, u = np.array([0.0, 0.0, 0.8, 0.0]), np.array([0.0, 0.0])
+    found = world.decide(x, 0.0, u)
+    assert found.is_certified and found.backup == 0.0
+    # From 1.5 m/s it would take 2.8 m, into the hard one.
+    assert not world.decide(np.array([0.0, 0.0, 1.5, 0.0]), 0.0, u).is_certified
+    both = World(Car(), car_rate, [soft, hard], [1.0, 1.0], 0.1, 0.02)
+    assert not both.decide(x, 0.0, u).is_certified

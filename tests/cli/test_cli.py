@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from vcbf_drake.cli import app
 from vcbf_drake.cli.options import METHODS as METHOD_NAMES
 from vcbf_drake.safety.assumptions import Assumption
-from vcbf_drake.safety.methods import METHODS
+from vcbf_drake.safety.settings import METHODS
 from vcbf_drake.simulation.fleet import Fleet
 from vcbf_drake.simulation.loading import load_scenario, shipped_scenarios
 from vcbf_drake.simulation.log import LogFiles

@@ -23,8 +23,8 @@ from vcbf_drake.safety import (
     METHODS,
     FilterSettings,
     FilterStatus,
+    decider as decider_module,
     row_names,
-    safety_filter as safety_filter_module,
     unpack_feasible_set,
 )
 from vcbf_drake.safety.ellipsoid import InscribedEllipsoidSolver
@@ -115,13 +115,13 @@ def test_far_from_everything_the_reference_passes_through(model):
 
 def test_all_ports_share_one_solve(model, monkeypatch):
     calls = []
-    original = safety_filter_module.choose_input
+    original = decider_module.choose_input
 
     def counting(*arguments):
         calls.append(1)
         return original(*arguments)
 
-    monkeypatch.setattr(safety_filter_module, "choose_input", counting)
+    monkeypatch.setattr(decider_module, "choose_input", counting)
     safety_filter = make_filter(model)
     context = fixed(safety_filter, CLOSE)
     for _ in range(3):
@@ -348,13 +348,13 @@ def test_add_safety_filter_keeps_a_users_loop_safe(method):
 
 def test_one_solve_a_tick_in_a_running_loop(monkeypatch):
     calls = []
-    original = safety_filter_module.choose_input
+    original = decider_module.choose_input
 
     def counting(*arguments):
         calls.append(1)
         return original(*arguments)
 
-    monkeypatch.setattr(safety_filter_module, "choose_input", counting)
+    monkeypatch.setattr(decider_module, "choose_input", counting)
     diagram, _, log = guarded_blimp(infeasible="stop")
     simulator = Simulator(diagram)
     simulator.AdvanceTo(1.0)

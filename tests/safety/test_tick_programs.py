@@ -97,7 +97,7 @@ def test_every_answer_is_a_solved_programs(monkeypatch, capsys):
             cut["by a cone program"] += solved[EllipsoidProgram] > before
         return found
 
-    monkeypatch.setattr("vcbf_drake.safety.safety_filter.choose_input", choose)
+    monkeypatch.setattr("vcbf_drake.safety.decider.choose_input", choose)
     monkeypatch.setattr(ellipsoid.InscribedEllipsoidSolver, "solve", solve)
     scenario = load_scenario("blimp-multiple-obstacles", {"method": "dob-vcbf-qp"})
     assert simulate(scenario).summary["outcome"] == "reached"

@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 
 from tests.helpers.synthetic_results import blimp_result, blimp_results, car_result
 from vcbf_drake.barriers import SphereObstacle
-from vcbf_drake.safety.methods import METHODS
+from vcbf_drake.safety.settings import METHODS
 from vcbf_drake.simulation import InputLimits, load_scenario, simulate
 from vcbf_drake.viz import write_figures, write_replay
 from vcbf_drake.viz.feasible_set import (

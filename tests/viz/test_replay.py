@@ -10,7 +10,7 @@ from tests.helpers.browser import browser, served
 from tests.helpers.pages import page_data
 from tests.helpers.synthetic_results import blimp_result, blimp_results, car_result
 from vcbf_drake.barriers import SphereObstacle
-from vcbf_drake.safety.methods import METHODS
+from vcbf_drake.safety.settings import METHODS
 from vcbf_drake.viz import write_replay
 from vcbf_drake.viz.replay.tubes import merge, ring, tube
 from vcbf_drake.viz.runs import label_runs

@@ -7,6 +7,7 @@ from itertools import pairwise
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vcbf_drake.barriers import BarrierSet
 from vcbf_drake.barriers.rows import RowFunctions
@@ -16,7 +17,7 @@ from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.model.manoeuvre import FOREVER, Box, Manoeuvre, Plan
-from vcbf_drake.safety.backup import manoeuvres_of
+from vcbf_drake.safety.backup_rows import manoeuvres_of
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.qp import FilterDecision, FilterStatus
 from vcbf_drake.safety.row_holder import Tick
@@ -47,6 +48,7 @@ class BackupGate:
         input_set: InputSet,
         period: float,
         disturbance_bound: float,
+        is_hard: NDArray[np.bool_] | None = None,
     ) -> None:
         """Makes the plant's manoeuvres.
 
@@ -56,6 +58,8 @@ class BackupGate:
             input_set: What the actuators can do, a box.
             period: For how long an input is held [s].
             disturbance_bound: delta1 [m/s^2].
+            is_hard: Which rows no plan may break, (N,); all by default. A soft one
+                may give way in the QP and counts for nothing here.
 
         Raises:
             ModelError: The plant has no manoeuvre that is safe under these limits, or a
@@ -66,6 +70,8 @@ class BackupGate:
         )
         RowEnclosures.at(barrier_set, 0.0, np.zeros(barrier_set.obstacles_size))
         self._barriers, self._input_set = barrier_set, input_set
+        everything = np.ones(barrier_set.size, dtype=bool)
+        self._is_hard = everything if is_hard is None else is_hard
         self._disturbance_bound = disturbance_bound
 
     def decide(self, tick: Tick, decision: FilterDecision) -> FilterDecision:
@@ -86,7 +92,7 @@ class BackupGate:
         return decision
 
     def _found(self, tick: Tick, decision: FilterDecision) -> FilterDecision:
-        check = _Check(tick, self._barriers, self._input_set)
+        check = _Check(tick, self._barriers, self._input_set, self._is_hard)
         u = decision.input
         ways = [
             (each, backup)
@@ -135,13 +141,16 @@ class _Check:
     """What certifies the plans of one tick."""
 
     def __init__(
-        self, tick: Tick, barrier_set: BarrierSet, input_set: InputSet
+        self,
+        tick: Tick,
+        barrier_set: BarrierSet,
+        input_set: InputSet,
+        is_hard: NDArray[np.bool_],
     ) -> None:
         functions = barrier_set.functions_at(tick.time, tick.obstacles)
-        self._functions = [each for each in functions if each.relative_degree]
-        self._limits = [
-            i for i, each in enumerate(functions) if not each.relative_degree
-        ]
+        hard = np.flatnonzero(is_hard).tolist()
+        self._functions = [functions[i] for i in hard if functions[i].relative_degree]
+        self._limits = [i for i in hard if not functions[i].relative_degree]
         self._tick, self._input_set = tick, input_set
 
     def allows(self, u: Array) -> bool:

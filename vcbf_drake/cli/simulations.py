@@ -116,7 +116,7 @@ def compare(
 
     They bring out the scenario's own method.
     """
-    from vcbf_drake.safety.methods import METHODS
+    from vcbf_drake.safety.settings import METHODS
 
     names = list(METHODS) if methods is None else method_names(methods)
     fleets = [load_vehicles(scenario, override, m, scenario_name) for m in names]

@@ -2,7 +2,6 @@
 
 from vcbf_drake.safety.assumptions import Assumption, assumptions
 from vcbf_drake.safety.certified_ellipsoid import Ellipsoid
-from vcbf_drake.safety.corrections import FIDELITIES, Corrections
 from vcbf_drake.safety.ellipsoid import inscribed_ellipsoid
 from vcbf_drake.safety.feasible_set import (
     DisturbanceKnowledge,
@@ -12,7 +11,6 @@ from vcbf_drake.safety.feasible_set import (
     unpack_feasible_set,
 )
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.methods import METHODS, Method
 from vcbf_drake.safety.polytope import (
     Emptiness,
     chebyshev_ball,
@@ -26,7 +24,14 @@ from vcbf_drake.safety.qp import (
 )
 from vcbf_drake.safety.row_holder import RowHolder, Tick
 from vcbf_drake.safety.safety_filter import SafetyFilter
-from vcbf_drake.safety.settings import BETWEEN_TICKS, FilterSettings
+from vcbf_drake.safety.settings import (
+    BETWEEN_TICKS,
+    FIDELITIES,
+    METHODS,
+    Corrections,
+    FilterSettings,
+    Method,
+)
 from vcbf_drake.safety.volume import Volume, VolumeBarrier
 
 __all__ = [

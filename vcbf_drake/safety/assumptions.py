@@ -122,11 +122,13 @@ def certified_plan(safety_filter: SafetyFilter, is_certified: bool) -> Assumptio
     """
     return Assumption(
         "certified plan",
-        "a backup manoeuvre of the plant, from the start, keeps every barrier for every"
-        " disturbance within its bound (Theorem 5)",
+        "a backup manoeuvre of the plant, from the start, keeps every hard barrier for"
+        " every disturbance within its bound (Theorem 5)",
         is_certified,
         {"delta1": safety_filter.bounds.delta1},
-        "the filter may run out of inputs; start slower, or farther away",
+        "the filter may run out of inputs; start slower or farther away or, where"
+        " that changes nothing, look at the manoeuvre: its input may be outside the"
+        " limits, or no box of its plan free of every barrier",
     )
 
 

@@ -18,9 +18,7 @@ from vcbf_drake.model.compiled import CompiledFunction, compile_nodes
 from vcbf_drake.model.graph import gradients
 from vcbf_drake.model.manoeuvre import Manoeuvre
 from vcbf_drake.model.reading import Reader
-from vcbf_drake.safety.backup import manoeuvres_of
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.settings import FilterSettings
 
 # At how many instants of the way there is a row; below which rates of the states and of
 # their sensitivities the way has ended.
@@ -86,32 +84,6 @@ class BackupRows:
             for name, count in zip(barrier_set.names, counts, strict=True)
             for j in range(1, count + 1)
         )
-
-    @staticmethod
-    def of(
-        model: ControlAffineModel,
-        barriers: Sequence[Any],
-        barrier_set: BarrierSet,
-        input_set: InputSet,
-        settings: FilterSettings,
-        disturbance_bound: float,
-    ) -> BackupRows:
-        """Returns the rows of the plant's own manoeuvres.
-
-        Args:
-            model: The plant.
-            barriers: What must stay true.
-            barrier_set: The same.
-            input_set: What the actuators can do.
-            settings: Period and margin.
-            disturbance_bound: delta1 [m/s^2].
-
-        Raises:
-            ModelError: See the constructor and `manoeuvres_of`.
-        """
-        found = manoeuvres_of(model, input_set, settings.period, disturbance_bound)
-        margin = settings.backup_margin
-        return BackupRows(model, barriers, barrier_set, found, margin)
 
     def most_of_each(self, of_rows: Array) -> Array:
         """Returns the most of every barrier's rows, shape (..., N).
@@ -287,3 +259,39 @@ class _Flow:
         moved[:, 0] = numbers[:n]
         np.matmul(numbers[n:].reshape(n, n), now[:, 1:], out=moved[:, 1:])
         return moved
+
+
+def manoeuvres_of(
+    model: ControlAffineModel,
+    input_set: InputSet,
+    period: float,
+    disturbance_bound: float,
+) -> Sequence[Manoeuvre]:
+    """Returns a plant's backup manoeuvres, one at least.
+
+    Args:
+        model: The plant.
+        input_set: What the actuators can do, a box.
+        period: For how long an input is held [s].
+        disturbance_bound: delta1 [m/s^2].
+
+    Raises:
+        ModelError: The plant has none, or none that is safe under these limits, or the
+            limits are no box.
+    """
+    if not input_set.is_box:
+        raise ModelError("a backup manoeuvre needs limits of each input alone")
+    if model.make_manoeuvres is None:
+        raise ModelError(
+            f"{model.name} has no backup manoeuvre: give the plant a method"
+            " make_manoeuvres"
+        )
+    m = model.num_inputs
+    lower, upper = -input_set.b[m:], input_set.b[:m]
+    found = model.make_manoeuvres(lower, upper, disturbance_bound, period)
+    if not found:
+        raise ModelError(
+            f"no backup manoeuvre of {model.name} is safe with these input limits and"
+            f" |d| <= {disturbance_bound:g} m/s^2"
+        )
+    return found

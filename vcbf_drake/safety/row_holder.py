@@ -1,4 +1,4 @@
-"""RowHolder: what a filter asks of the rows between its ticks."""
+"""RowHolder and Gate: what a filter asks beyond its tick, of rows and of inputs."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
+
 from vcbf_drake.barriers import BarrierRows, BarrierSet
 from vcbf_drake.checks import Array
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.feasible_set import DisturbanceKnowledge, disturbance_margin
+from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.qp import FilterDecision
 
 
@@ -70,3 +74,25 @@ MakeRowHolder: TypeAlias = Callable[
     [ControlAffineModel, BarrierSet, float, float], RowHolder
 ]
 """Makes one of the plant, its rows, how long an input is held [s], and delta1."""
+
+
+class Gate(Protocol):
+    """Lets inputs pass that a certified way to safety follows on.
+
+    `vcbf_drake.between_ticks.BackupGate` is one.
+    """
+
+    def decide(self, tick: Tick, decision: FilterDecision) -> FilterDecision:
+        """Returns a decision with a certified way to safety, where there is one.
+
+        Args:
+            tick: Where it is made.
+            decision: The method's own.
+        """
+
+
+MakeGate: TypeAlias = Callable[
+    [ControlAffineModel, BarrierSet, InputSet, float, float, NDArray[np.bool_]], Gate
+]
+"""Makes one of the plant, its rows, the input limits, how long an input is held [s],
+delta1 [m/s^2], and which rows are hard, (N,)."""

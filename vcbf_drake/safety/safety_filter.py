@@ -20,10 +20,9 @@ from vcbf_drake.barriers import Barrier, BarrierRows, BarrierSet, StateInputLimi
 from vcbf_drake.checks import Array, check_parameter
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety.backup import Gate, MakeGate
-from vcbf_drake.safety.backup_rows import BackupRows
+from vcbf_drake.safety.backup_rows import BackupRows, manoeuvres_of
 from vcbf_drake.safety.cached_system import CachedSystem, held_by
-from vcbf_drake.safety.decay import DecayRates
+from vcbf_drake.safety.decider import Decider
 from vcbf_drake.safety.feasible_set import (
     DisturbanceKnowledge,
     FeasibleSet,
@@ -31,22 +30,18 @@ from vcbf_drake.safety.feasible_set import (
     pack_feasible_set,
 )
 from vcbf_drake.safety.input_set import InputSet, check_inputs
-from vcbf_drake.safety.methods import METHODS
-from vcbf_drake.safety.qp import (
-    FilterDecision,
-    FilterStatus,
-    choose_input,
-    least_violation,
+from vcbf_drake.safety.qp import FilterDecision, FilterStatus, least_violation
+from vcbf_drake.safety.row_holder import (
+    Gate,
+    MakeGate,
+    MakeRowHolder,
+    RowHolder,
+    Tick,
 )
-from vcbf_drake.safety.row_holder import RowHolder, Tick
 from vcbf_drake.safety.row_names import RowNames
-from vcbf_drake.safety.settings import FilterSettings
-from vcbf_drake.safety.tick_qp import (
-    Frame,
-    TickPrograms,
-    VolumeRow,
-)
-from vcbf_drake.safety.volume import Volume, VolumeMeasure, threshold_of, volume_row
+from vcbf_drake.safety.settings import METHODS, FilterSettings
+from vcbf_drake.safety.tick_qp import Frame, TickPrograms
+from vcbf_drake.safety.volume import Volume, VolumeMeasure, threshold_of
 from vcbf_drake.typed import typed
 
 _Made = TypeVar("_Made")
@@ -54,30 +49,6 @@ _Made = TypeVar("_Made")
 
 class SafetyFilter(CachedSystem):
     r"""Changes a reference input as little as possible so that every barrier holds.
-
-    .. pydrake_system::
-
-        name: SafetyFilter
-        input_ports:
-        - state
-        - reference
-        - estimate (optional)
-        - held_input (optional)
-        - obstacles (optional)
-        output_ports:
-        - command
-        - fallback
-        - volume
-        - slack
-        - soft_slacks (optional)
-        - barriers
-        - levels
-        - authority
-        - row_margin
-        - decay
-        - backup (optional)
-        - status
-        - feasible_set
 
     At every evaluation it solves (E47), or (E54) when the method has a volume row:
 
@@ -125,10 +96,7 @@ class SafetyFilter(CachedSystem):
         bounds: DisturbanceBounds | None = None,
         estimate_gain: float = 0.0,
         longest_hold: float = 0.0,
-        make_row_holder: Callable[
-            [ControlAffineModel, BarrierSet, float, float], RowHolder
-        ]
-        | None = None,
+        make_row_holder: MakeRowHolder | None = None,
         make_gate: MakeGate | None = None,
     ) -> None:
         """Declares ports and cache entries.
@@ -144,11 +112,9 @@ class SafetyFilter(CachedSystem):
             estimate_gain: The observer's `estimate_gain` [1/s].
             longest_hold: How long an input may be held, where that can be longer than
                 the control period [s].
-            make_row_holder: Makes what holds rows between ticks, of model, barrier set,
-                hold and delta1: `vcbf_drake.between_ticks.HeldRows`. Needed where the
+            make_row_holder: `vcbf_drake.between_ticks.HeldRows`; needed where the
                 settings say ``between_ticks: certified``.
-            make_gate: Makes what keeps a backup manoeuvre certified:
-                `vcbf_drake.between_ticks.BackupGate`. Needed where the settings say
+            make_gate: `vcbf_drake.between_ticks.BackupGate`; needed where they say
                 ``infeasible: backup``.
 
         Raises:
@@ -158,62 +124,58 @@ class SafetyFilter(CachedSystem):
         """
         super().__init__()
         # A copy: settings changed later change no filter.
-        self.settings = deepcopy(settings or FilterSettings())
-        self.method = METHODS[self.settings.method]
+        self.settings = settings = deepcopy(settings or FilterSettings())
+        self.method = METHODS[settings.method]
         self.bounds = bounds or DisturbanceBounds(0.0, 0.0, 0.0)
         check_parameter("estimate_gain", estimate_gain, zero_allowed=True)
         check_parameter("longest_hold", longest_hold, zero_allowed=True)
         check_inputs(input_set, model.num_inputs, model.effort_limits)
-        self.model = model
+        if self.method.has_volume_row and not input_set.is_bounded:
+            raise ValueError(
+                "input_set: has an infinite limit, and the volume barrier of method"
+                f" {settings.method} needs a bounded set of inputs; give limits, or"
+                " take a method without volume barrier, as dob-cbf-qp"
+            )
+        self.model, self.input_set = model, input_set
         self.barrier_set = BarrierSet(
             model, barriers, by_chains=self.method.feasibility != "backup"
         )
         self.barriers = self.barrier_set.barriers
-        self.input_set = input_set
+        known = settings.period, self.bounds.delta1
         self.backup_rows: BackupRows | None = None
         if self.method.feasibility == "backup":
-            self.backup_rows = BackupRows.of(
-                model,
-                self.barriers,
-                self.barrier_set,
-                input_set,
-                self.settings,
-                self.bounds.delta1,
+            laws = manoeuvres_of(model, input_set, *known)
+            margin = settings.backup_margin
+            self.backup_rows = BackupRows(
+                model, self.barriers, self.barrier_set, laws, margin
             )
         names = (self.backup_rows or self.barrier_set).names
         self.row_names = RowNames.of(input_set, names)
         self._estimate_gain = estimate_gain
-        hold = max(self.settings.period, longest_hold)
-        covers_hold = self.settings.corrections.error_floor
+        hold = max(settings.period, longest_hold)
+        covers_hold = settings.corrections.error_floor
         self.hold_margin = self.bounds.delta2 * hold if covers_hold else 0.0
-        self.certified_hold = (
-            hold if self.settings.between_ticks == "certified" else 0.0
-        )
+        self.certified_hold = hold if settings.between_ticks == "certified" else 0.0
         self.row_holder: RowHolder | None = None
         if self.certified_hold:
             make_row_holder = _given("between_ticks: certified", make_row_holder)
             self.row_holder = make_row_holder(
-                model, self.barrier_set, self.certified_hold, self.bounds.delta1
+                model, self.barrier_set, hold, self.bounds.delta1
             )
-        self.gate: Gate | None = None
-        if self.settings.infeasible == "backup":
-            known = self.settings.period, self.bounds.delta1
-            make_gate = _given("infeasible: backup", make_gate)
-            self.gate = make_gate(model, self.barrier_set, input_set, *known)
-        settings, count = self.settings, len(self.row_names) - len(input_set.b)
+        count = len(names)
         self._weights = settings.one_a_barrier("violation_weights", count, 1.0)
         self._penalties = settings.one_a_barrier("soft_penalties", count, np.inf)
         self._linear = settings.one_a_barrier("soft_linear_penalties", count, 0.0)
-        self._frame = Frame.of(input_set, settings.input_weights)
-        if self.method.has_volume_row and not input_set.is_bounded:
-            raise ValueError(
-                "input_set: has an infinite limit, and the volume barrier of method"
-                f" {self.settings.method} needs a bounded set of inputs; give limits,"
-                " or take a method without volume barrier, as dob-cbf-qp"
-            )
-        self._measure = VolumeMeasure(
-            input_set, self.settings.volume.widening, self.settings.solver
+        self.gate: Gate | None = None
+        if settings.infeasible == "backup":
+            is_hard = np.isinf(self._penalties[: self.barrier_set.size])
+            make_gate = _given("infeasible: backup", make_gate)
+            self.gate = make_gate(model, self.barrier_set, input_set, *known, is_hard)
+        self._decide = Decider(
+            model, self.barriers, input_set, settings, self.row_holder, self.gate
         )
+        widening, solver = settings.volume.widening, settings.solver
+        self._measure = VolumeMeasure(input_set, widening, solver)
         self._declare_inputs()
         self._declare_cache_entries()
         self._declare_outputs()
@@ -270,48 +232,41 @@ class SafetyFilter(CachedSystem):
     def _declare_outputs(self) -> None:
         m, n_rows = self.model.num_inputs, self.num_rows
         N, scale = self.barrier_set.size, self.input_set.scale
-        decision, feasible = self._decision_entry, self._feasible_entry
-        rows = self._rows_entry
-        self._output("command", m, decision, lambda decided: decided.input)
+        num_levels = sum(self.barrier_set.degrees)
+        num_soft = int(np.isfinite(self._penalties).sum())
+        decision = self._decision_entry
+        self._output("command", m, decision, lambda d: d.input)
         self.DeclareVectorOutputPort(
             "fallback",
             m,
             lambda context, output: output.SetFromVector(self._fallback(context)),
             {self._feasible_entry.ticket(), *self._asked},
         )
-        self._output("slack", 1, decision, lambda decided: [decided.slack])
-        num_soft = int(np.isfinite(self._penalties).sum())
+        self._output("slack", 1, decision, lambda d: [d.slack])
         if num_soft:
+            nothing = [np.nan] * num_soft
             self._output(
-                "soft_slacks",
-                num_soft,
-                decision,
-                lambda decided: decided.soft_slacks or [np.nan] * num_soft,
+                "soft_slacks", num_soft, decision, lambda d: d.soft_slacks or nothing
             )
-        self._output("status", 1, decision, lambda decided: [decided.status])
-        self._output("decay", 1, decision, lambda decided: [decided.decay])
+        self._output("status", 1, decision, lambda d: [d.status])
+        self._output("decay", 1, decision, lambda d: [d.decay])
         if self.gate is not None:
             self._output(
-                "backup",
-                2,
-                decision,
-                lambda decided: [decided.backup, bool(decided.is_certified)],
+                "backup", 2, decision, lambda d: [d.backup, bool(d.is_certified)]
             )
-        self._output("row_margin", 1, decision, lambda decided: [decided.row_margin])
+        self._output("row_margin", 1, decision, lambda d: [d.row_margin])
         self._output(
             "volume", 1, self._volume_entry, lambda v: [v.value if v else np.nan]
         )
-        self._output("barriers", N, rows, lambda found: found.value)
+        rows = self._rows_entry
+        self._output("barriers", N, rows, lambda r: r.value)
         self._output(
-            "levels",
-            sum(self.barrier_set.degrees),
-            rows,
-            lambda found: np.concatenate([np.zeros(0), *found.chain]),
+            "levels", num_levels, rows, lambda r: np.concatenate([[], *r.chain])
         )
         self._output(
             "authority",
             N,
-            feasible,
+            self._feasible_entry,
             lambda found: self.of_barriers(found.rows.authority(scale)),
         )
         self.DeclareVectorOutputPort(
@@ -430,69 +385,14 @@ class SafetyFilter(CachedSystem):
         return determinant and determinant.above(self.threshold(context))
 
     def _calc_decision(self, context: Context) -> FilterDecision:
-        decision = self._method_decision(context)
-        if self.gate is None or not np.isfinite(self._state.Eval(context)).all():
-            return decision
-        return self.gate.decide(self._tick(context), decision)
-
-    def _tick(self, context: Context) -> Tick:
-        """What is known at a tick."""
-        x, t = self._state.Eval(context), context.get_time()
-        rows, known = self.barrier_rows(context), self.knowledge(context)
-        return Tick(rows, x, t, known, self._seen(context))
-
-    def _method_decision(self, context: Context) -> FilterDecision:
-        """The method's own decision."""
         reference, held = self._reference.Eval(context), self._held(context)
-        if not np.isfinite(self._state.Eval(context)).all():
+        x, t = self._state.Eval(context), context.get_time()
+        if not np.isfinite(x).all():
             return FilterDecision(self.input_set.project(held), FilterStatus.FAILED)
-        feasible, state = self.feasible_set(context), self._state.Eval(context)
-        row: VolumeRow | None = None
-        failed = False
-        if self.method.has_volume_row:
-            v = self.volume(context)
-            if v is not None and not v.is_on_plateau:  # There 0 <= lambda_Vv V_v.
-                row = volume_row(
-                    v,
-                    self.model,
-                    state,
-                    feasible.known,
-                    self.settings.volume,
-                    self.settings.corrections.total_derivative,
-                )
-            failed = v is None or (row is not None and not row.is_finite)
-
-        always = self.method.feasibility == "decay"
-        decay_rates = None
-        if always or self.settings.infeasible == "decay":
-            decay_rates = DecayRates.at(
-                feasible.rows.chain,
-                self.barriers,
-                self.settings.period,
-                self.settings.decay_penalty,
-                only_where_empty=not always,
-            )
-
-        def choose(margin: Array | None = None) -> FilterDecision:
-            return choose_input(
-                feasible if margin is None else feasible.tightened(margin),
-                row,
-                reference,
-                held,
-                self.input_set,
-                self.settings.corrections.exact_slack,
-                self.settings.infeasible,
-                self.settings.solver,
-                self._frame,
-                decay_rates,
-            )
-
-        decision = choose()
-        if failed:
-            return FilterDecision(decision.input, FilterStatus.FAILED)
-        if self.row_holder is None:
-            return decision
-        return self.row_holder.lasting_decision(self._tick(context), decision, choose)
+        rows, known = self.barrier_rows(context), self.knowledge(context)
+        tick = Tick(rows, x, t, known, self._seen(context))
+        v = self.volume(context) if self.method.has_volume_row else None
+        return self._decide(tick, self.feasible_set(context), v, reference, held)
 
     def _held(self, context: Context) -> Array:
         if not self._held_input.HasValue(context):

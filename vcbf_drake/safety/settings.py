@@ -1,4 +1,8 @@
-"""FilterSettings: the choices behind a safety filter, in one dataclass."""
+"""FilterSettings: the choices behind a safety filter, in one dataclass.
+
+Before it the methods, as three independent choices each, and the errata of the
+published one.
+"""
 
 from __future__ import annotations
 
@@ -23,13 +27,81 @@ from vcbf_drake.disturbances import (
     RiseObserver,
 )
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety.corrections import FIDELITIES, Corrections, Fidelity
 from vcbf_drake.safety.decay import DEFAULT_PENALTY
-from vcbf_drake.safety.methods import METHODS
 from vcbf_drake.safety.programs import DEFAULT_SOLVER, check_solver
 from vcbf_drake.safety.qp import InfeasiblePolicy
 from vcbf_drake.safety.volume import VolumeBarrier
 from vcbf_drake.typed import check_fields
+
+DisturbanceHandling = Literal["ignored", "worst_case", "estimated"]
+Feasibility = Literal["none", "volume", "decay", "backup"]
+ObserverKind = Literal["rise", "linear"]
+
+
+@dataclass(frozen=True)
+class Method:
+    """What a safety filter does about the disturbance and about its own feasibility.
+
+    Attributes:
+        disturbance: Every row either ignores the disturbance, takes its worst case
+            within ``|d| <= delta1``, or uses the observer's estimate and error bound.
+        feasibility: What keeps the rows from leaving no input: nothing, the volume
+            barrier's row in the QP, decay rates that are variables of it, or rows along
+            the way of a backup law in place of the barriers' own.
+        observer: The kind of observer; a method that does not estimate only logs it.
+        source: Where the method comes from.
+    """
+
+    disturbance: DisturbanceHandling
+    feasibility: Feasibility
+    observer: ObserverKind
+    source: str
+
+    @property
+    def has_volume_row(self) -> bool:
+        """Whether the volume barrier's row is in the QP."""
+        return self.feasibility == "volume"
+
+
+METHODS: dict[str, Method] = {
+    "cbf-qp": Method("ignored", "none", "rise", "Tan et al. 2021 (E6)"),
+    "robust-cbf-qp": Method("worst_case", "none", "rise", "Emam et al. 2019 (B2)"),
+    "wang-xu-dob-cbf-qp": Method("estimated", "none", "linear", "Wang & Xu 2023 (B4)"),
+    "vcbf-qp": Method("ignored", "volume", "rise", "Parwana et al. 2023 (E52)"),
+    "dob-cbf-qp": Method("estimated", "none", "rise", "the paper (E47)"),
+    "dob-vcbf-qp": Method("estimated", "volume", "rise", "the paper (E54)"),
+    "optimal-decay": Method("estimated", "decay", "rise", "Zeng et al. 2021 (E69)"),
+    "backup": Method("estimated", "backup", "rise", "Chen et al. 2021 (E68)"),
+}
+
+Fidelity = Literal["corrected", "paper"]
+
+
+@dataclass
+class Corrections:
+    """The errata of the published method, each on or off.
+
+    Attributes:
+        exact_slack: The volume row gives way only where it must (E55); off, it has the
+            printed penalty M delta^2 (E54, the DOB-VCBF-QP).
+        total_derivative: The volume row counts that the estimate moves (E62); off, it
+            is the printed derivative (E53, the printed volume term).
+        error_floor: The error bound is the certified one of sampled time (E28), with
+            the margin of the hold; off, it is the printed one (E20), which tends to 0.
+    """
+
+    exact_slack: bool = False
+    total_derivative: bool = False
+    error_floor: bool = False
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+FIDELITIES: dict[Fidelity, Corrections] = {
+    "corrected": Corrections(True, True, True),
+    "paper": Corrections(),
+}
 
 BetweenTicks = Literal["none", "certified"]
 BETWEEN_TICKS: tuple[BetweenTicks, ...] = get_args(BetweenTicks)

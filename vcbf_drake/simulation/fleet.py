@@ -23,7 +23,7 @@ from vcbf_drake.checks import Array, require
 from vcbf_drake.errors import below
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import Assumption
-from vcbf_drake.safety.methods import METHODS
+from vcbf_drake.safety.settings import METHODS
 from vcbf_drake.simulation.audit import finding
 from vcbf_drake.simulation.loop import make_loop
 from vcbf_drake.simulation.scenario import Scenario

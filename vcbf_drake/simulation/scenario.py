@@ -30,8 +30,7 @@ from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.plants import Vehicle
 from vcbf_drake.plants.channels import Channels, channels_of
 from vcbf_drake.plants.contract import check_returns, checked_plant, num_coordinates
-from vcbf_drake.safety.methods import METHODS
-from vcbf_drake.safety.settings import FilterSettings
+from vcbf_drake.safety.settings import METHODS, FilterSettings
 from vcbf_drake.simulation.faults import Faults
 from vcbf_drake.simulation.obstacles import (
     AnyObstacle,

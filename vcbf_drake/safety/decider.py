@@ -1,0 +1,123 @@
+"""Decider: the input of one tick, of all that is known there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from vcbf_drake.barriers import Barrier, StateInputLimit
+from vcbf_drake.checks import Array
+from vcbf_drake.model import ControlAffineModel
+from vcbf_drake.safety.decay import DecayRates
+from vcbf_drake.safety.feasible_set import FeasibleSet
+from vcbf_drake.safety.input_set import InputSet
+from vcbf_drake.safety.qp import FilterDecision, FilterStatus, choose_input
+from vcbf_drake.safety.row_holder import Gate, RowHolder, Tick
+from vcbf_drake.safety.settings import METHODS, FilterSettings
+from vcbf_drake.safety.tick_qp import Frame, VolumeRow
+from vcbf_drake.safety.volume import Volume, volume_row
+
+
+class Decider:
+    """A method's QP, then what keeps its rows between ticks, then the gate.
+
+    Args:
+        model: The plant's f, g, E.
+        barriers: The barriers and limits behind the rows.
+        input_set: What the actuators can do.
+        settings: The filter's.
+        row_holder: With ``between_ticks: certified``.
+        gate: With ``infeasible: backup``.
+    """
+
+    def __init__(
+        self,
+        model: ControlAffineModel,
+        barriers: Sequence[Barrier | StateInputLimit],
+        input_set: InputSet,
+        settings: FilterSettings,
+        row_holder: RowHolder | None,
+        gate: Gate | None,
+    ) -> None:
+        self._model, self._barriers, self._input_set = model, barriers, input_set
+        self._settings, self._method = settings, METHODS[settings.method]
+        self._row_holder, self._gate = row_holder, gate
+        self._frame = Frame.of(input_set, settings.input_weights)
+
+    def __call__(
+        self,
+        tick: Tick,
+        feasible: FeasibleSet,
+        v: Volume | None,
+        reference: Array,
+        held: Array,
+    ) -> FilterDecision:
+        """Returns the decision.
+
+        Args:
+            tick: What is known, its state finite.
+            feasible: The feasible set.
+            v: V_v of it; None where it could not be computed, or no row asks for it.
+            reference: What the controller would apply, shape (m,).
+            held: The input applied now, shape (m,).
+        """
+        decision = self._lasting(tick, feasible, v, reference, held)
+        return decision if self._gate is None else self._gate.decide(tick, decision)
+
+    def _lasting(
+        self,
+        tick: Tick,
+        feasible: FeasibleSet,
+        v: Volume | None,
+        reference: Array,
+        held: Array,
+    ) -> FilterDecision:
+        settings, row = self._settings, self._volume_row(tick, v)
+        decay_rates = self._decay_rates(feasible)
+
+        def choose(margin: Array | None = None) -> FilterDecision:
+            return choose_input(
+                feasible if margin is None else feasible.tightened(margin),
+                row,
+                reference,
+                held,
+                self._input_set,
+                settings.corrections.exact_slack,
+                settings.infeasible,
+                settings.solver,
+                self._frame,
+                decay_rates,
+            )
+
+        if self._method.has_volume_row and (
+            v is None or not (row is None or row.is_finite)
+        ):
+            return FilterDecision(choose().input, FilterStatus.FAILED)
+        if self._row_holder is None:
+            return choose()
+        return self._row_holder.lasting_decision(tick, choose(), choose)
+
+    def _volume_row(self, tick: Tick, v: Volume | None) -> VolumeRow | None:
+        """The row of V_v; None where it asks for nothing: 0 <= lambda_Vv V_v."""
+        if v is None or v.is_on_plateau:
+            return None
+        return volume_row(
+            v,
+            self._model,
+            tick.state,
+            tick.known,
+            self._settings.volume,
+            self._settings.corrections.total_derivative,
+        )
+
+    def _decay_rates(self, feasible: FeasibleSet) -> DecayRates | None:
+        """How much rates may grow; None where they may not."""
+        always = self._method.feasibility == "decay"
+        if not (always or self._settings.infeasible == "decay"):
+            return None
+        return DecayRates.at(
+            feasible.rows.chain,
+            self._barriers,
+            self._settings.period,
+            self._settings.decay_penalty,
+            only_where_empty=not always,
+        )
