@@ -203,6 +203,14 @@ def test_time_limits_below_the_period_are_refused() -> None:
         load_scenario("car-avoidance", {"hardware": {"command_timeout": 1e-3}})
 
 
+def test_a_low_rate_is_simulated_and_asks_a_bus_for_longer_time_limits() -> None:
+    loaded = load_scenario("car-avoidance", {"period": 0.1})
+    with pytest.raises(
+        ScenarioError, match=r"hardware\.command_timeout: 0\.1; .*0\.1 s"
+    ):
+        InProcess(loaded)
+
+
 def test_a_rate_that_no_inbox_believes_is_refused() -> None:
     loaded = load_scenario("car-avoidance")
     loaded.period = 1e-7  # As --rate does.

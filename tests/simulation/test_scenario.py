@@ -293,7 +293,7 @@ def test_dump_takes_arrays(tmp_path: Path) -> None:
 
 
 def test_a_period_at_which_every_watchdog_would_bite_is_refused() -> None:
-    message = refusal("car-avoidance", "{period: 0.1}")
+    message = refusal("car-avoidance", "{period: 0.1, hardware: {predict: true}}")
     rule = "hardware.command_timeout: 0.1; it must be above the control period, 0.1 s"
     assert message.endswith(rule)
 

@@ -11,7 +11,7 @@ from enum import Enum
 import math
 from typing import Any
 
-from vcbf_drake.errors import ScenarioError
+from vcbf_drake.errors import InvalidValueError, ScenarioError
 from vcbf_drake.simulation.scenario import Scenario
 
 # No sender numbers messages faster than this [s].
@@ -293,11 +293,12 @@ def _bounds(
 
 
 def check_timing(scenario: Scenario) -> None:
-    """Checks that a scenario's period and sight are such as a bus has.
+    """Checks that a scenario's period, time limits and sight suit a bus.
 
     Raises:
         ScenarioError: The control period is shorter than an inbox believes of any
-            sender; or obstacles are in sight only where a simulation looks.
+            sender, or not below a time limit; or obstacles are in sight only where a
+            simulation looks.
     """
     if scenario.faults.sight > 0.0:
         raise ScenarioError(
@@ -309,3 +310,7 @@ def check_timing(scenario: Scenario) -> None:
             f"period: {scenario.period:g} s; on a bus it must be at least"
             f" {SHORTEST_PERIOD:g} s"
         )
+    try:
+        scenario.check_hardware_times()
+    except InvalidValueError as error:
+        raise ScenarioError(str(error)) from None
