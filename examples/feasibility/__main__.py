@@ -10,7 +10,7 @@ runs, and after it, ``--page FILE`` writes the page of what there is and runs no
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 import json
 from pathlib import Path
 from statistics import median
@@ -21,7 +21,7 @@ from vcbf_drake.studies import Record, run_study
 from vcbf_drake.studies.worker_processes import new_pool
 
 from .page import page
-from .study import BASE, POPULATIONS, Population, is_lost
+from .study import BASE, CONTENDERS, POPULATIONS, Population, is_lost
 
 # Every part has a share of each population, so that a study that was stopped is one of
 # the first courses.
@@ -37,6 +37,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/feasibility"))
     parser.add_argument("--workers", type=int, default=1, help="how many processes")
     parser.add_argument("--parts", type=int, default=PARTS, help=f"of {PARTS}, so many")
+    parser.add_argument(
+        "--only",
+        choices=[name for name in CONTENDERS if name != BASE],
+        nargs="+",
+        metavar="NAME",
+        help=f"who runs beside {BASE}; the others can follow later",
+    )
     parser.add_argument("--page", type=Path, help="write this page, and run nothing")
     options = parser.parse_args()
     if options.page:
@@ -45,11 +52,17 @@ def main() -> None:
     time_ticks(options.out / "ticks.json")
     for part in range(options.parts):
         for population in POPULATIONS:
-            run_part(population, part, options.out, options.workers)
+            run_part(population, part, options.out, options.workers, options.only)
             print(f"part {part + 1} of {PARTS}: {population.name}", flush=True)
 
 
-def run_part(population: Population, part: int, out: Path, workers: int) -> None:
+def run_part(
+    population: Population,
+    part: int,
+    out: Path,
+    workers: int,
+    only: Collection[str] | None = None,
+) -> None:
     """Runs one part of a population: the base method, then the others.
 
     Args:
@@ -57,6 +70,7 @@ def run_part(population: Population, part: int, out: Path, workers: int) -> None
         part: Which part.
         out: The directory of the records.
         workers: How many processes.
+        only: Which others, by name; without it all.
     """
     pairs = population.pairs(list(population.blocks(PARTS))[part])
     contenders = population.contenders()
@@ -71,13 +85,12 @@ def run_part(population: Population, part: int, out: Path, workers: int) -> None
         ]
         found = {BASE: dict(zip(pairs, records, strict=True))}
         for number, (name, contender) in enumerate(contenders.items()):
-            if name == BASE:
+            if name == BASE or (only and name not in only):
                 continue
-            own = [
-                pair
-                for pair in chosen
-                if not contender.acts_on or is_lost(found[contender.acts_on][pair])
-            ]
+            acts_on = contender.acts_on
+            if acts_on and acts_on not in found:  # What it acts on follows later, too.
+                continue
+            own = [p for p in chosen if not acts_on or is_lost(found[acts_on][p])]
             trials = [population.trial(contender, *pair) for pair in own]
             path = out / f"{population.name}-{part:02}-{number}.jsonl"
             found[name] = dict(zip(own, run_study(trials, path, pool), strict=True))

@@ -57,6 +57,7 @@ CONTENDERS = {
     "widened and backup": Contender("dob-vcbf-qp", WIDENED | BACKUP),
     "smaller gains": Contender("dob-cbf-qp", is_slow=True),
     "backup": Contender("backup"),
+    "decay and backup": Contender("optimal-decay", BACKUP),
 }
 
 
