@@ -170,6 +170,32 @@ def test_a_controller_that_was_not_followed_comes_out_again() -> None:
     assert of(driven(loaded, events), "VCBF_COMMAND") == commands
 
 
+def test_a_stranger_on_the_bus_changes_nothing_of_what_a_vehicles_log_tells() -> None:
+    """Its command is the first to a state, and the vehicle does not take it."""
+    loaded, lcm, clock = scenario("car-avoidance"), DrakeLcm("memq://"), RunningClock()
+    vehicle = PlantProcess(loaded, Bus(lcm, clock))
+    events: list[Event] = []
+    vehicle.bus.taps.append(lambda *event: events.append(Event(*event)))
+    controllers = [controller_of(loaded, Bus(lcm, clock))]
+    start = clock.now
+    for tick in range(1, 60):
+        clock.now = max(clock.now, start + 20_000 * tick)
+        if tick == 20:
+            controllers.insert(0, controller_of(loaded, Bus(lcm, clock)))
+        vehicle.advance_to(0.02 * tick)
+        for controller in controllers:
+            controller.step()
+            vehicle.bus.poll()
+    stranger, followed = (controller.bus.session for controller in controllers)
+    sessions = [vcbf_command.decode(d).session for d in of(events, "VCBF_COMMAND")]
+    assert stranger > followed and {stranger, followed} == set(sessions)
+    logged = LoggedController(loaded, events)
+    logged.run()
+    assert len(logged.controllers) == 1
+    differences = logged.differences()
+    assert len(differences) == sessions.count(followed) and not any(differences)
+
+
 def test_a_log_without_commands_has_every_state_acted_on() -> None:
     loaded = scenario("car-avoidance")
     events = recorded(loaded, 1.0)

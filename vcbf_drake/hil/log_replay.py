@@ -57,7 +57,8 @@ class LoggedController:
     neither. A
     controller that started again in the log starts again here. So the log of a
     controller makes the same commands again, bit for bit; the log of a vehicle does so
-    as far as all messages arrived.
+    as far as all messages arrived. Where a controller was followed, one that never was
+    is left out.
 
     Args:
         scenario: A validated scenario.
@@ -82,8 +83,10 @@ class LoggedController:
         self._commands = command_format(m)
         self.logged: dict[_Key, vcbf_command] = {}
         self._repeated: dict[_Key, vcbf_command] = {}
-        for command in self._logged_commands():
-            if command.mode == CommandMode.END:
+        commands = list(self._logged_commands())
+        self._strangers = self._not_followed({each.session for each in commands})
+        for command in commands:
+            if command.mode == CommandMode.END or command.session in self._strangers:
                 continue  # Somebody's decision, not the controller's.
             state = command.state_session, command.state_sequence
             if self.logged.setdefault(state, command) is not command:
@@ -133,6 +136,15 @@ class LoggedController:
                 if not isinstance(message, Rejection):
                     yield message
 
+    def _not_followed(self, sessions: set[int]) -> set[int]:
+        """Those of several controllers whose commands the vehicle never took."""
+        followed = {
+            state.command_session
+            for event in self._events
+            if event.channel == self._states and (state := _decoded(vcbf_state, event))
+        }
+        return sessions - followed if sessions & followed else set()
+
     def _acted_on(self) -> dict[_Key, vcbf_status]:
         """The first status of each state that was acted on."""
         found: dict[_Key, vcbf_status] = {}
@@ -142,7 +154,9 @@ class LoggedController:
                 sessions[state.sequence] = state.session
             elif event.channel == _STATUSES:
                 status = _decoded(vcbf_status, event)
-                if status is not None and status.state_sequence in sessions:
+                if status is None or status.session in self._strangers:
+                    continue
+                if status.state_sequence in sessions:
                     session = sessions[status.state_sequence]
                     found.setdefault((session, status.state_sequence), status)
         return found
