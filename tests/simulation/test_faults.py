@@ -10,7 +10,7 @@ from vcbf_drake import ScenarioError, load_scenario, make_loop, simulate
 from vcbf_drake.safety import FilterStatus
 from vcbf_drake.safety.assumptions import assumptions
 from vcbf_drake.simulation import check_assumptions
-from vcbf_drake.simulation.sensors import DelayedMeasurement, LostMeasurements
+from vcbf_drake.simulation.sensors import UnreliableSensor
 
 BLIMP, CAR = "blimp-multiple-obstacles", "car-avoidance"
 ARM = Path(__file__).parents[2] / "examples" / "arm.yaml"
@@ -61,12 +61,13 @@ def test_without_faults_no_system_is_added():
 
     added = {
         "bias": {"measurement_bias", "biased_state"},
-        "delay": {"delayed_measurement"},
+        "delay": {"unreliable_sensor"},
+        "loss": {"unreliable_sensor"},
         "lag": {"actuator_lag"},
         "limit": {"actuator_limit"},
         "gust": {"gust_0", "with_gust_0"},
-        "solver": {"solver_failures"},
-        "process": {"outages", "no_input"},
+        "solver": {"lost_answers"},
+        "process": {"lost_answers"},
         "mass": set(),
     }
     for fault, systems in added.items():
@@ -98,21 +99,29 @@ def sampled(system):
 
 @pytest.mark.parametrize(("delay", "ticks"), [(0.04, 2), (0.05, 3), (PERIOD, 1)])
 def test_a_measurement_arrives_as_late_as_asked(delay, ticks):
-    time, data = sampled(DelayedMeasurement(2, PERIOD, delay))
+    time, data = sampled(UnreliableSensor(2, PERIOD, delay))
     sent = np.maximum(time - ticks * PERIOD, 0.0)
     np.testing.assert_allclose(data, [sent + 1.0, -sent], atol=1e-12)
 
 
 def test_a_lost_measurement_is_the_last_one_that_arrived():
-    time, data = sampled(LostMeasurements(2, PERIOD, 0.4, seed=3))
+    time, data = sampled(UnreliableSensor(2, PERIOD, loss=0.4, seed=3))
     arrived = np.isclose(data[0], time + 1.0)
     assert arrived[0] and 0.45 < arrived.mean() < 0.75
     last = np.maximum.accumulate(np.where(arrived, time, 0.0))
     np.testing.assert_allclose(data, [last + 1.0, -last], atol=1e-12)
 
 
+def test_of_late_measurements_the_lost_ones_never_arrive():
+    time, data = sampled(UnreliableSensor(2, PERIOD, 2 * PERIOD, 0.4, seed=3))
+    _, prompt = sampled(UnreliableSensor(2, PERIOD, loss=0.4, seed=3))
+    late = np.column_stack([prompt[:, :1], prompt[:, :1], prompt[:, :-2]])
+    assert len(time) == late.shape[1]
+    np.testing.assert_allclose(data, late, atol=1e-12)
+
+
 def test_what_is_lost_is_the_same_for_everybody_at_a_tick():
-    system = LostMeasurements(1, PERIOD, 0.5, seed=1)
+    system = UnreliableSensor(1, PERIOD, loss=0.5, seed=1)
     context = system.CreateDefaultContext()
     system.get_input_port().FixValue(context, [7.0])
     for tick in range(20):

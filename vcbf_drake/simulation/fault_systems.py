@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,11 +26,10 @@ from pydrake.systems.primitives import (
 from pydrake.trajectories import PiecewisePolynomial
 
 from vcbf_drake.add_safety_filter import AddedSafetyFilter
-from vcbf_drake.safety import FilterStatus
+from vcbf_drake.safety import FilterStatus, InputSet
 from vcbf_drake.simulation.faults import Faults
 from vcbf_drake.simulation.sensors import (
-    DelayedMeasurement,
-    LostMeasurements,
+    UnreliableSensor,
     chance,
     tick_number,
 )
@@ -39,8 +38,12 @@ if TYPE_CHECKING:
     from vcbf_drake.simulation.scenario import Scenario
 
 
+# What a filter's answers are at a tick that loses them, its command aside.
+_NO_ANSWER = {"slack": 0.0, "status": FilterStatus.FAILED, "row_margin": np.nan}
+
+
 class LostAnswers(LeafSystem):
-    """Puts a fallback in the place of a filter's answer at the ticks that lose it.
+    """Puts something else in the place of a filter's answers where they are lost.
 
     .. pydrake_system::
 
@@ -56,42 +59,60 @@ class LostAnswers(LeafSystem):
         - slack
         - status
         - row_margin
-        - is_lost
+        - is_down
+
+    Where solvers fail it is the fallback; where the process is down, and ``is_down`` is
+    1, the input that is nearest to none. Both depend on the seed and the tick alone.
     """
 
-    def __init__(self, num_inputs: int, is_lost: Callable[[float], bool]) -> None:
+    def __init__(self, faults: Faults, period: float, input_set: InputSet) -> None:
         """Declares the ports.
 
         Args:
-            num_inputs: m.
-            is_lost: Whether the answer of a time [s] is lost, the same for a whole
-                tick.
+            faults: What is wrong with solvers and process.
+            period: Time between ticks [s].
+            input_set: The inputs that the actuators can deliver.
         """
         super().__init__()
-        self._is_lost = is_lost
-        self._fallback = self.DeclareVectorInputPort("fallback", num_inputs)
-        nothing = {"slack": 0.0, "status": FilterStatus.FAILED, "row_margin": np.nan}
-        self._replace("command", num_inputs, self._fallback.Eval)
-        for name, value in nothing.items():
-            self._replace(name, 1, lambda _, value=value: [value])  # type: ignore[misc]
+        m = input_set.num_inputs
+        self._faults, self._period = faults, period
+        self._outage_ticks = max(1, -tick_number(-faults.outage_duration, period))
+        self._no_input = input_set.project(np.zeros(m))
+        self._fallback = self.DeclareVectorInputPort("fallback", m)
+        for name, size in {"command": m, **dict.fromkeys(_NO_ANSWER, 1)}.items():
+            answer = self.DeclareVectorInputPort(name, size)
+            needs = {self.time_ticket(), answer.ticket(), self._fallback.ticket()}
+            calc = partial(self._calc, name, answer)
+            self.DeclareVectorOutputPort(name, size, calc, needs)
         self.DeclareVectorOutputPort(
-            "is_lost",
-            1,
-            lambda context, output: output.SetFromVector([is_lost(context.get_time())]),
-            {self.time_ticket()},
+            "is_down", 1, self._calc_is_down, {self.time_ticket()}
         )
 
-    def _replace(
-        self, name: str, size: int, fallback: Callable[[Context], object]
+    def _calc(
+        self, name: str, answer: InputPort, context: Context, output: BasicVector
     ) -> None:
-        answer = self.DeclareVectorInputPort(name, size)
+        tick = tick_number(context.get_time(), self._period)
+        is_down = self._is_down(tick)
+        if not is_down and chance(self._faults.seed, tick) >= (
+            self._faults.solver_failure
+        ):
+            output.SetFromVector(answer.Eval(context))
+        elif name in _NO_ANSWER:
+            output.SetFromVector([_NO_ANSWER[name]])
+        elif is_down:
+            output.SetFromVector(self._no_input)
+        else:
+            output.SetFromVector(self._fallback.Eval(context))
 
-        def calc(context: Context, output: BasicVector) -> None:
-            lost = self._is_lost(context.get_time())
-            output.SetFromVector((fallback if lost else answer.Eval)(context))
+    def _calc_is_down(self, context: Context, output: BasicVector) -> None:
+        tick = tick_number(context.get_time(), self._period)
+        output.SetFromVector([self._is_down(tick)])
 
-        needs = {self.time_ticket(), answer.ticket(), self._fallback.ticket()}
-        self.DeclareVectorOutputPort(name, size, calc, needs)
+    def _is_down(self, tick: int) -> bool:
+        return any(
+            chance(self._faults.seed, each, 1) < self._faults.outage
+            for each in range(max(0, tick - self._outage_ticks + 1), tick + 1)
+        )
 
 
 def true_disturbance(
@@ -134,7 +155,7 @@ def faulty_measurement(
         scenario: With its faults.
         state: What a sensor without them would deliver.
     """
-    faults, period, n = scenario.faults, scenario.period, state.size()
+    faults, n = scenario.faults, state.size()
     if any(faults.measurement_bias):
         bias = builder.AddNamedSystem(
             "measurement_bias", ConstantVectorSource(np.array(faults.measurement_bias))
@@ -142,12 +163,10 @@ def faulty_measurement(
         biased = Adder(2, n)
         state = _behind(builder, state, "biased_state", biased)
         builder.Connect(bias.get_output_port(), biased.get_input_port(1))
-    if faults.measurement_delay > 0.0:
-        late = DelayedMeasurement(n, period, faults.measurement_delay)
-        state = _behind(builder, state, "delayed_measurement", late)
-    if faults.measurement_loss > 0.0:
-        lossy = LostMeasurements(n, period, faults.measurement_loss, faults.seed)
-        state = _behind(builder, state, "lost_measurements", lossy)
+    delay, loss = faults.measurement_delay, faults.measurement_loss
+    if delay > 0.0 or loss > 0.0:
+        sensor = UnreliableSensor(n, scenario.period, delay, loss, faults.seed)
+        state = _behind(builder, state, "unreliable_sensor", sensor)
     return state
 
 
@@ -187,36 +206,23 @@ def lose_answers(
         scenario: With its faults.
         loop: The filter, its hold and its observer.
     """
-    faults, period, inputs = scenario.faults, scenario.period, loop.filter.input_set
-    answering: System = loop.filter
-    if faults.solver_failure > 0.0:
-
-        def solvers_fail(t: float) -> bool:
-            tick = tick_number(t, period)
-            return chance(faults.seed, tick) < faults.solver_failure
-
-        failing = LostAnswers(inputs.num_inputs, solvers_fail)
-        fallback = loop.filter.GetOutputPort("fallback")
-        answering = _answer_for(builder, answering, "solver_failures", failing)
-        builder.Connect(fallback, failing.GetInputPort("fallback"))
+    faults, answering = scenario.faults, loop.filter
+    if faults.solver_failure == faults.outage == 0.0:
+        return
+    readers = builder.connection_map()
+    lost = LostAnswers(faults, scenario.period, answering.input_set)
+    builder.AddNamedSystem("lost_answers", lost)
+    for (reader, reads), (source, index) in readers.items():
+        port = source.get_output_port(index)
+        if source is answering and lost.HasOutputPort(port.get_name()):
+            target = reader.get_input_port(reads)
+            builder.Disconnect(port, target)
+            builder.Connect(lost.GetOutputPort(port.get_name()), target)
+    for name in ("command", *_NO_ANSWER, "fallback"):
+        builder.Connect(answering.GetOutputPort(name), lost.GetInputPort(name))
     if faults.outage > 0.0:
-        length = max(1, -tick_number(-faults.outage_duration, period))
-
-        def is_down(t: float) -> bool:
-            tick = tick_number(t, period)
-            return any(
-                chance(faults.seed, each, 1) < faults.outage
-                for each in range(max(0, tick - length + 1), tick + 1)
-            )
-
-        down = LostAnswers(inputs.num_inputs, is_down)
-        _answer_for(builder, answering, "outages", down)
-        nothing = ConstantVectorSource(inputs.project(np.zeros(inputs.num_inputs)))
-        builder.AddNamedSystem("no_input", nothing)
-        builder.Connect(nothing.get_output_port(), down.GetInputPort("fallback"))
-        builder.Connect(
-            down.GetOutputPort("is_lost"), loop.observer.GetInputPort("reset")
-        )
+        reset = loop.observer.GetInputPort("reset")
+        builder.Connect(lost.GetOutputPort("is_down"), reset)
 
 
 def _behind(
@@ -235,22 +241,3 @@ def _before(
     builder.AddNamedSystem(name, system)
     builder.Connect(system.get_output_port(), port)
     return system.get_input_port()
-
-
-def _answer_for(
-    builder: DiagramBuilder, answering: System, name: str, instead: LostAnswers
-) -> LostAnswers:
-    """Adds a system behind another's ports of the same names, for all who read them."""
-    readers = builder.connection_map()
-    builder.AddNamedSystem(name, instead)
-    for (reader, reads), (source, index) in readers.items():
-        port = source.get_output_port(index)
-        if source is answering and instead.HasOutputPort(port.get_name()):
-            target = reader.get_input_port(reads)
-            builder.Disconnect(port, target)
-            builder.Connect(instead.GetOutputPort(port.get_name()), target)
-    for port_name in ("command", "slack", "status", "row_margin"):
-        builder.Connect(
-            answering.GetOutputPort(port_name), instead.GetInputPort(port_name)
-        )
-    return instead

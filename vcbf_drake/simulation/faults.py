@@ -90,16 +90,6 @@ class Faults:
         bias = self.measurement_bias
         check_finite("measurement_bias", bias, size=len(bias))
 
-    @property
-    def changes_plant(self) -> bool:
-        """Whether the plant is another one than the filter's model."""
-        return self.mass != 1.0 or self.drag != 1.0
-
-    @property
-    def changes_disturbance(self) -> bool:
-        """Whether the disturbance is another one than declared."""
-        return self.disturbance != 1.0 or bool(self.gusts)
-
 
 def fault_assumptions(faults: Faults, noise: Sequence[float]) -> Iterator[Assumption]:
     """Yields the hypotheses that faults and noise break; none without.
@@ -108,71 +98,51 @@ def fault_assumptions(faults: Faults, noise: Sequence[float]) -> Iterator[Assump
         faults: What is wrong with the loop.
         noise: Standard deviations of the measured states; empty for none.
     """
-    found: list[tuple[bool, str, str, dict[str, float]]] = [
+    whole = _hypotheses(Faults(), [])
+    for (name, statement), numbers in _hypotheses(faults, noise).items():
+        if numbers != whole[name, statement]:
+            yield Assumption(name, statement, False, numbers, "no theorem applies")
+
+
+def _hypotheses(
+    faults: Faults, noise: Sequence[float]
+) -> dict[tuple[str, str], dict[str, float]]:
+    """The numbers of the faults by the hypotheses, and their statements, they break."""
+    return {
+        ("true measurement", "the measured state is the state, now"): {
+            "largest bias": max(map(abs, faults.measurement_bias), default=0.0),
+            "delay": faults.measurement_delay,
+            "largest deviation": max(noise, default=0.0),
+        },
+        ("measurement at every tick", "no measurement is lost"): {
+            "probability of loss": faults.measurement_loss
+        },
+        ("known obstacles", "every obstacle is known from the start"): {
+            "sight": faults.sight
+        },
         (
-            any(faults.measurement_bias)
-            or faults.measurement_delay > 0.0
-            or any(noise),
-            "true measurement",
-            "the measured state is the state, now",
-            {
-                "largest bias": max(map(abs, faults.measurement_bias), default=0.0),
-                "delay": faults.measurement_delay,
-                "largest deviation": max(noise, default=0.0),
-            },
-        ),
-        (
-            faults.measurement_loss > 0.0,
-            "measurement at every tick",
-            "no measurement is lost",
-            {"probability of loss": faults.measurement_loss},
-        ),
-        (
-            faults.sight > 0.0,
-            "known obstacles",
-            "every obstacle is known from the start",
-            {"sight": faults.sight},
-        ),
-        (
-            faults.actuator_lag > 0.0 or faults.actuator_limit < 1.0,
             "held input",
             "the plant receives the filter's input, held over the period",
-            {
-                "time constant": faults.actuator_lag,
-                "share of limits": faults.actuator_limit,
-            },
-        ),
+        ): {
+            "time constant": faults.actuator_lag,
+            "share of limits": faults.actuator_limit,
+        },
         (
-            faults.changes_plant,
             "plant as modelled",
             "xdot = f(x) + g(x) u + E d with the model's f and g (R18)",
-            {"mass ratio": faults.mass, "drag ratio": faults.drag},
-        ),
-        (
-            faults.changes_disturbance,
-            "disturbance as declared",
-            "|d|, |d'|, |d''| within their bounds (E16)",
-            {"ratio": faults.disturbance, "step gusts": float(len(faults.gusts))},
-        ),
-        (
-            faults.solver_failure > 0.0,
-            "solvers at every tick",
-            "no solver fails",
-            {"probability of failure": faults.solver_failure},
-        ),
-        (
-            faults.outage > 0.0,
-            "process at every tick",
-            "filter and observer run without a break",
-            {
-                "probability of being killed": faults.outage,
-                "outage": faults.outage_duration,
-            },
-        ),
-    ]
-    for is_broken, name, statement, numbers in found:
-        if is_broken:
-            yield Assumption(name, statement, False, numbers, "no theorem applies")
+        ): {"mass ratio": faults.mass, "drag ratio": faults.drag},
+        ("disturbance as declared", "|d|, |d'|, |d''| within their bounds (E16)"): {
+            "ratio": faults.disturbance,
+            "step gusts": float(len(faults.gusts)),
+        },
+        ("solvers at every tick", "no solver fails"): {
+            "probability of failure": faults.solver_failure
+        },
+        ("process at every tick", "filter and observer run without a break"): {
+            "probability of being killed": faults.outage,
+            "outage": faults.outage_duration if faults.outage > 0.0 else 0.0,
+        },
+    }
 
 
 def _check_share(name: str, value: float) -> None:

@@ -73,104 +73,70 @@ class MeasurementNoise(LeafSystem):
         output.SetFromVector(self._state.Eval(context) + self._deviation * sample)
 
 
-class DelayedMeasurement(LeafSystem):
-    """Delivers the newest sample of a signal that is old enough.
+class UnreliableSensor(LeafSystem):
+    """Delivers the newest sample of a signal that is old enough and was not lost.
 
     .. pydrake_system::
 
-        name: DelayedMeasurement
+        name: UnreliableSensor
         input_ports:
         - state
         output_ports:
         - measured_state
 
-    Until one is, it delivers the first one. Samples carry their times, so the output is
-    the same before and after the tick's own sample is stored.
+    Until one is old enough, it delivers the first one, which is never lost. Which are
+    lost depends on the seed and the tick alone, and samples carry their times: so the
+    output is the same before and after the tick's own sample is stored.
     """
 
-    def __init__(self, size: int, period: float, delay: float) -> None:
+    def __init__(
+        self,
+        size: int,
+        period: float,
+        delay: float = 0.0,
+        loss: float = 0.0,
+        seed: int = 0,
+    ) -> None:
         """Declares ports and memory.
 
         Args:
             size: n, of the state.
             period: Time between samples [s].
             delay: How old the output is at least [s].
+            loss: Probability that a sample is lost.
+            seed: Of what is lost.
         """
         super().__init__()
-        self._delay, self._spare = delay, _TO_SPARE * period
-        self._width = 1 + size
-        samples = 1 - tick_number(-delay, period)
+        self._period, self._delay, self._loss, self._seed = period, delay, loss, seed
+        self._kept = 1 - tick_number(-delay, period)
         self._state = self.DeclareVectorInputPort("state", size)
-        self.DeclareDiscreteState(np.full(samples * self._width, np.nan))
+        self.DeclareDiscreteState(np.full(self._kept * (1 + size), np.nan))
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._store)
         self.DeclareVectorOutputPort("measured_state", size, self._calc)
 
-    def _samples(self, context: Context) -> Array:
-        """The samples, the oldest first; nan where there was none yet."""
-        stored = context.get_discrete_state_vector().CopyToVector()
-        samples: Array = stored.reshape(-1, self._width)
-        return samples
+    def _received(self, context: Context) -> Array:
+        """The samples that arrive sooner or later, each behind its time; oldest first.
 
-    def _store(self, context: Context, discrete: DiscreteValues) -> None:
-        sample = np.concatenate([[context.get_time()], self._state.Eval(context)])
-        samples = np.vstack([self._samples(context)[1:], sample])
-        discrete.set_value(samples.ravel())
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        samples = self._samples(context)
-        samples = samples[~np.isnan(samples[:, 0])]
-        if len(samples) == 0:
-            output.SetFromVector(self._state.Eval(context))
-            return
-        latest = context.get_time() - self._delay + self._spare
-        old_enough = int(np.sum(samples[:, 0] <= latest))
-        output.SetFromVector(samples[max(old_enough - 1, 0), 1:])
-
-
-class LostMeasurements(LeafSystem):
-    """Delivers the last sample again at ticks whose own is lost.
-
-    .. pydrake_system::
-
-        name: LostMeasurements
-        input_ports:
-        - state
-        output_ports:
-        - measured_state
-
-    The first one is never lost. Which ones are depends on the seed and the tick alone.
-    """
-
-    def __init__(self, size: int, period: float, probability: float, seed: int) -> None:
-        """Declares ports and memory.
-
-        Args:
-            size: n, of the state.
-            period: Time between samples [s].
-            probability: That a sample is lost.
-            seed: Of the generator.
+        Where there are fewer than are kept, rows of nan come before them.
         """
-        super().__init__()
-        self._period, self._probability, self._seed = period, probability, seed
-        self._state = self.DeclareVectorInputPort("state", size)
-        self.DeclareDiscreteState(np.full(size, np.nan))
-        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._store)
-        self.DeclareVectorOutputPort("measured_state", size, self._calc)
-
-    def _delivered(self, context: Context) -> Array:
-        last: Array = context.get_discrete_state_vector().CopyToVector()
-        tick = tick_number(context.get_time(), self._period)
-        lost = chance(self._seed, tick) < self._probability
-        if lost and not np.isnan(last).any():
-            return last
-        received: Array = self._state.Eval(context)
-        return received
+        t = context.get_time()
+        memory = context.get_discrete_state_vector().CopyToVector()
+        samples: Array = memory.reshape(self._kept, -1)
+        tick = tick_number(t, self._period)
+        is_lost = chance(self._seed, tick) < self._loss
+        if is_lost and not np.isnan(samples[-1]).any():
+            return samples
+        return np.vstack([samples, [t, *self._state.Eval(context)]])
 
     def _store(self, context: Context, discrete: DiscreteValues) -> None:
-        discrete.set_value(self._delivered(context))
+        discrete.set_value(self._received(context)[-self._kept :].ravel())
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._delivered(context))
+        samples = self._received(context)
+        latest = context.get_time() - self._delay + _TO_SPARE * self._period
+        is_old = np.flatnonzero(samples[:, 0] <= latest)
+        first = np.flatnonzero(~np.isnan(samples[:, 0]))[0]
+        output.SetFromVector(samples[is_old[-1] if len(is_old) else first, 1:])
 
 
 class ObstaclesInSight(LeafSystem):
