@@ -261,9 +261,9 @@ def test_processes_make_room_for_new_ones(monkeypatch: pytest.MonkeyPatch) -> No
 
     monkeypatch.setattr(worker_processes, "new_pool", new_pool)
     monkeypatch.setattr(worker_processes, "TRIALS_A_PROCESS", 2)
-    monkeypatch.setattr(worker_processes, "run_trial", lambda trial: trial.index)
-    records = worker_processes.run_in_processes(plan(9)[::2], workers=2)
-    assert sorted(records) == list(range(9))
+    with worker_processes.WorkerProcesses(workers=2) as processes:
+        futures = [processes.submit(abs, index) for index in range(9)]
+    assert [future.result() for future in futures] == list(range(9))
     assert len(pools) == 3
 
 

@@ -12,7 +12,7 @@ from queue import SimpleQueue
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.files import atomic_write, json_text
 from vcbf_drake.studies.trial import Record, Trial, error_record, run_trial
-from vcbf_drake.studies.worker_processes import TRIALS_A_PROCESS, run_in_processes
+from vcbf_drake.studies.worker_processes import TRIALS_A_PROCESS, WorkerProcesses
 
 # More would only wait in the executor's memory.
 _MOST_SUBMITTED = 10_000
@@ -66,13 +66,18 @@ def _run(
     trials: Sequence[Trial], executor: Executor | None, workers: int
 ) -> Iterator[Record]:
     if executor is not None:
-        return _run_with(executor, trials)
-    if workers == 1 and len(trials) <= TRIALS_A_PROCESS:
-        return map(run_trial, trials)
-    return run_in_processes(trials, workers)
+        yield from _run_with(executor, trials, _MOST_SUBMITTED)
+    elif workers == 1 and len(trials) <= TRIALS_A_PROCESS:
+        yield from map(run_trial, trials)
+    else:
+        # What waits in a pool is lost with it: no more trials than processes.
+        with WorkerProcesses(workers) as processes:
+            yield from _run_with(processes, trials, workers)
 
 
-def _run_with(executor: Executor, trials: Iterable[Trial]) -> Iterator[Record]:
+def _run_with(
+    executor: Executor, trials: Iterable[Trial], most: int
+) -> Iterator[Record]:
     """Yields the records of trials as they end, whatever becomes of the workers.
 
     A trial's own errors are in its record, so a failure is the executor's: its worker
@@ -80,23 +85,26 @@ def _run_with(executor: Executor, trials: Iterable[Trial]) -> Iterator[Record]:
     the one that fails again is recorded so.
     """
     lost = []
-    for trial, future in _submit(executor, trials, _MOST_SUBMITTED):
-        if _failure(future) is None:
+    for trial, future in _submit(executor, trials, most):
+        if _failure(executor, future) is None:
             yield future.result()
         else:
             lost.append(trial)
     for trial, future in _submit(executor, lost, 1):
-        error = _failure(future)
+        error = _failure(executor, future)
         if error is None:
             yield future.result()
+        elif isinstance(error, BrokenExecutor):
+            yield error_record(trial, "its process died, twice")
         else:
             yield error_record(trial, f"{type(error).__name__}: {error}")
 
 
-def _failure(future: Future[Record]) -> BaseException | None:
+def _failure(executor: Executor, future: Future[Record]) -> BaseException | None:
     """Why a trial has no record; raises when none will get one any more."""
     error = future.exception()  # Raises CancelledError.
-    if isinstance(error, BrokenExecutor):
+    goes_on = isinstance(executor, WorkerProcesses)
+    if isinstance(error, BrokenExecutor) and not goes_on:
         raise error
     return error
 

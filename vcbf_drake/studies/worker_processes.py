@@ -1,61 +1,59 @@
-"""Trials in worker processes; a process that dies costs the trial that killed it."""
+"""Worker processes as an executor that goes on when one of them dies."""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 import multiprocessing
 import os
 from threading import Thread
+from typing import Any
 
 from vcbf_drake.environment import show_warnings_only
-from vcbf_drake.studies.trial import Record, Trial, error_record, run_trial
 
 # After so many a process makes room for a new one: pydrake does not free every diagram
 # whose systems are written in Python, which is a few megabytes a trial.
 TRIALS_A_PROCESS = 100
 
 
-def run_in_processes(trials: Iterable[Trial], workers: int) -> Iterator[Record]:
-    """Yields the records of trials as they finish.
+class WorkerProcesses(Executor):
+    """Processes that make room for new ones after `TRIALS_A_PROCESS` tasks each.
 
-    When a process dies, all of its pool fails and nothing says which trial it was. So
-    no more trials are handed out than there are workers, and those that were under way
-    are run again, each alone; the one that kills its process again is recorded so.
-
-    Args:
-        trials: The trials.
-        workers: How many processes.
+    When one dies, all tasks under way fail with it, and nothing says which of them it
+    was; those that are submitted afterwards have new processes.
     """
-    waiting = deque(trials)
-    while waiting:
-        running: dict[Future[Record], Trial] = {}
-        try:
-            with new_pool(workers) as pool:
-                left = TRIALS_A_PROCESS * workers
-                while running or (waiting and left):
-                    while waiting and left and len(running) < workers:
-                        running[pool.submit(run_trial, waiting[0])] = waiting[0]
-                        waiting.popleft()
-                        left -= 1
-                    finished, _ = wait(running, return_when=FIRST_COMPLETED)
-                    for future in finished:
-                        record = future.result()
-                        del running[future]
-                        yield record
-        except BrokenProcessPool:
-            for trial in running.values():
-                yield _run_alone(trial)
 
+    def __init__(self, workers: int) -> None:
+        """Starts the first ones.
 
-def _run_alone(trial: Trial) -> Record:
-    with new_pool(1) as pool:
+        Args:
+            workers: How many at once.
+        """
+        self._workers = workers
+        self._renew()
+
+    def _renew(self) -> None:
+        self._pool = new_pool(self._workers)
+        self._left = TRIALS_A_PROCESS * self._workers
+
+    def submit(
+        self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any
+    ) -> Future[Any]:
+        """Hands a task to a process; see `concurrent.futures.Executor`."""
+        if not self._left:
+            self._pool.shutdown(wait=False)
+            self._renew()
+        self._left -= 1
         try:
-            return pool.submit(run_trial, trial).result()
+            return self._pool.submit(fn, *args, **kwargs)
         except BrokenProcessPool:
-            return error_record(trial, "its process died, twice")
+            self._renew()
+            return self._pool.submit(fn, *args, **kwargs)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Ends the processes; see `concurrent.futures.Executor`."""
+        self._pool.shutdown(wait, cancel_futures=cancel_futures)
 
 
 def new_pool(workers: int) -> ProcessPoolExecutor:
