@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydrake.systems.primitives import LinearSystem
 import pytest
 
-from vcbf_drake import Car, ControlAffineModel, PerceivedSpheres, ScenarioError
+from vcbf_drake import (
+    Car,
+    ControlAffineModel,
+    InputLimits,
+    PerceivedSpheres,
+    Scenario,
+    ScenarioError,
+    StateFeedback,
+    Vehicle,
+)
 from vcbf_drake.barriers import BarrierSet
 from vcbf_drake.simulation import (
     Fleet,
     Result,
+    Separation,
     check_assumptions,
     load_fleet,
     load_result,
     load_scenario,
     simulate_fleet,
 )
+from vcbf_drake.simulation.fleet import loops_of, make_fleet_loop, others_finding
 from vcbf_drake.simulation.loading import dump_fleet
 
 CROSSING = Path(__file__).parents[2] / "examples" / "two_vehicles.yaml"
@@ -129,9 +142,143 @@ def test_a_bound_on_their_acceleration_is_audited() -> None:
     broken = crossing(method=method, separation={"acceleration": 0.1}, duration=2.0)
     assert broken[0].summary["reasons_against"] == ["audit: other vehicles"]
     finding = broken[0].summary["audit"]["other vehicles"]
-    velocity = broken[0].log["obstacles"][:, 2:4]
-    most = np.linalg.norm(np.diff(velocity, axis=0), axis=1).max() / 0.02
-    assert finding["worst"] == pytest.approx(0.1 - most)
+    log = broken[1].log
+    along = log["input"][:, 0] / 2.5 + log["disturbance"][:, 0]
+    across = log["state"][:, 2] * log["input"][:, 1]
+    most = np.hypot(along, across).max()  # At the ticks; on the way there is some more.
+    assert finding["worst"] == pytest.approx(0.1 - most, rel=1e-2)
+
+
+@dataclass
+class Double(Vehicle):
+    """A point whose input is its acceleration, held at the most it has."""
+
+    position = (0, 1)
+    acceleration: float = 1.0
+
+    def make_plant(self) -> LinearSystem:
+        A, B = np.eye(4, k=2), np.eye(4, 2, k=-2)
+        return LinearSystem(A, B, np.eye(4), np.zeros((4, 2)))
+
+    def make_controller(self, target: Any) -> Any:
+        def law(x: Any) -> Any:
+            ahead = target - x[:2] - 0.3 * x[2:]
+            angle = np.arctan2(ahead[1], ahead[0]) + 0.7 * np.sin(90.0 * x[0])
+            return self.acceleration * np.array([np.cos(angle), np.sin(angle)])
+
+        return StateFeedback(law, 4, 2)
+
+
+@dataclass
+class Single(Vehicle):
+    """A point whose input is its velocity."""
+
+    position = (0, 1)
+
+    def make_plant(self) -> LinearSystem:
+        return LinearSystem(np.zeros((2, 2)), np.eye(2), np.eye(2), np.zeros((2, 2)))
+
+    def make_controller(self, target: Any) -> Any:
+        return StateFeedback(lambda x: 2.0 * (target - x), 2, 2)
+
+
+def meets(other: Scenario, bound: float) -> Result:
+    """The run of a strong point that stands in another vehicle's way."""
+    own = Scenario(
+        name="own",
+        vehicle=Double(0.0),
+        method="cbf-qp",
+        input_set=InputLimits([-8.0, -8.0], [8.0, 8.0]),
+        separation=Separation(distance=0.5, gains=[4.0, 3.0], acceleration=bound),
+        initial_state=[0.0, 0.0, 0.0, 0.0],
+        target=[0.0, 0.0],
+        duration=4.0,
+    )
+    fleet = Fleet(name="meeting", vehicles=[own, other])
+    return simulate_fleet(fleet, step_time=False)[0]
+
+
+@pytest.mark.parametrize("y", [-0.7, 0.1, 0.9])
+def test_no_motion_within_the_bound_brings_another_nearer(y: float) -> None:
+    found = meets(
+        Scenario(
+            name="ram",
+            vehicle=Double(1.0),
+            method="cbf-qp",
+            input_set=InputLimits([-1.0, -1.0], [1.0, 1.0]),
+            separation=Separation(distance=1e-3, gains=[400.0, 1e4]),
+            initial_state=[2.0, y, 0.0, 0.0],
+            target=[0.0, 0.0],
+            duration=4.0,
+        ),
+        bound=1.0,
+    )
+    assert found.summary["guaranteed"]
+    # Its input, held, is the acceleration: the whole bound is used, and found.
+    worst = found.summary["audit"]["other vehicles"]["worst"]
+    assert worst == pytest.approx(0.0, abs=1e-6)
+    # It comes near, into what is kept for the bound, 1 / 3 m, but no nearer.
+    assert 0.5 <= found.summary["least_separation"] < 1.0
+
+
+def test_a_vehicle_whose_input_is_its_velocity_accelerates_beyond_any_bound() -> None:
+    found = meets(
+        Scenario(
+            name="single",
+            vehicle=Single(),
+            method="cbf-qp",
+            input_set=InputLimits([-2.0, -2.0], [2.0, 2.0]),
+            separation=Separation(distance=0.01, gains=[1.0]),
+            initial_state=[4.0, 0.0],
+            target=[0.0, 0.0],
+            duration=4.0,
+        ),
+        bound=1.0,
+    )
+    told, period = found.log["obstacles"][:, :4], 0.02
+    moved = np.diff(told[:, :2], axis=0) / period
+    assert moved[0] == pytest.approx([-2.0, 0.0])
+    # Once it moves, it is told how fast: its input of the period before.
+    np.testing.assert_allclose(told[1:, 2:], moved, atol=1e-6)
+    # Of the start nobody knew: it strays by 2 m/s times the period, a T^2 / 2.
+    worst = found.summary["audit"]["other vehicles"]["worst"]
+    assert worst == pytest.approx(1.0 - 2.0 * 2.0 / period)
+    assert found.summary["reasons_against"] == ["audit: other vehicles"]
+    assert found.summary["least_separation"] >= 0.5
+
+
+def test_a_motion_that_only_its_places_show_is_found() -> None:
+    """A turn of a whole circle a tick: every told velocity is the same."""
+    own = load_fleet(CROSSING, {"separation": {"acceleration": 1.0}}).vehicles[0]
+    told = np.zeros((4, 6))
+    told[:, 0], told[:, 3] = [0.0, 0.0, 0.001, 0.001], 0.3
+    told[:, 1] = 0.3 * 0.02 * np.arange(4)
+    log = {"time": 0.02 * np.arange(4), "obstacles": told}
+    found = others_finding(log, own)
+    assert found["worst"] == pytest.approx(1.0 - 2.0 * 0.001 / 0.02**2)
+    assert found["worst_at"] == pytest.approx(0.04)
+    single = others_finding({name: each[:1] for name, each in log.items()}, own)
+    assert single["held"] is True
+
+
+@pytest.mark.parametrize("change", [{"infeasible": "backup"}, {"method": "backup"}])
+def test_no_plan_among_others_is_guaranteed(change: dict[str, Any]) -> None:
+    far = {"1": {"initial_state": [30.0, 9.0, 0.0, 1.5708], "target": [30.0, 9.0]}}
+    apart = {"separation": {"acceleration": 6.0}, "vehicles": far}
+    found = crossing(**{"method": "dob-cbf-qp", "duration": 0.2, **apart, **change})
+    for each in found:
+        assert each.summary["reasons_against"] == ["hypothesis: other vehicles"]
+        assert not each.summary.get("guaranteed_feasible", False)
+
+
+def test_rows_and_systems_have_the_vehicles_names() -> None:
+    fleet = load_fleet(CROSSING, {"vehicles": {"0": {"name": "seen_by_northbound"}}})
+    diagram = make_fleet_loop(fleet)
+    names = [
+        loop.GetSubsystemByName("filter").barrier_set.names[-1]
+        for loop in loops_of(diagram, fleet)
+    ]
+    assert names == ["vehicle northbound", "vehicle seen_by_northbound"]
 
 
 def test_three_are_told_of_two_each() -> None:
@@ -179,6 +326,7 @@ def test_a_result_of_one_is_read_again(apart: list[Result], tmp_path: Path) -> N
         ("{vehicles: {0: {separation: {distance: 0}}}}", "above 0 where there are"),
         ("{vehicles: {1: {initial_state: [0.5, 0, 0, 0]}}}", "it is 0.5 m away"),
         ("{faults: {sight: 2}}", "0 where there are other vehicles"),
+        ("{between_ticks: certified}", "none where there are other vehicles"),
         ("{vehicles: {2: {}}}", "they are 0 to 1"),
         ("{vehicles: 3}", "expected a list"),
         ("{vehicles: []}", "one at least"),

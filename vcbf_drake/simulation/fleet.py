@@ -33,6 +33,7 @@ OTHERS = "other vehicles"
 # What all vehicles of a fleet have in common: they share the time.
 _SHARED = ("period", "duration", "integrator", "ends_at_target")
 _STEP = 1e-6  # Of the derivative along a velocity [s].
+_TOLD = 1e-5  # What rounding takes from an acceleration, of its bound.
 
 
 @dataclass(kw_only=True)
@@ -78,6 +79,9 @@ class Fleet:
                 require(distance > 0.0, ("separation", "distance"), distance, rule)
                 rule = "0 where there are other vehicles"
                 require(sight == 0.0, ("faults", "sight"), sight, rule)
+                rule = "none where there are other vehicles, whose motion nobody knows"
+                is_none = each.between_ticks == "none"
+                require(is_none, "between_ticks", each.between_ticks, rule)
         for i, j in combinations(range(len(names)), 2):
             one, other = self.vehicles[i], self.vehicles[j]
             least = max(each.separation.distance for each in (one, other))
@@ -102,7 +106,7 @@ def make_fleet_loop(fleet: Fleet, controller: System | None = None) -> Diagram:
     """Returns the closed loops of a fleet: `make_loop` of a scenario's only vehicle.
 
     Of several each is a diagram with its vehicle's name, and a system
-    ``seen_by_NAME`` tells its filter of the others.
+    ``seen by: NAME`` tells its filter of the others.
 
     Args:
         fleet: The vehicles.
@@ -111,11 +115,9 @@ def make_fleet_loop(fleet: Fleet, controller: System | None = None) -> Diagram:
     if len(fleet.vehicles) == 1:
         return make_loop(fleet.vehicles[0], controller)
     builder, loops = DiagramBuilder(), []
-    for each in fleet.vehicles:
-        spheres = PerceivedSpheres(
-            len(fleet.vehicles) - 1, len(each.target), each.separation.form
-        )
-        loops.append(builder.AddNamedSystem(each.name, make_loop(each, None, spheres)))
+    for own in fleet.vehicles:
+        names = [each.name for each in fleet.vehicles if each is not own]
+        loops.append(builder.AddNamedSystem(own.name, make_loop(own, None, names)))
     for own, loop in zip(fleet.vehicles, loops, strict=True):
         others = [
             (each, other)
@@ -124,15 +126,15 @@ def make_fleet_loop(fleet: Fleet, controller: System | None = None) -> Diagram:
         ]
         models = [other.GetSubsystemByName("filter").model for _, other in others]
         seeing = builder.AddNamedSystem(
-            f"seen_by_{own.name}",
+            f"seen by: {own.name}",  # No vehicle's name has a colon.
             OtherVehicles(
                 [each for each, _ in others], models, own.separation.distance
             ),
         )
         for each, other in others:
-            builder.Connect(
-                other.GetOutputPort("state"), seeing.GetInputPort(each.name)
-            )
+            for port in ("state", "held_input"):
+                told = seeing.GetInputPort(f"{each.name}: {port}")
+                builder.Connect(other.GetOutputPort(port), told)
         builder.Connect(seeing.get_output_port(), loop.GetInputPort("others"))
     diagram = builder.Build()
     diagram.set_name(fleet.name)
@@ -154,10 +156,10 @@ def loops_of(diagram: Diagram, fleet: Fleet) -> list[Diagram]:
 class OtherVehicles(LeafSystem):
     """Tells one vehicle's filter where the others are, and how fast.
 
-    The input ports are the others' states, by their names; the output ``obstacles`` is
-    what `PerceivedSpheres` describes, one slot a vehicle. A velocity is what the model
-    of the other says without its inputs and disturbance, which reach no position's
-    first derivative.
+    The input ports ``NAME: state`` and ``NAME: held_input`` are the others'; the output
+    ``obstacles`` is what `PerceivedSpheres` describes, one slot a vehicle. A velocity
+    is what the model of the other says under the input that it holds, at a tick still
+    that of the last period: of a vehicle whose input is its velocity a period old.
     """
 
     def __init__(
@@ -176,19 +178,24 @@ class OtherVehicles(LeafSystem):
         super().__init__()
         self._others, self._models, self._distance = others, models, distance
         self._spheres = PerceivedSpheres(len(others), len(others[0].target))
-        self._states = [
-            self.DeclareVectorInputPort(each.name, model.num_states)
+        self._ports = [
+            (
+                self.DeclareVectorInputPort(f"{each.name}: state", model.num_states),
+                self.DeclareVectorInputPort(
+                    f"{each.name}: held_input", model.num_inputs
+                ),
+            )
             for each, model in zip(others, models, strict=True)
         ]
         self.DeclareVectorOutputPort("obstacles", self._spheres.size, self._calc)
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         places, velocities = [], []
-        for each, model, port in zip(
-            self._others, self._models, self._states, strict=True
+        for each, model, ports in zip(
+            self._others, self._models, self._ports, strict=True
         ):
-            x = port.Eval(context)
-            step = _STEP * model.drift(x)
+            x, u = (port.Eval(context) for port in ports)
+            step = _STEP * model.nominal_rate(x, u)
             place, before, after = each.vehicle.positions(
                 np.array([x, x - step, x + step])
             )
@@ -204,21 +211,24 @@ def others_assumption(scenario: Scenario) -> Assumption:
     Args:
         scenario: Of the vehicle that keeps apart.
     """
-    bound = scenario.separation.acceleration
-    has_volume_row = METHODS[scenario.method].has_volume_row
+    bound, method = scenario.separation.acceleration, METHODS[scenario.method]
+    plans = "backup" in (scenario.infeasible, method.feasibility)
     return Assumption(
         OTHERS,
         "no other vehicle accelerates by more than separation.acceleration, and no"
-        " volume row takes them to keep their velocity",
-        bound > 0.0 and not has_volume_row,
+        " volume row or backup manoeuvre takes them to keep their velocity",
+        bound > 0.0 and not method.has_volume_row and not plans,
         {"separation.acceleration": bound},
-        "the others may come closer than the rows and the volume row allow for; give"
-        " separation.acceleration, and a method without a volume barrier",
+        "the others may come closer than is allowed for; give separation.acceleration,"
+        " and a method without a volume barrier and without backup",
     )
 
 
 def others_finding(log: Mapping[str, Array], scenario: Scenario) -> dict[str, Any]:
     """Returns the finding of how the other vehicles accelerated, from tick to tick.
+
+    Of a motion within the bound neither the velocity that is told nor the place strays
+    further from what was told at the last tick than at that acceleration.
 
     Args:
         log: The arrays of the log, one row a control tick.
@@ -226,11 +236,17 @@ def others_finding(log: Mapping[str, Array], scenario: Scenario) -> dict[str, An
     """
     k, time = len(scenario.target), log["time"]
     seen = log["obstacles"].reshape(len(time), -1, 2 * k + 2)
-    change = np.linalg.norm(np.diff(seen[:, :, k : 2 * k], axis=0), axis=2)
-    most = np.max(change, axis=1, initial=0.0) / np.diff(time)
+    places, velocities = seen[:, :, :k], seen[:, :, k : 2 * k]
+    elapsed = np.diff(time)[:, None]
+    strayed = np.diff(places, axis=0) - velocities[:-1] * elapsed[..., None]
+    most = np.zeros(len(time))
+    most[1:] = np.maximum(
+        np.linalg.norm(np.diff(velocities, axis=0), axis=2) / elapsed,
+        np.linalg.norm(strayed, axis=2) * 2.0 / elapsed**2,
+    ).max(axis=1)
     bound = scenario.separation.acceleration
     statement = "the others' accelerations <= separation.acceleration [m/s^2]"
-    found = finding(statement, time[1:], bound - most)
+    found = finding(statement, time, bound - most, _TOLD * bound)
     return found if bound > 0.0 else found | {"held": None}
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ from pydrake.systems.framework import (
 from pydrake.systems.primitives import LogVectorOutput, PassThrough
 
 from vcbf_drake.add_safety_filter import AddedSafetyFilter, AddSafetyFilter
-from vcbf_drake.barriers import BarrierSet, PerceivedSpheres
+from vcbf_drake.barriers import BarrierSet
 from vcbf_drake.disturbances import (
     DisturbanceBounds,
     DisturbanceObserver,
@@ -37,6 +37,7 @@ from vcbf_drake.simulation.fault_systems import (
 )
 from vcbf_drake.simulation.obstacles import (
     barriers,
+    other_vehicles,
     perceived_spheres,
     seen_barriers,
     separation_barriers,
@@ -53,7 +54,7 @@ COLLISION_MONITOR = "collision_monitor"
 def make_loop(
     scenario: Scenario,
     controller: System | None = None,
-    others: PerceivedSpheres | None = None,
+    others: Sequence[str] = (),
 ) -> Diagram:
     """Returns the whole closed loop of a scenario as a Drake diagram.
 
@@ -68,18 +69,20 @@ def make_loop(
     Args:
         scenario: A validated scenario.
         controller: In the place of the vehicle's own, with its ports.
-        others: What describes the other vehicles, where there are some: the diagram has
-            the ports ``others``, which takes it, and ``state`` then.
+        others: What the other vehicles are called, where there are some: the diagram
+            has the ports ``others``, which takes what describes them, and ``state`` and
+            ``held_input`` then.
     """
     builder = DiagramBuilder()
     simulated = add_simulated_plant(builder, scenario)
     plant, source = simulated.plant, simulated.source
     # The filter knows the scenario's plant, whatever is wrong with the true one.
     model = scenario.make_model()
-    if others is None:
+    if not others:
         seen = obstacles_in_sight(builder, scenario, plant)
     else:
-        told = builder.AddNamedSystem("other_vehicles", PassThrough(others.size))
+        size = other_vehicles(scenario, others).size
+        told = builder.AddNamedSystem("other_vehicles", PassThrough(size))
         builder.ExportInput(told.get_input_port(), "others")
         builder.ExportOutput(state_port_of(plant), "state")
         seen = told.get_output_port()
@@ -100,10 +103,12 @@ def make_loop(
         obstacles=seen,
         others=others,
     )
+    if others:
+        builder.ExportOutput(loop.hold.get_output_port(), "held_input")
     truth = loop.filter.barrier_set
     if scenario.faults.sight > 0.0:
         truth = BarrierSet(model, barriers(scenario))
-    elif others is not None and scenario.separation.margin > 0.0:
+    elif others and scenario.separation.margin > 0.0:
         apart = separation_barriers(scenario, others)
         truth = BarrierSet(model, [*barriers(scenario), *apart])
     add_collision_monitor(builder, plant, truth, seen)
@@ -160,7 +165,7 @@ def add_controller_and_filter(
     plant_input: InputPort | None = None,
     applied_input: OutputPort | None = None,
     obstacles: OutputPort | None = None,
-    others: PerceivedSpheres | None = None,
+    others: Sequence[str] = (),
 ) -> tuple[LeafSystem, AddedSafetyFilter]:
     """Adds a scenario's controller, and its filter with hold and observer.
 
@@ -175,15 +180,15 @@ def add_controller_and_filter(
         plant_input: Takes the held input; None leaves that to be connected.
         applied_input: What the plant really applied; the held input by default.
         obstacles: What is seen of the obstacles; they are known without.
-        others: Or what describes the other vehicles: then that alone is seen.
+        others: Or what the other vehicles are called: then these alone are seen.
     """
     if controller is None:
         controller = scenario.vehicle.make_controller(scenario.target)
     controller = builder.AddNamedSystem("controller", controller)
     builder.Connect(state, controller.GetInputPort("state"))
-    if others is not None:
-        kept = replace(others, margin=scenario.separation.margin)
-        guarded = [*barriers(scenario), *separation_barriers(scenario, kept)]
+    if others:
+        apart = separation_barriers(scenario, others, scenario.separation.margin)
+        guarded = [*barriers(scenario), *apart]
     else:
         guarded = barriers(scenario) if obstacles is None else seen_barriers(scenario)
     loop = AddSafetyFilter(

@@ -141,15 +141,32 @@ def seen_barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
     return _all_barriers(scenario, known, seen)
 
 
-def separation_barriers(scenario: Scenario, others: PerceivedSpheres) -> list[Barrier]:
+def other_vehicles(scenario: Scenario, others: Sequence[str]) -> PerceivedSpheres:
+    """Returns what describes the other vehicles, one slot each.
+
+    Args:
+        scenario: Of the vehicle that keeps apart.
+        others: What the others are called.
+    """
+    form = scenario.separation.form
+    return PerceivedSpheres(len(others), len(scenario.target), form)
+
+
+def separation_barriers(
+    scenario: Scenario, others: Sequence[str], margin: float = 0.0
+) -> list[Barrier]:
     """Returns the barriers of the other vehicles.
 
     Args:
         scenario: Of the vehicle that keeps apart.
-        others: What describes the others, one slot each.
+        others: What the others are called, in the order of their slots.
+        margin: The distance to keep from each, beyond that which it is told [m].
     """
     apart = scenario.separation
-    found = others.barriers(apart.gains, scenario.vehicle.position, "other vehicle")
+    spheres = replace(other_vehicles(scenario, others), margin=margin)
+    found = spheres.barriers(apart.gains, scenario.vehicle.position, "vehicle")
+    for barrier, name in zip(found, others, strict=True):
+        barrier.name = f"vehicle {name}"
     return _robust(scenario, found) if apart.robust else found
 
 
