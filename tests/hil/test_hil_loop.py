@@ -75,6 +75,21 @@ def test_lockstep_is_the_simulation(name: str, duration: float) -> None:
         np.testing.assert_allclose(found, log["state"][:, k], rtol=0, atol=1e-9)
 
 
+def test_a_vehicle_arrives_within_a_tenth_of_its_way_where_nothing_is_said() -> None:
+    loaded = load_scenario(EXAMPLES / "own_robot.py", {"target": [0.4, -0.4]})
+    assert loaded.arrival_tolerance is None
+    run = InProcess(loaded)
+    run.advance_to(1.0)
+    assert run.plant.report()["reached_at"] is None
+    run.advance_to(8.0)
+    found = run.plant.report()
+    times, states = path(run.plant)
+    away = np.hypot(states[:, 0] - 0.4, states[:, 1] + 0.4)
+    first = times[np.argmax(away <= 0.1 * np.hypot(0.4, 0.4))]
+    assert found["reached_at"] == first > 1.0
+    assert found["outcome"] == "reached"
+
+
 def test_lockstep_repeats_bit_for_bit() -> None:
     (times, first), (again, second) = (
         in_process(scenario("blimp-multiple-obstacles"), 2.0) for _ in range(2)

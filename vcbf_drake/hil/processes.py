@@ -287,7 +287,7 @@ class PlantProcess(HardwareProcess):
         times, path = self._log("path")
         positions = scenario.vehicle.positions(path)
         distance = np.linalg.norm(positions - np.array(scenario.target), axis=1)
-        arrived = distance <= scenario.arrival_tolerance
+        arrived = distance <= scenario.arrival_distance
         reached_at = float(times[np.argmax(arrived)]) if arrived.any() else None
         heights = monitor.barrier_set.values_along(path, times)
         report: dict[str, Any] = {
