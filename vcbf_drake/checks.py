@@ -79,6 +79,20 @@ def check_finite(
         _check_numbers(name, value, size, math.isfinite, "finite")
 
 
+def check_share(name: str | Path, value: Any) -> None:
+    """Checks that a parameter is a number from 0 to 1.
+
+    Args:
+        name: The parameter's name, or the path to it, for the message.
+        value: The number.
+
+    Raises:
+        InvalidValueError: It is not.
+    """
+    check_parameter(name, value, zero_allowed=True)
+    require(value <= 1.0, name, value, "from 0 to 1")
+
+
 def require(allowed: bool, name: str | Path, value: object, rule: str) -> None:
     """Refuses a value that is not allowed.
 

@@ -1,20 +1,23 @@
 """Arguments and fields beside the types that they are declared with.
 
 A number in quotes, None, or a list of lists where a list belongs is answered where it
-is given, in one line, and not by whatever trips over it later.
+is given, in one line, and not by whatever trips over it later. A type in `Annotated`
+has further checks of its values: their ranges.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cache, wraps
+from functools import cache, partial, wraps
 import inspect
 from numbers import Integral, Real
 import types
 from typing import (
+    Annotated,
     Any,
     Literal,
     ParamSpec,
+    TypeAlias,
     TypeVar,
     Union,
     get_args,
@@ -25,8 +28,25 @@ from typing import (
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vcbf_drake.checks import Array, require
+from vcbf_drake.checks import (
+    Array,
+    check_finite,
+    check_parameter,
+    check_share,
+    require,
+)
 from vcbf_drake.errors import Path
+
+_not_negative = partial(check_parameter, zero_allowed=True)
+Finite: TypeAlias = Annotated[float, check_finite]
+Positive: TypeAlias = Annotated[float, check_parameter]
+PositiveInt: TypeAlias = Annotated[int, check_parameter]
+NotNegative: TypeAlias = Annotated[float, _not_negative]
+NotNegativeInt: TypeAlias = Annotated[int, _not_negative]
+PositiveOrInfinite: TypeAlias = Annotated[
+    float, partial(check_parameter, infinity_allowed=True)
+]
+Share: TypeAlias = Annotated[float, check_share]
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -53,7 +73,7 @@ def typed(function: Callable[_P, _R]) -> Callable[_P, _R]:
     @wraps(function)
     def checked(*args: _P.args, **kwargs: _P.kwargs) -> _R:
         if not hints:
-            hints.update(get_type_hints(function))
+            hints.update(get_type_hints(function, include_extras=True))
         try:
             arguments = signature.bind(*args, **kwargs).arguments
         except TypeError as error:
@@ -85,12 +105,15 @@ def check_type(path: str | Path, value: Any, hint: Any) -> None:
     """Checks one value against a type hint; callables, and what has no check, pass.
 
     Raises:
-        InvalidValueError: It is of another type.
+        InvalidValueError: It is of another type, or outside the type's range.
     """
     path = (path,) if isinstance(path, str) else path
     members = members_of(hint)
-    if any(_is(value, each) for each in members):
-        return
+    for each in members:
+        if _is(value, each):
+            for check in getattr(each, "__metadata__", ()):
+                check(path, value)
+            return
     items = [_item(each) for each in members if _item(each) is not None]
     if items and _is_list(value):
         nested = len(value) > 0 and _is_list(value[0])
@@ -106,7 +129,7 @@ def check_type(path: str | Path, value: Any, hint: Any) -> None:
 
 @cache
 def _field_hints(kind: Any) -> dict[str, Any]:
-    hints = get_type_hints(kind)
+    hints = get_type_hints(kind, include_extras=True)
     return {name: hints[name] for name in kind.__dataclass_fields__}
 
 
@@ -133,7 +156,8 @@ def _is_list(value: Any) -> bool:
 
 
 def _is(value: Any, hint: Any) -> bool:
-    """Whether a value is of one type, its items left to be looked at."""
+    """Whether a value is of one type, its items and its range left to be looked at."""
+    hint = _bare(hint)
     origin = get_origin(hint) or hint
     if hint is Any:
         return True
@@ -160,6 +184,11 @@ def _is(value: Any, hint: Any) -> bool:
     return True
 
 
+def _bare(hint: Any) -> Any:
+    """A type without what is annotated."""
+    return get_args(hint)[0] if get_origin(hint) is Annotated else hint
+
+
 def _is_unchecked(kind: Any) -> bool:
     is_protocol = getattr(kind, "_is_protocol", False)
     return bool(is_protocol and not getattr(kind, "_is_runtime_protocol", False))
@@ -177,9 +206,10 @@ def _is_array(value: Any, hint: Any) -> bool:
 
 
 def _in_words(hint: Any) -> str:
+    hint = _bare(hint)
     item = _item(hint)
     if item is not None:
-        inner = members_of(item)[0]
+        inner = _bare(members_of(item)[0])
         lists = _item(inner) is not None
         name = "lists" if lists else _PLURALS.get(inner, "")
         name = name or getattr(inner, "__name__", "values") + "s"

@@ -12,7 +12,7 @@ from pydrake.symbolic import Expression
 from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
 from vcbf_drake.checks import Array, check_parameter, finite_vector, require
 from vcbf_drake.model.compiled import Expressions
-from vcbf_drake.typed import check_fields, check_type, typed
+from vcbf_drake.typed import Positive, check_fields, check_type, typed
 
 LimitFunction: TypeAlias = Callable[
     [Expressions, Expression, Expressions], tuple[Expressions, Expression]
@@ -152,7 +152,7 @@ class StateLimit:
     state: str | int
     lower: float = -np.inf
     upper: float = np.inf
-    gains: Sequence[float] | Array = (1.0,)
+    gains: Sequence[Positive] | Array = (1.0,)
 
     def __post_init__(self) -> None:
         check_fields(self, "state limit: ")
@@ -163,7 +163,6 @@ class StateLimit:
             )
         if not np.isfinite([self.lower, self.upper]).any():
             raise ValueError("state limit: give lower, upper or both")
-        check_parameter("state limit: gains", self.gains, size=len(self.gains))
 
     @typed
     def barriers(

@@ -18,7 +18,7 @@ from vcbf_drake.barriers.frames import (
 from vcbf_drake.barriers.shapes import ShapeFunction, SmoothShape
 from vcbf_drake.checks import Array, check_parameter, finite_vector
 from vcbf_drake.model.compiled import Expressions
-from vcbf_drake.typed import check_fields
+from vcbf_drake.typed import NotNegative, Positive, check_fields
 
 SphereForm = Literal["distance", "squared"]
 
@@ -37,7 +37,6 @@ class Obstacle(SmoothShape):
     def __post_init__(self) -> None:
         check_fields(self, f"{self.kind}: ")
         MovingPoint.of(self.center, self.velocity, self.kind)
-        check_parameter(f"{self.kind}: margin", self.margin, zero_allowed=True)
 
     @property
     def moving_center(self) -> MovingPoint:
@@ -75,14 +74,13 @@ class SphereObstacle(Obstacle):
 
     kind: ClassVar[str] = "obstacle"
     center: Sequence[float] | Array
-    radius: float
+    radius: NotNegative
     velocity: Sequence[float] | Array | None = None
-    margin: float = 0.0
+    margin: NotNegative = 0.0
     form: SphereForm | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_parameter("obstacle: radius", self.radius, zero_allowed=True)
         check_parameter("obstacle: radius + margin", self.safety_distance)
 
     @property
@@ -142,7 +140,7 @@ class EllipsoidObstacle(Obstacle):
     semi_axes: Sequence[float] | Array
     rotation: Sequence[Sequence[float]] | Array | None = None
     velocity: Sequence[float] | Array | None = None
-    margin: float = 0.0
+    margin: NotNegative = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -203,8 +201,8 @@ class BoxObstacle(Obstacle):
     half_widths: Sequence[float] | Array
     rotation: Sequence[Sequence[float]] | Array | None = None
     velocity: Sequence[float] | Array | None = None
-    margin: float = 0.0
-    smoothing: float = 0.05
+    margin: NotNegative = 0.0
+    smoothing: Positive = 0.05
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -213,7 +211,6 @@ class BoxObstacle(Obstacle):
             "box: half_widths", self.half_widths, size=size, zero_allowed=True
         )
         rotation_matrix(self.rotation, size, "box")
-        check_parameter("box: smoothing", self.smoothing)
 
     @property
     def gap(self) -> float:
@@ -267,10 +264,10 @@ class CapsuleObstacle(Obstacle):
     kind: ClassVar[str] = "capsule"
     start: Sequence[float] | Array
     end: Sequence[float] | Array
-    radius: float
+    radius: NotNegative
     velocity: Sequence[float] | Array | None = None
-    margin: float = 0.0
-    smoothing: float = 0.05
+    margin: NotNegative = 0.0
+    smoothing: Positive = 0.05
 
     def __post_init__(self) -> None:
         check_fields(self, "capsule: ")
@@ -282,9 +279,6 @@ class CapsuleObstacle(Obstacle):
                 f" got {start.tolist()} and {end.tolist()}"
             )
         MovingPoint.of(start, self.velocity, "capsule")
-        check_parameter("capsule: radius", self.radius, zero_allowed=True)
-        check_parameter("capsule: margin", self.margin, zero_allowed=True)
-        check_parameter("capsule: smoothing", self.smoothing)
 
     @property
     def half_length(self) -> float:

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 
 from vcbf_drake.barriers.barrier import Barrier, ChangingBarrier
 from vcbf_drake.barriers.obstacles import SphereForm, SphereObstacle
-from vcbf_drake.checks import Array, check_parameter
+from vcbf_drake.checks import Array
 from vcbf_drake.model.position import Position
-from vcbf_drake.typed import check_fields, typed
+from vcbf_drake.typed import NotNegative, check_fields, typed
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class PerceivedSpheres:
     capacity: int
     dimensions: int = 3
     form: SphereForm = "distance"
-    margin: float = 0.0
+    margin: NotNegative = 0.0
 
     def __post_init__(self) -> None:
         """Checks the numbers.
@@ -54,7 +54,6 @@ class PerceivedSpheres:
         check_fields(self, "perceived: ")
         if self.capacity < 1:
             raise ValueError(f"perceived: capacity must be >= 1, got {self.capacity}")
-        check_parameter("perceived: margin", self.margin, zero_allowed=True)
         self._example()
 
     @property

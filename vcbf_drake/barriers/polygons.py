@@ -13,9 +13,9 @@ from pydrake.symbolic import Expression
 from vcbf_drake.barriers.barrier import arithmetic
 from vcbf_drake.barriers.shapes import ShapeFunction, SmoothShape
 from vcbf_drake.barriers.unions import in_pairs, smooth_maximum, smooth_minimum
-from vcbf_drake.checks import Array, check_parameter, finite_array, require
+from vcbf_drake.checks import Array, finite_array, require
 from vcbf_drake.model.compiled import Expressions
-from vcbf_drake.typed import check_fields
+from vcbf_drake.typed import NotNegative, Positive, check_fields
 
 _Piece = list[int]  # Indices of vertices, anticlockwise.
 
@@ -43,8 +43,8 @@ class PolygonObstacle(SmoothShape):
 
     kind: ClassVar[str] = "polygon"
     vertices: Sequence[Sequence[float]] | Array
-    margin: float = 0.0
-    smoothing: float = 0.05
+    margin: NotNegative = 0.0
+    smoothing: Positive = 0.05
 
     def __post_init__(self) -> None:
         """Checks the numbers.
@@ -67,8 +67,6 @@ class PolygonObstacle(SmoothShape):
         crossing = _crossing_sides(corners)
         if crossing:
             raise ValueError(f"polygon: its sides {crossing[0]} and {crossing[1]} meet")
-        check_parameter("polygon: margin", self.margin, zero_allowed=True)
-        check_parameter("polygon: smoothing", self.smoothing)
 
     @property
     def pieces(self) -> list[Array]:

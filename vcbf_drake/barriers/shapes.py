@@ -18,10 +18,10 @@ from vcbf_drake.barriers.barrier import (
     is_arithmetic,
 )
 from vcbf_drake.barriers.followed import TrajectoryBarrier, carried
-from vcbf_drake.checks import Array, check_parameter, finite_vector, require
+from vcbf_drake.checks import Array, finite_vector, require
 from vcbf_drake.model.compiled import Expressions
 from vcbf_drake.model.position import Position, PositionFunction
-from vcbf_drake.typed import check_fields, typed
+from vcbf_drake.typed import NotNegative, Positive, check_fields, typed
 
 ShapeFunction: TypeAlias = BarrierFunction
 """``h(position, t, p)``: like a barrier's function, of the position (k,)."""
@@ -224,7 +224,7 @@ class HalfSpace(SmoothShape):
     kind: ClassVar[str] = "half-space"
     normal: Sequence[float] | Array
     offset: float = 0.0
-    margin: float = 0.0
+    margin: NotNegative = 0.0
 
     def __post_init__(self) -> None:
         """Checks the numbers.
@@ -241,7 +241,6 @@ class HalfSpace(SmoothShape):
                 f" got {normal.tolist()}"
             )
         finite_vector([self.offset], "half-space: offset")
-        check_parameter("half-space: margin", self.margin, zero_allowed=True)
 
     def formula(self) -> tuple[int, ShapeFunction, list[float]]:
         """Returns k, h(position, t, p) with p = (n, offset + margin), and p."""
@@ -274,7 +273,7 @@ class Geofence(Shape):
     kind: ClassVar[str] = "geofence"
     lower: Sequence[float] | Array
     upper: Sequence[float] | Array
-    margin: float = 0.0
+    margin: NotNegative = 0.0
 
     def __post_init__(self) -> None:
         """Checks the numbers.
@@ -284,7 +283,6 @@ class Geofence(Shape):
                 negative margin, or a number that is nan.
         """
         check_fields(self, "geofence: ")
-        check_parameter("geofence: margin", self.margin, zero_allowed=True)
         lower, upper = (np.asarray(v, dtype=float) for v in (self.lower, self.upper))
         if lower.shape not in ((2,), (3,)) or upper.shape != lower.shape:
             raise ValueError(
@@ -333,7 +331,7 @@ class PairDistance:
         distance: The least distance D between the two positions [m].
     """
 
-    distance: float
+    distance: Positive
 
     def __post_init__(self) -> None:
         """Checks the distance.
@@ -342,7 +340,6 @@ class PairDistance:
             ValueError: It is not positive and finite.
         """
         check_fields(self, "pair: ")
-        check_parameter("pair: distance", self.distance)
 
     @typed
     def barrier(

@@ -8,8 +8,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from vcbf_drake.checks import Array, check_parameter
-from vcbf_drake.typed import check_fields
+from vcbf_drake.checks import Array
+from vcbf_drake.typed import NotNegative, check_fields
 
 # What a bound of an estimate's error rests on: a ``proven`` inequality for exact
 # measurements; nothing but |d| <= delta1, also proven (``worst case``); formulas that
@@ -30,14 +30,12 @@ class DisturbanceBounds:
         ValueError: A bound is negative or not finite.
     """
 
-    delta1: float
-    delta2: float
-    delta3: float
+    delta1: NotNegative
+    delta2: NotNegative
+    delta3: NotNegative
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for name, value in vars(self).items():
-            check_parameter(name, value, zero_allowed=True)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from vcbf_drake.checks import Array, check_parameter
+from vcbf_drake.checks import Array
 from vcbf_drake.disturbances.bounds import (
     DisturbanceBounds,
     ErrorBound,
@@ -14,7 +14,7 @@ from vcbf_drake.disturbances.bounds import (
 )
 from vcbf_drake.disturbances.observer import DisturbanceObserver
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.typed import typed
+from vcbf_drake.typed import NotNegative, Positive, typed
 
 
 class LinearDisturbanceObserver(DisturbanceObserver):
@@ -52,10 +52,10 @@ class LinearDisturbanceObserver(DisturbanceObserver):
     def __init__(
         self,
         model: ControlAffineModel,
-        period: float,
+        period: Positive,
         bounds: DisturbanceBounds,
-        rate: float = 4.0,
-        noise: float = 0.0,
+        rate: Positive = 4.0,
+        noise: NotNegative = 0.0,
         longest_interval: float | None = None,
     ) -> None:
         """Initialises the observer.
@@ -74,9 +74,6 @@ class LinearDisturbanceObserver(DisturbanceObserver):
             ModelError: Two disturbances act on the state in the same way.
             ValueError: Period or rate are not positive, or the noise is below 0.
         """
-        check_parameter("period", period)
-        check_parameter("rate", rate)
-        check_parameter("noise", noise, zero_allowed=True)
         interval = max(period, longest_interval or 0.0)
         floor = bounds.delta2 * interval / (2.0 * math.tanh(rate * interval / 2.0))
         peak = noise_peak(model.num_disturbances)

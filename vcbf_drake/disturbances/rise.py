@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vcbf_drake.checks import Array, check_parameter, require_choice
+from vcbf_drake.checks import Array, require_choice
 from vcbf_drake.disturbances.bounds import (
     Basis,
     Condition,
@@ -25,7 +25,7 @@ from vcbf_drake.disturbances.rise_bound import (
     with_quadrature,
 )
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.typed import check_fields, typed
+from vcbf_drake.typed import NotNegative, Positive, check_fields, typed
 
 
 @dataclass
@@ -51,22 +51,17 @@ class ObserverSettings:
         InvalidValueError: A field is outside what is allowed.
     """
 
-    alpha: float = 5.0
-    beta: float | None = None
-    gamma: float = 4.0
+    alpha: Positive = 5.0
+    beta: Positive | None = None
+    gamma: Positive = 4.0
     uncertified: bool = False
     step: ObserverStep = "implicit"
-    period: float = 0.0
-    boundary_layer: float = 0.05
-    linear_rate: float = 4.0
+    period: NotNegative = 0.0
+    boundary_layer: Positive = 0.05
+    linear_rate: Positive = 4.0
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for name in ("alpha", "gamma", "boundary_layer", "linear_rate"):
-            check_parameter(name, getattr(self, name))
-        if self.beta is not None:
-            check_parameter("beta", self.beta)
-        check_parameter("period", self.period, zero_allowed=True)
         require_choice("step", self.step, STEPS)
 
 
@@ -118,11 +113,11 @@ class RiseObserver(DisturbanceObserver):
     def __init__(
         self,
         model: ControlAffineModel,
-        period: float,
+        period: Positive,
         bounds: DisturbanceBounds,
         settings: ObserverSettings | None = None,
         *,
-        noise: float = 0.0,
+        noise: NotNegative = 0.0,
         floor: bool = True,
         longest_interval: float | None = None,
     ) -> None:
@@ -147,8 +142,6 @@ class RiseObserver(DisturbanceObserver):
             ValueError: An argument is outside what is allowed, or the gains fail a
                 condition.
         """
-        check_parameter("period", period)
-        check_parameter("noise", noise, zero_allowed=True)
         self.settings = settings = settings or ObserverSettings()
         interval = max(period, longest_interval or 0.0)
         self.gains, self._intervals = _resolved(

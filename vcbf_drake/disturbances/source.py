@@ -18,8 +18,6 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from vcbf_drake.checks import (
     Array,
-    check_finite,
-    check_parameter,
     finite_array,
     require,
 )
@@ -32,7 +30,7 @@ from vcbf_drake.disturbances.signals import (
     supremum,
 )
 from vcbf_drake.errors import InvalidValueError, ModelError
-from vcbf_drake.typed import check_fields, typed
+from vcbf_drake.typed import Finite, Positive, check_fields, typed
 
 # Between two samples [s]; a spline's third derivative goes with its inverse cube.
 _SHORTEST_INTERVAL = 1e-9
@@ -81,15 +79,13 @@ class Sinusoid:
     """
 
     amplitude: list[float] = field(default_factory=list)
-    frequency: float = 1.0
-    phase: float = 0.0
+    frequency: Finite = 1.0
+    phase: Finite = 0.0
 
     def curve(self, horizon: float) -> Tones:
         """Returns the signal as a function of time; see `Signal`."""
         check_fields(self)
         amplitude = _vector("amplitude", self.amplitude)
-        check_finite("frequency", self.frequency)
-        check_finite("phase", self.phase)
         return Tones(
             amplitude[None], np.array([self.frequency]), np.array([self.phase])
         )
@@ -120,15 +116,13 @@ class SmoothStep:
     """
 
     amplitude: list[float] = field(default_factory=list)
-    start: float = 0.0
-    duration: float = 1.0
+    start: Finite = 0.0
+    duration: Positive = 1.0
 
     def curve(self, horizon: float) -> Curve:
         """Returns the signal itself, checked; see `Signal`."""
         check_fields(self)
         _vector("amplitude", self.amplitude)
-        check_finite("start", self.start)
-        check_parameter("duration", self.duration)
         return replace(self, amplitude=[*self.amplitude])
 
     @property
@@ -171,7 +165,7 @@ class BandLimitedNoise:
     """
 
     std: list[float] = field(default_factory=list)
-    bandwidth: float = 1.0
+    bandwidth: Positive = 1.0
     seed: int = 0
     tones: int = 16
 
@@ -180,7 +174,6 @@ class BandLimitedNoise:
         check_fields(self)
         std = _vector("std", self.std)
         require(bool(np.all(std >= 0.0)), "std", self.std, "not below 0")
-        check_parameter("bandwidth", self.bandwidth)
         require(self.seed >= 0, "seed", self.seed, "not below 0")
         require(1 <= self.tones <= 1000, "tones", self.tones, "from 1 to 1000")
         generator = np.random.default_rng(self.seed)
@@ -252,7 +245,7 @@ class DisturbanceSource(Diagram):
     def __init__(
         self,
         signals: Sequence[Signal],
-        horizon: float = 60.0,
+        horizon: Positive = 60.0,
         num_disturbances: int | None = None,
     ) -> None:
         """Initialises the source.
@@ -267,7 +260,6 @@ class DisturbanceSource(Diagram):
             ModelError: A signal is not C2, or signals differ in size.
         """
         super().__init__()
-        check_parameter("horizon", horizon)
         self._curve = _sum(signals, horizon, num_disturbances)
         self.bounds = DisturbanceBounds(
             *(supremum(self._curve, order, horizon) for order in range(3))

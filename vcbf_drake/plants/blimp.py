@@ -27,7 +27,14 @@ from vcbf_drake.plants.target import (
     heading_error,
 )
 from vcbf_drake.plants.vehicle import Vehicle
-from vcbf_drake.typed import check_fields, check_type, typed
+from vcbf_drake.typed import (
+    NotNegative,
+    Positive,
+    PositiveOrInfinite,
+    check_fields,
+    check_type,
+    typed,
+)
 
 # Position and inertial velocity [m, m/s], heading and its rate [rad, rad/s].
 BlimpState = namedview(
@@ -52,19 +59,16 @@ class BlimpParameters:
         yaw_drag: Linear drag about the vertical [N m s/rad].
     """
 
-    mass: float = 0.1249
+    mass: Positive = 0.1249
     added_mass: list[float] = field(default_factory=lambda: [0.0466, 0.0466, 0.0545])
     drag: list[float] = field(default_factory=lambda: [0.0125, 0.0125, 0.0480])
-    yaw_inertia: float = 0.005821
-    yaw_drag: float = 0.000862
+    yaw_inertia: Positive = 0.005821
+    yaw_drag: NotNegative = 0.000862
 
     def __post_init__(self) -> None:
         check_fields(self)
-        check_parameter("mass", self.mass)
-        check_parameter("yaw_inertia", self.yaw_inertia)
         check_parameter("added_mass", self.added_mass, size=3, zero_allowed=True)
         check_parameter("drag", self.drag, size=3, zero_allowed=True)
-        check_parameter("yaw_drag", self.yaw_drag, zero_allowed=True)
 
     @property
     def effective_masses(self) -> tuple[float, float, float]:
@@ -206,26 +210,18 @@ class BlimpControllerParameters:
         height_error_cap: The largest height error acted on [m].
     """
 
-    surge_gain: float = 0.35
-    position_gain: float = 0.5
-    heave_gain: float = 0.35
-    height_gain: float = 0.5
-    yaw_gain: float = 0.03
-    yaw_rate_gain: float = 0.02
-    drift_gain: float = 0.0
-    surge_speed_cap: float = math.inf
-    height_error_cap: float = math.inf
+    surge_gain: NotNegative = 0.35
+    position_gain: NotNegative = 0.5
+    heave_gain: NotNegative = 0.35
+    height_gain: NotNegative = 0.5
+    yaw_gain: NotNegative = 0.03
+    yaw_rate_gain: NotNegative = 0.02
+    drift_gain: NotNegative = 0.0
+    surge_speed_cap: PositiveOrInfinite = math.inf
+    height_error_cap: PositiveOrInfinite = math.inf
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for name, value in vars(self).items():
-            is_cap = name.endswith("_cap")
-            check_parameter(
-                name,
-                value,
-                zero_allowed=not is_cap,
-                infinity_allowed=is_cap,
-            )
 
 
 class BlimpController(TargetController):

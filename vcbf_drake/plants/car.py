@@ -17,7 +17,7 @@ from pydrake.systems.framework import BasicVector_, LeafSystem_, System
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from vcbf_drake.barriers import Barrier, StateInputLimit, ackermann_limit
-from vcbf_drake.checks import Array, check_parameter
+from vcbf_drake.checks import Array
 from vcbf_drake.model.manoeuvre import Manoeuvre
 from vcbf_drake.plants.car_stop import CarStop
 from vcbf_drake.plants.shapes import Part, painted_model
@@ -28,7 +28,7 @@ from vcbf_drake.plants.target import (
     heading_error,
 )
 from vcbf_drake.plants.vehicle import Vehicle
-from vcbf_drake.typed import check_fields, check_type, typed
+from vcbf_drake.typed import NotNegative, Positive, check_fields, check_type, typed
 
 # Position [m], signed forward speed [m/s], heading [rad].
 CarState = namedview("CarState", ["x", "y", "speed", "heading"])
@@ -44,11 +44,10 @@ class CarParameters:
         mass: Mass [kg].
     """
 
-    mass: float = 2.0
+    mass: Positive = 2.0
 
     def __post_init__(self) -> None:
         check_fields(self)
-        check_parameter("mass", self.mass)
 
 
 # Told its scope, Drake need not look for it by inspecting the stack, which is slow.
@@ -127,14 +126,12 @@ class CarControllerParameters:
         approach_gain: k_p, from distance to speed [1/s].
     """
 
-    turn_gain: float = 2.0
-    speed_gain: float = 4.0
-    approach_gain: float = 0.6
+    turn_gain: NotNegative = 2.0
+    speed_gain: NotNegative = 4.0
+    approach_gain: NotNegative = 0.6
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for name, value in vars(self).items():
-            check_parameter(name, value, zero_allowed=True)
 
 
 class CarController(TargetController):
@@ -192,13 +189,11 @@ class TurnLimit:
             smooth at rest.
     """
 
-    curvature: float = 2.0
-    smoothing_speed: float = 0.1
+    curvature: Positive = 2.0
+    smoothing_speed: Positive = 0.1
 
     def __post_init__(self) -> None:
         check_fields(self)
-        check_parameter("curvature", self.curvature)
-        check_parameter("smoothing_speed", self.smoothing_speed)
 
 
 @dataclass

@@ -30,7 +30,7 @@ from vcbf_drake.plants.robot_controllers import (
 from vcbf_drake.plants.robot_file import RobotFile, bodies_of, joints_of
 from vcbf_drake.plants.shapes import Part
 from vcbf_drake.plants.vehicle import Vehicle
-from vcbf_drake.typed import check_fields
+from vcbf_drake.typed import NotNegative, Positive, check_fields
 
 _BALL = 0.02  # What stands for the point in pictures [m].
 
@@ -77,17 +77,14 @@ class MultibodyVehicle(Vehicle):
     )
     posture: list[float] = field(default_factory=list)
     range_gains: list[float] = field(default_factory=lambda: [10.0, 25.0])
-    speed_gain: float = 10.0
-    mass: float = 1.0
-    drag: float = 1.0
+    speed_gain: Positive = 10.0
+    mass: Positive = 1.0
+    drag: NotNegative = 1.0
 
     def __post_init__(self) -> None:
         check_fields(self)
         check_finite("point", self.point, size=3)
         check_parameter("range_gains", self.range_gains, size=2)
-        check_parameter("speed_gain", self.speed_gain)
-        check_parameter("mass", self.mass)
-        check_parameter("drag", self.drag, zero_allowed=True)
         plant = self.make_plant()
         frames = [
             plant.get_frame(index).name()

@@ -17,11 +17,11 @@ from pydrake.systems.controllers import (
 from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import ConstantVectorSource
 
-from vcbf_drake.checks import Array, check_finite, check_parameter, require
+from vcbf_drake.checks import Array, check_finite, require
 from vcbf_drake.errors import InvalidValueError
 from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.plants.postures import Posture
-from vcbf_drake.typed import check_fields
+from vcbf_drake.typed import NotNegative, Positive, check_fields
 
 
 @dataclass
@@ -36,13 +36,11 @@ class InverseDynamics:
     """
 
     at_rest: ClassVar[bool] = False
-    stiffness: list[float] = field(default_factory=lambda: [9.0])
-    damping: list[float] = field(default_factory=lambda: [6.0])
+    stiffness: list[Positive] = field(default_factory=lambda: [9.0])
+    damping: list[Positive] = field(default_factory=lambda: [6.0])
 
     def __post_init__(self) -> None:
         check_fields(self)
-        check_parameter("stiffness", self.stiffness, size=len(self.stiffness))
-        check_parameter("damping", self.damping, size=len(self.damping))
 
     def check(self, plant: MultibodyPlant) -> None:
         """Checks that it is for such a robot, and has as many numbers."""
@@ -80,13 +78,11 @@ class JointStiffness:
     """
 
     at_rest: ClassVar[bool] = False
-    stiffness: list[float] = field(default_factory=lambda: [100.0])
-    damping: list[float] = field(default_factory=lambda: [20.0])
+    stiffness: list[Positive] = field(default_factory=lambda: [100.0])
+    damping: list[Positive] = field(default_factory=lambda: [20.0])
 
     def __post_init__(self) -> None:
         check_fields(self)
-        check_parameter("stiffness", self.stiffness, size=len(self.stiffness))
-        check_parameter("damping", self.damping, size=len(self.damping))
 
     def check(self, plant: MultibodyPlant) -> None:
         """Checks that it is for such a robot, and has as many numbers."""
@@ -125,14 +121,11 @@ class Lqr:
     """
 
     at_rest: ClassVar[bool] = True
-    state_weights: list[float] = field(default_factory=list)
-    input_weights: list[float] = field(default_factory=list)
+    state_weights: list[NotNegative] = field(default_factory=list)
+    input_weights: list[Positive] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         check_fields(self)
-        Q, R = self.state_weights, self.input_weights
-        check_parameter("state_weights", Q, size=len(Q), zero_allowed=True)
-        check_parameter("input_weights", R, size=len(R))
 
     def check(self, plant: MultibodyPlant) -> None:
         """Checks that it is for such a robot, and has as many numbers."""

@@ -17,7 +17,7 @@ from pydrake.systems.framework import (
 )
 
 from vcbf_drake.barriers import Barrier, BarrierRows, BarrierSet, StateInputLimit
-from vcbf_drake.checks import Array, check_parameter
+from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.backup_rows import BackupRows, manoeuvres_of
@@ -42,7 +42,7 @@ from vcbf_drake.safety.row_names import RowNames
 from vcbf_drake.safety.settings import METHODS, FilterSettings
 from vcbf_drake.safety.tick_qp import Frame, TickPrograms
 from vcbf_drake.safety.volume import Volume, VolumeMeasure, threshold_of
-from vcbf_drake.typed import typed
+from vcbf_drake.typed import NotNegative, typed
 
 _Made = TypeVar("_Made")
 
@@ -94,8 +94,8 @@ class SafetyFilter(CachedSystem):
         settings: FilterSettings | None = None,
         *,
         bounds: DisturbanceBounds | None = None,
-        estimate_gain: float = 0.0,
-        longest_hold: float = 0.0,
+        estimate_gain: NotNegative = 0.0,
+        longest_hold: NotNegative = 0.0,
         make_row_holder: MakeRowHolder | None = None,
         make_gate: MakeGate | None = None,
     ) -> None:
@@ -127,8 +127,6 @@ class SafetyFilter(CachedSystem):
         self.settings = settings = deepcopy(settings or FilterSettings())
         self.method = METHODS[settings.method]
         self.bounds = bounds or DisturbanceBounds(0.0, 0.0, 0.0)
-        check_parameter("estimate_gain", estimate_gain, zero_allowed=True)
-        check_parameter("longest_hold", longest_hold, zero_allowed=True)
         check_inputs(input_set, model.num_inputs, model.effort_limits)
         if self.method.has_volume_row and not input_set.is_bounded:
             raise ValueError(

@@ -14,7 +14,6 @@ import numpy as np
 
 from vcbf_drake.checks import (
     Array,
-    check_parameter,
     finite_array,
     require,
     require_choice,
@@ -31,7 +30,7 @@ from vcbf_drake.safety.decay import DEFAULT_PENALTY
 from vcbf_drake.safety.programs import DEFAULT_SOLVER, check_solver
 from vcbf_drake.safety.qp import InfeasiblePolicy
 from vcbf_drake.safety.volume import VolumeBarrier
-from vcbf_drake.typed import check_fields
+from vcbf_drake.typed import NotNegative, Positive, PositiveOrInfinite, check_fields
 
 DisturbanceHandling = Literal["ignored", "worst_case", "estimated"]
 Feasibility = Literal["none", "volume", "decay", "backup"]
@@ -153,18 +152,18 @@ class FilterSettings:
         InvalidValueError: A field is outside what is allowed; one line says which.
     """
 
-    period: float = 0.02
+    period: Positive = 0.02
     method: str = "dob-vcbf-qp"
     fidelity: Fidelity | Corrections = "corrected"
     infeasible: InfeasiblePolicy = "least_violation"
     volume: VolumeBarrier = field(default_factory=VolumeBarrier)
-    decay_penalty: float = DEFAULT_PENALTY
-    backup_margin: float = 0.05
+    decay_penalty: Positive = DEFAULT_PENALTY
+    backup_margin: NotNegative = 0.05
     between_ticks: BetweenTicks = "none"
-    violation_weights: list[float] = field(default_factory=list)
+    violation_weights: list[Positive] = field(default_factory=list)
     input_weights: list[float] | list[list[float]] = field(default_factory=list)
-    soft_penalties: list[float] = field(default_factory=list)
-    soft_linear_penalties: list[float] = field(default_factory=list)
+    soft_penalties: list[PositiveOrInfinite] = field(default_factory=list)
+    soft_linear_penalties: list[NotNegative] = field(default_factory=list)
     observer: ObserverSettings = field(default_factory=ObserverSettings)
     solver: str = DEFAULT_SOLVER
     warn: bool = True
@@ -172,23 +171,12 @@ class FilterSettings:
     def __post_init__(self) -> None:
         check_fields(self)
         check_solver(self.solver)
-        check_parameter("period", self.period)
-        check_parameter("decay_penalty", self.decay_penalty)
-        check_parameter("backup_margin", self.backup_margin, zero_allowed=True)
         require_choice("method", self.method, METHODS)
-        weights = self.violation_weights
-        check_parameter("violation_weights", weights, size=len(weights))
         rule = "positive numbers, one an input, or the rows of a matrix of them"
         dimensions = np.ndim(self.input_weights[:1])  # A matrix may be ragged.
         finite_array(self.input_weights, "input_weights", dimensions, rule)
         penalties = self.soft_penalties
-        check_parameter(
-            "soft_penalties", penalties, size=len(penalties), infinity_allowed=True
-        )
         linear = self.soft_linear_penalties
-        check_parameter(
-            "soft_linear_penalties", linear, size=len(linear), zero_allowed=True
-        )
         is_soft = len(linear) in (0, len(penalties)) and all(
             math.isfinite(square) or not each
             for each, square in zip(linear, penalties, strict=False)

@@ -1,14 +1,21 @@
 """Faults that a scenario puts into its loop, and the hypotheses they break."""
 
-# No `from __future__ import annotations`: pydrake.common.yaml needs evaluated types.
+from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
-from vcbf_drake.checks import check_finite, check_parameter
-from vcbf_drake.errors import InvalidValueError
+from vcbf_drake.checks import check_share
 from vcbf_drake.safety.assumptions import Assumption
-from vcbf_drake.typed import check_fields
+from vcbf_drake.typed import (
+    Finite,
+    NotNegative,
+    NotNegativeInt,
+    Positive,
+    Share,
+    check_fields,
+)
 
 
 @dataclass
@@ -21,15 +28,12 @@ class StepGust:
         duration: How long it lasts [s].
     """
 
-    amplitude: list[float]
-    start: float = 0.0
-    duration: float = 1.0
+    amplitude: list[Finite]
+    start: Finite = 0.0
+    duration: Positive = 1.0
 
     def __post_init__(self) -> None:
         check_fields(self)
-        check_finite("amplitude", self.amplitude, size=len(self.amplitude))
-        check_finite("start", self.start)
-        check_parameter("duration", self.duration)
 
 
 @dataclass
@@ -59,36 +63,23 @@ class Faults:
             observer [s].
     """
 
-    seed: int = 0
-    measurement_bias: list[float] = field(default_factory=list)
-    measurement_delay: float = 0.0
-    measurement_loss: float = 0.0
-    sight: float = 0.0
-    actuator_lag: float = 0.0
-    actuator_limit: float = 1.0
-    mass: float = 1.0
-    drag: float = 1.0
-    disturbance: float = 1.0
+    seed: NotNegativeInt = 0
+    measurement_bias: list[Finite] = field(default_factory=list)
+    measurement_delay: NotNegative = 0.0
+    measurement_loss: Share = 0.0
+    sight: NotNegative = 0.0
+    actuator_lag: NotNegative = 0.0
+    actuator_limit: Annotated[Positive, check_share] = 1.0
+    mass: Positive = 1.0
+    drag: NotNegative = 1.0
+    disturbance: Finite = 1.0
     gusts: list[StepGust] = field(default_factory=list)
-    solver_failure: float = 0.0
-    outage: float = 0.0
-    outage_duration: float = 0.5
+    solver_failure: Share = 0.0
+    outage: Share = 0.0
+    outage_duration: NotNegative = 0.5
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for name in ("measurement_loss", "solver_failure", "outage"):
-            _check_share(name, getattr(self, name))
-        for name in (
-            *("seed", "measurement_delay", "sight", "actuator_lag", "drag"),
-            "outage_duration",
-        ):
-            check_parameter(name, getattr(self, name), zero_allowed=True)
-        check_finite("disturbance", self.disturbance)
-        check_parameter("actuator_limit", self.actuator_limit)
-        _check_share("actuator_limit", self.actuator_limit)
-        check_parameter("mass", self.mass)
-        bias = self.measurement_bias
-        check_finite("measurement_bias", bias, size=len(bias))
 
 
 def fault_assumptions(faults: Faults, noise: Sequence[float]) -> Iterator[Assumption]:
@@ -143,9 +134,3 @@ def _hypotheses(
             "outage": faults.outage_duration if faults.outage > 0.0 else 0.0,
         },
     }
-
-
-def _check_share(name: str, value: float) -> None:
-    check_parameter(name, value, zero_allowed=True)
-    if value > 1.0:
-        raise InvalidValueError(name, f"{value:g}; it must be from 0 to 1")

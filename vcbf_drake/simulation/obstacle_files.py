@@ -17,10 +17,10 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from vcbf_drake.barriers import PolygonObstacle, SphereObstacle
-from vcbf_drake.checks import Array, check_parameter
+from vcbf_drake.checks import Array
 from vcbf_drake.errors import InvalidValueError
 from vcbf_drake.files import IS_FILE
-from vcbf_drake.typed import check_fields
+from vcbf_drake.typed import NotNegative, Positive, check_fields
 
 _LOG = logging.getLogger("vcbf_drake")
 _SPACE, _PLANE = ("x", "y", "z"), ("x", "y")
@@ -42,11 +42,10 @@ class SpheresFile:
     TAG: ClassVar[str] = "!Spheres"
 
     file: str = field(metadata=IS_FILE)
-    margin: float = 0.0
+    margin: NotNegative = 0.0
 
     def __post_init__(self) -> None:
         check_fields(self)
-        check_parameter("margin", self.margin, zero_allowed=True)
 
     def obstacles(self) -> list[SphereObstacle]:
         """Returns the spheres.
@@ -94,13 +93,11 @@ class PolygonMap:
     TAG: ClassVar[str] = "!PolygonMap"
 
     file: str = field(metadata=IS_FILE)
-    margin: float = 0.0
-    smoothing: float = 0.05
+    margin: NotNegative = 0.0
+    smoothing: Positive = 0.05
 
     def __post_init__(self) -> None:
         check_fields(self)
-        check_parameter("margin", self.margin, zero_allowed=True)
-        check_parameter("smoothing", self.smoothing)
 
     def obstacles(self) -> list[PolygonObstacle]:
         """Returns the polygons.

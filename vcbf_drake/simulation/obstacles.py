@@ -28,14 +28,13 @@ from vcbf_drake.barriers.shapes import Shape
 from vcbf_drake.checks import (
     Array,
     check_finite,
-    check_parameter,
     require,
     require_choice,
 )
 from vcbf_drake.errors import below
 from vcbf_drake.model.position import Position
 from vcbf_drake.simulation.obstacle_files import PolygonMap, SpheresFile
-from vcbf_drake.typed import check_fields
+from vcbf_drake.typed import Finite, NotNegative, check_fields
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.scenario import Scenario
@@ -68,14 +67,12 @@ class BodyPoint:
         radius: How much of the body around it is meant [m].
     """
 
-    point: list[float] = field(default_factory=list)
+    point: list[Finite] = field(default_factory=list)
     frame: str = ""
-    radius: float = 0.0
+    radius: NotNegative = 0.0
 
     def __post_init__(self) -> None:
         check_fields(self)
-        check_finite("point", self.point, size=len(self.point))
-        check_parameter("radius", self.radius, zero_allowed=True)
 
 
 class Carrier(NamedTuple):

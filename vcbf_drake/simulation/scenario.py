@@ -16,7 +16,7 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
 from vcbf_drake.barriers.obstacles import SphereObstacle
-from vcbf_drake.checks import check_finite, check_parameter, require
+from vcbf_drake.checks import check_finite, require
 from vcbf_drake.disturbances.source import (
     BandLimitedNoise,
     Constant,
@@ -49,7 +49,7 @@ from vcbf_drake.simulation.sections import (
     MeasurementNoise,
     Separation,
 )
-from vcbf_drake.typed import check_fields
+from vcbf_drake.typed import Positive, check_fields
 
 # Results are written into a directory of that name.
 _NAME = re.compile(r"\w[\w .+-]{0,99}")
@@ -113,8 +113,8 @@ class Scenario(FilterSettings):
     separation: Separation = field(default_factory=Separation)
     initial_state: list[float]
     target: list[float]
-    duration: float = 20.0
-    arrival_tolerance: float | None = None
+    duration: Positive = 20.0
+    arrival_tolerance: Positive | None = None
     ends_at_target: bool = False
     integrator: Integrator = field(default_factory=Integrator)
     noise: MeasurementNoise = field(default_factory=MeasurementNoise)
@@ -147,9 +147,6 @@ class Scenario(FilterSettings):
         self.obstacles = [obstacle for _, obstacle in numbered]
 
     def _check_times(self) -> None:
-        for name in ("duration", "period", "arrival_tolerance"):
-            if getattr(self, name) is not None:
-                check_parameter(name, getattr(self, name))
         duration, period = self.duration, self.period
         most = _MOST_TICKS * period
         rule = f"at most {most:g} s, {_MOST_TICKS:g} ticks of {period:g} s"

@@ -11,11 +11,17 @@ from pydrake.systems.analysis import GetIntegrationSchemes
 
 from vcbf_drake.barriers.barrier import decay_rates
 from vcbf_drake.barriers.obstacles import SphereForm
-from vcbf_drake.checks import check_finite, check_parameter, require, require_choice
+from vcbf_drake.checks import check_finite, require, require_choice
 from vcbf_drake.errors import InvalidValueError
 from vcbf_drake.files import IS_FILE
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.typed import check_fields
+from vcbf_drake.typed import (
+    NotNegative,
+    NotNegativeInt,
+    Positive,
+    PositiveInt,
+    check_fields,
+)
 
 Fallback = Literal["zero", "brake"]
 AuditPolicy = Literal["fallback", "report"]
@@ -89,12 +95,11 @@ class BarrierGains:
     """
 
     form: SphereForm = "distance"
-    gains: list[float] = field(default_factory=lambda: [10.0, 3.55])
+    gains: list[Positive] = field(default_factory=lambda: [10.0, 3.55])
     robust: bool = False
 
     def __post_init__(self) -> None:
         check_fields(self)
-        check_parameter("gains", self.gains, size=len(self.gains))
         try:
             decay_rates(np.array(self.gains), "obstacles")
         except ValueError as error:
@@ -115,13 +120,11 @@ class Separation(BarrierGains):
             filter takes it to keep its velocity, and nothing is guaranteed.
     """
 
-    distance: float = 0.0
-    acceleration: float = 0.0
+    distance: NotNegative = 0.0
+    acceleration: NotNegative = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_parameter("distance", self.distance, zero_allowed=True)
-        check_parameter("acceleration", self.acceleration, zero_allowed=True)
         is_second = self.acceleration == 0.0 or (
             self.form == "distance" and len(self.gains) == 2
         )
@@ -144,12 +147,11 @@ class Integrator:
     """
 
     scheme: str = "runge_kutta3"
-    max_step: float = 0.0
+    max_step: NotNegative = 0.0
 
     def __post_init__(self) -> None:
         check_fields(self)
         require_choice("scheme", self.scheme, GetIntegrationSchemes())
-        check_parameter("max_step", self.max_step, zero_allowed=True)
 
 
 @dataclass
@@ -161,13 +163,11 @@ class MeasurementNoise:
         seed: Seed of the generator.
     """
 
-    std: list[float] = field(default_factory=list)
-    seed: int = 0
+    std: list[NotNegative] = field(default_factory=list)
+    seed: NotNegativeInt = 0
 
     def __post_init__(self) -> None:
         check_fields(self)
-        check_parameter("std", self.std, size=len(self.std), zero_allowed=True)
-        check_parameter("seed", self.seed, zero_allowed=True)
 
 
 @dataclass
@@ -198,24 +198,18 @@ class Hardware:
     """
 
     fallback: Fallback = "brake"
-    brake_rate: float = 2.0
-    command_timeout: float = 0.1
-    max_state_age: float = 0.1
-    hold_time: float = 0.1
-    longest_interval: float = 0.1
+    brake_rate: Positive = 2.0
+    command_timeout: Positive = 0.1
+    max_state_age: Positive = 0.1
+    hold_time: NotNegative = 0.1
+    longest_interval: Positive = 0.1
     predict: bool = False
     audit: AuditPolicy = "fallback"
     obstacles: ObstacleSource = "known"
-    most_obstacles: int = 16
-    max_obstacle_age: float = 1.0
-    max_clock_offset: float = 60.0
+    most_obstacles: PositiveInt = 16
+    max_obstacle_age: Positive = 1.0
+    max_clock_offset: Positive = 60.0
     key_file: str = field(default="", metadata=IS_FILE)
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for name in (
-            *("brake_rate", "command_timeout", "max_state_age", "longest_interval"),
-            *("most_obstacles", "max_obstacle_age", "max_clock_offset"),
-        ):
-            check_parameter(name, getattr(self, name))
-        check_parameter("hold_time", self.hold_time, zero_allowed=True)
