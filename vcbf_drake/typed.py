@@ -101,6 +101,13 @@ def check_fields(made: Any, prefix: str = "") -> None:
         check_type(prefix + name, getattr(made, name), hint)
 
 
+class Checked:
+    """A dataclass that checks its fields when it is made; the base of such."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
 def check_type(path: str | Path, value: Any, hint: Any) -> None:
     """Checks one value against a type hint; callables, and what has no check, pass.
 

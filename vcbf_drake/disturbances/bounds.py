@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from vcbf_drake.checks import Array
-from vcbf_drake.typed import NotNegative, check_fields
+from vcbf_drake.typed import Checked, NotNegative
 
 # What a bound of an estimate's error rests on: a ``proven`` inequality for exact
 # measurements; nothing but |d| <= delta1, also proven (``worst case``); formulas that
@@ -18,7 +18,7 @@ Basis = Literal["proven", "worst case", "calibrated", "published"]
 
 
 @dataclass(frozen=True)
-class DisturbanceBounds:
+class DisturbanceBounds(Checked):
     """Upper bounds of a disturbance and its derivatives, Euclidean norms (E16).
 
     Attributes:
@@ -33,9 +33,6 @@ class DisturbanceBounds:
     delta1: NotNegative
     delta2: NotNegative
     delta3: NotNegative
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vcbf_drake.checks import Array, require_choice
+from vcbf_drake.checks import Array
 from vcbf_drake.disturbances.bounds import (
     Basis,
     Condition,
@@ -15,7 +15,6 @@ from vcbf_drake.disturbances.bounds import (
 )
 from vcbf_drake.disturbances.observer import DisturbanceObserver, nearest_in_ball
 from vcbf_drake.disturbances.rise_bound import (
-    STEPS,
     Intervals,
     ObserverStep,
     RiseGains,
@@ -25,11 +24,11 @@ from vcbf_drake.disturbances.rise_bound import (
     with_quadrature,
 )
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.typed import NotNegative, Positive, check_fields, typed
+from vcbf_drake.typed import Checked, NotNegative, Positive, typed
 
 
 @dataclass
-class ObserverSettings:
+class ObserverSettings(Checked):
     """The disturbance observers: the RISE observer (E17), and the linear one (B4).
 
     Attributes:
@@ -59,10 +58,6 @@ class ObserverSettings:
     period: NotNegative = 0.0
     boundary_layer: Positive = 0.05
     linear_rate: Positive = 4.0
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        require_choice("step", self.step, STEPS)
 
 
 # The shortest interval that is counted on where intervals differ, in periods.

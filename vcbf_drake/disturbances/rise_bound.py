@@ -33,7 +33,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 import math
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -46,7 +46,6 @@ from vcbf_drake.disturbances.bounds import (
 )
 
 ObserverStep = Literal["implicit", "saturated", "explicit"]
-STEPS: tuple[ObserverStep, ...] = get_args(ObserverStep)
 
 # The explicit step's peaks over the law (E27) were 0.86 to 1.18 in simulations.
 _CHATTER_MARGIN = 1.2

@@ -29,6 +29,7 @@ from vcbf_drake.simulation.collision_monitor import CollisionMonitor
 from vcbf_drake.simulation.loop import COLLISION_MONITOR, LOG_PREFIX
 from vcbf_drake.simulation.run import make_simulator
 from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.simulation.summary import arrival
 
 _TIMES, _PAUSE = 10, 0.05  # [s]
 # How often progress is told and a vehicle that is not controlled shows itself, and how
@@ -285,17 +286,14 @@ class PlantProcess(HardwareProcess):
         scenario, inbox = self.scenario, self._receiver.inbox
         monitor: CollisionMonitor = self.diagram.GetSubsystemByName(COLLISION_MONITOR)
         times, path = self._log("path")
-        positions = scenario.vehicle.positions(path)
-        distance = np.linalg.norm(positions - np.array(scenario.target), axis=1)
-        arrived = distance <= scenario.arrival_distance
-        reached_at = float(times[np.argmax(arrived)]) if arrived.any() else None
+        reached_at, final_distance = arrival(scenario, times, path)
         heights = monitor.barrier_set.values_along(path, times)
         report: dict[str, Any] = {
             "scenario": scenario.name,
             "outcome": self._outcome(reached_at is not None),
             "time": self.time,
             "reached_at": reached_at,
-            "final_distance": float(distance[-1]),
+            "final_distance": final_distance,
             "min_barrier": float(np.nanmin(heights, initial=np.inf)),
             "round_trip_ms": median_and_p99(inbox.round_trips),
             "arrived": inbox.report(),

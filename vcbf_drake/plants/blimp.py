@@ -28,6 +28,7 @@ from vcbf_drake.plants.target import (
 )
 from vcbf_drake.plants.vehicle import Vehicle
 from vcbf_drake.typed import (
+    Checked,
     NotNegative,
     Positive,
     PositiveOrInfinite,
@@ -194,7 +195,7 @@ Blimp = Blimp_[None]
 
 
 @dataclass
-class BlimpControllerParameters:
+class BlimpControllerParameters(Checked):
     """Gains and caps of the blimp's controller (E81, the blimp's controller).
 
     Attributes:
@@ -219,9 +220,6 @@ class BlimpControllerParameters:
     drift_gain: NotNegative = 0.0
     surge_speed_cap: PositiveOrInfinite = math.inf
     height_error_cap: PositiveOrInfinite = math.inf
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 class BlimpController(TargetController):

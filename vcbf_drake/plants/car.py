@@ -28,7 +28,13 @@ from vcbf_drake.plants.target import (
     heading_error,
 )
 from vcbf_drake.plants.vehicle import Vehicle
-from vcbf_drake.typed import NotNegative, Positive, check_fields, check_type, typed
+from vcbf_drake.typed import (
+    Checked,
+    NotNegative,
+    Positive,
+    check_type,
+    typed,
+)
 
 # Position [m], signed forward speed [m/s], heading [rad].
 CarState = namedview("CarState", ["x", "y", "speed", "heading"])
@@ -37,7 +43,7 @@ CarInput = namedview("CarInput", ["acceleration_force", "turn_rate"])
 
 
 @dataclass
-class CarParameters:
+class CarParameters(Checked):
     """Physical parameters of the car.
 
     Attributes:
@@ -45,9 +51,6 @@ class CarParameters:
     """
 
     mass: Positive = 2.0
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 # Told its scope, Drake need not look for it by inspecting the stack, which is slow.
@@ -117,7 +120,7 @@ Car = Car_[None]
 
 
 @dataclass
-class CarControllerParameters:
+class CarControllerParameters(Checked):
     """Gains of the car's controller (E82, the car's controller).
 
     Attributes:
@@ -129,9 +132,6 @@ class CarControllerParameters:
     turn_gain: NotNegative = 2.0
     speed_gain: NotNegative = 4.0
     approach_gain: NotNegative = 0.6
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 class CarController(TargetController):
@@ -180,7 +180,7 @@ class CarController(TargetController):
 
 
 @dataclass
-class TurnLimit:
+class TurnLimit(Checked):
     """A car's steering: ``|omega| <= curvature sqrt(v^2 + smoothing_speed^2)``.
 
     Attributes:
@@ -191,9 +191,6 @@ class TurnLimit:
 
     curvature: Positive = 2.0
     smoothing_speed: Positive = 0.1
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 @dataclass

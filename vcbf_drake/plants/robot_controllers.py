@@ -21,11 +21,11 @@ from vcbf_drake.checks import Array, check_finite, require
 from vcbf_drake.errors import InvalidValueError
 from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.plants.postures import Posture
-from vcbf_drake.typed import NotNegative, Positive, check_fields
+from vcbf_drake.typed import Checked, NotNegative, Positive
 
 
 @dataclass
-class InverseDynamics:
+class InverseDynamics(Checked):
     """Computed torque: every joint's error decays alike, whatever it carries.
 
     It needs a motor at every joint and a base that does not float.
@@ -38,9 +38,6 @@ class InverseDynamics:
     at_rest: ClassVar[bool] = False
     stiffness: list[Positive] = field(default_factory=lambda: [9.0])
     damping: list[Positive] = field(default_factory=lambda: [6.0])
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def check(self, plant: MultibodyPlant) -> None:
         """Checks that it is for such a robot, and has as many numbers."""
@@ -67,7 +64,7 @@ class InverseDynamics:
 
 
 @dataclass
-class JointStiffness:
+class JointStiffness(Checked):
     """A spring and a damper at every driven joint, and its gravity taken off.
 
     Where joints without a motor are among them, nothing is taken off.
@@ -80,9 +77,6 @@ class JointStiffness:
     at_rest: ClassVar[bool] = False
     stiffness: list[Positive] = field(default_factory=lambda: [100.0])
     damping: list[Positive] = field(default_factory=lambda: [20.0])
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def check(self, plant: MultibodyPlant) -> None:
         """Checks that it is for such a robot, and has as many numbers."""
@@ -109,7 +103,7 @@ class JointStiffness:
 
 
 @dataclass
-class Lqr:
+class Lqr(Checked):
     """Drake's linear-quadratic regulator about rest at the target.
 
     It needs no motor at every joint, but a start from which the linear law holds. A
@@ -123,9 +117,6 @@ class Lqr:
     at_rest: ClassVar[bool] = True
     state_weights: list[NotNegative] = field(default_factory=list)
     input_weights: list[Positive] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def check(self, plant: MultibodyPlant) -> None:
         """Checks that it is for such a robot, and has as many numbers."""

@@ -30,7 +30,13 @@ from vcbf_drake.safety.decay import DEFAULT_PENALTY
 from vcbf_drake.safety.programs import DEFAULT_SOLVER, check_solver
 from vcbf_drake.safety.qp import InfeasiblePolicy
 from vcbf_drake.safety.volume import VolumeBarrier
-from vcbf_drake.typed import NotNegative, Positive, PositiveOrInfinite, check_fields
+from vcbf_drake.typed import (
+    Checked,
+    NotNegative,
+    Positive,
+    PositiveOrInfinite,
+    check_fields,
+)
 
 DisturbanceHandling = Literal["ignored", "worst_case", "estimated"]
 Feasibility = Literal["none", "volume", "decay", "backup"]
@@ -77,7 +83,7 @@ Fidelity = Literal["corrected", "paper"]
 
 
 @dataclass
-class Corrections:
+class Corrections(Checked):
     """The errata of the published method, each on or off.
 
     Attributes:
@@ -92,9 +98,6 @@ class Corrections:
     exact_slack: bool = False
     total_derivative: bool = False
     error_floor: bool = False
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 FIDELITIES: dict[Fidelity, Corrections] = {

@@ -9,17 +9,17 @@ from typing import Annotated
 from vcbf_drake.checks import check_share
 from vcbf_drake.safety.assumptions import Assumption
 from vcbf_drake.typed import (
+    Checked,
     Finite,
     NotNegative,
     NotNegativeInt,
     Positive,
     Share,
-    check_fields,
 )
 
 
 @dataclass
-class StepGust:
+class StepGust(Checked):
     """A push that comes and goes at once: not C2, and not declared.
 
     Attributes:
@@ -32,12 +32,9 @@ class StepGust:
     start: Finite = 0.0
     duration: Positive = 1.0
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
 
 @dataclass
-class Faults:
+class Faults(Checked):
     """What is wrong with plant, sensors, actuators and solver; by default nothing.
 
     The filter and its observer know of none of it. Noise is no fault but `noise`.
@@ -77,9 +74,6 @@ class Faults:
     solver_failure: Share = 0.0
     outage: Share = 0.0
     outage_duration: NotNegative = 0.5
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 def fault_assumptions(faults: Faults, noise: Sequence[float]) -> Iterator[Assumption]:

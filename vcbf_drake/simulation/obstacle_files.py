@@ -20,7 +20,7 @@ from vcbf_drake.barriers import PolygonObstacle, SphereObstacle
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import InvalidValueError
 from vcbf_drake.files import IS_FILE
-from vcbf_drake.typed import NotNegative, Positive, check_fields
+from vcbf_drake.typed import Checked, NotNegative, Positive
 
 _LOG = logging.getLogger("vcbf_drake")
 _SPACE, _PLANE = ("x", "y", "z"), ("x", "y")
@@ -28,7 +28,7 @@ _Row: TypeAlias = dict[str, float]
 
 
 @dataclass
-class SpheresFile:
+class SpheresFile(Checked):
     """Spheres, or in the plane discs, from a CSV file: each becomes a `!Sphere`.
 
     Its first line names the columns: x, y, z for a robot in space, and radius [m];
@@ -43,9 +43,6 @@ class SpheresFile:
 
     file: str = field(metadata=IS_FILE)
     margin: NotNegative = 0.0
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def obstacles(self) -> list[SphereObstacle]:
         """Returns the spheres.
@@ -74,7 +71,7 @@ class SpheresFile:
 
 
 @dataclass
-class PolygonMap:
+class PolygonMap(Checked):
     """Polygons from a map in metres: each becomes one `!Polygon`, or more.
 
     GeoJSON (``.geojson``, ``.json``): its Polygons and MultiPolygons, by themselves, in
@@ -95,9 +92,6 @@ class PolygonMap:
     file: str = field(metadata=IS_FILE)
     margin: NotNegative = 0.0
     smoothing: Positive = 0.05
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def obstacles(self) -> list[PolygonObstacle]:
         """Returns the polygons.

@@ -34,7 +34,7 @@ from vcbf_drake.checks import (
 from vcbf_drake.errors import below
 from vcbf_drake.model.position import Position
 from vcbf_drake.simulation.obstacle_files import PolygonMap, SpheresFile
-from vcbf_drake.typed import Finite, NotNegative, check_fields
+from vcbf_drake.typed import Checked, Finite, NotNegative
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.scenario import Scenario
@@ -55,7 +55,7 @@ AnyObstacle: TypeAlias = (
 
 
 @dataclass
-class BodyPoint:
+class BodyPoint(Checked):
     """A point of the robot that keeps clear of every obstacle, with a ball around it.
 
     Attributes:
@@ -70,9 +70,6 @@ class BodyPoint:
     point: list[Finite] = field(default_factory=list)
     frame: str = ""
     radius: NotNegative = 0.0
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 class Carrier(NamedTuple):

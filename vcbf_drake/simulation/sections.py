@@ -16,6 +16,7 @@ from vcbf_drake.errors import InvalidValueError
 from vcbf_drake.files import IS_FILE
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.typed import (
+    Checked,
     NotNegative,
     NotNegativeInt,
     Positive,
@@ -155,7 +156,7 @@ class Integrator:
 
 
 @dataclass
-class MeasurementNoise:
+class MeasurementNoise(Checked):
     """White Gaussian noise on the measured state, drawn anew at each control tick.
 
     Attributes:
@@ -166,12 +167,9 @@ class MeasurementNoise:
     std: list[NotNegative] = field(default_factory=list)
     seed: NotNegativeInt = 0
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
 
 @dataclass
-class Hardware:
+class Hardware(Checked):
     """A vehicle on a bus: what both sides do when messages fail to come.
 
     Attributes:
@@ -210,6 +208,3 @@ class Hardware:
     max_obstacle_age: Positive = 1.0
     max_clock_offset: Positive = 60.0
     key_file: str = field(default="", metadata=IS_FILE)
-
-    def __post_init__(self) -> None:
-        check_fields(self)

@@ -54,9 +54,7 @@ def summarise(
     collided_at = None
     if ending.monitor == COLLISION_MONITOR:
         collided_at = _crossing(path_time, heights)
-    reached_at = _first(
-        path_time, _distance(scenario, path) <= scenario.arrival_distance
-    )
+    reached_at, final_distance = arrival(scenario, path_time, path)
     stopped = ending.monitor.endswith(LOOP_MONITOR)
     backup = log.get("backup", np.zeros((1, 2)))
     slack, fidelity = np.abs(log["slack"]), scenario.fidelity
@@ -85,8 +83,23 @@ def summarise(
         "backup_ticks": int(np.sum(backup[:, 0] > 0.0)),
         "failed_ticks": int(np.sum(log["status"] == FilterStatus.FAILED)),
         "rows_without_authority": _without_authority(safety_filter, log),
-        "final_distance": float(_distance(scenario, path[-1:])[0]),
+        "final_distance": final_distance,
     }
+
+
+def arrival(
+    scenario: Scenario, times: Array, path: Array
+) -> tuple[float | None, float]:
+    """Returns when the vehicle arrived, None if never, and its last distance [s, m].
+
+    Args:
+        scenario: What was run.
+        times: Times of the integrator's steps, (S,) [s].
+        path: The true state there, (S, n).
+    """
+    away = scenario.vehicle.positions(path) - np.array(scenario.target)
+    distance = np.linalg.norm(away, axis=1)
+    return _first(times, distance <= scenario.arrival_distance), float(distance[-1])
 
 
 def _without_authority(safety_filter: SafetyFilter, log: dict[str, Array]) -> list[str]:
@@ -109,12 +122,6 @@ def _outcome(
     if stopped:
         return "failed" if status == FilterStatus.FAILED else "infeasible"
     return "timeout" if reached_at is None else "reached"
-
-
-def _distance(scenario: Scenario, path: Array) -> Array:
-    target = np.array(scenario.target)
-    distance: Array = np.linalg.norm(scenario.vehicle.positions(path) - target, axis=1)
-    return distance
 
 
 def _first(times: Array, condition: NDArray[np.bool_]) -> float | None:
