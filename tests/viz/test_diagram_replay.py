@@ -175,6 +175,12 @@ def test_a_log_that_is_of_nobody_says_so(tmp_path: Path) -> None:
         ({"log": {"state": log.data().T}}, "log: it has no time"),
         ({"log": {"time": [0.0], "state": [[1.0], [2.0]]}}, "1 times, 2 states"),
         ({"log": {"time": [0.0], "state": [[1.0]]}}, "such a state: none"),
+        ({"log": {"time": [0.0], "state": [[np.nan]]}}, r"log\.state\[0\]: nan"),
+        ({"log": {"time": [np.inf], "state": [[1.0]]}}, r"log\.time\[0\]: inf"),
+        ({"log": {"time": [1.0, 0.0], "state": [[1.0], [2.0]]}}, "do not go back"),
+        ({"log": 3}, "a VectorLog, or arrays by name"),
+        ({"duration": -1.0}, "duration: -1; it must be finite and above 0"),
+        ({"duration": np.nan}, "duration: nan"),
         ({"log": log, "duration": 1.0}, "duration, log: one of the two"),
         ({}, "duration, log: one of the two"),
     ):

@@ -16,7 +16,7 @@ from pydrake.systems.analysis import Simulator, SimulatorStatus
 from pydrake.systems.framework import Context, Diagram, System
 from pydrake.systems.primitives import VectorLog
 
-from vcbf_drake.checks import Array
+from vcbf_drake.checks import Array, check_finite, check_parameter, require
 from vcbf_drake.errors import naming_user_code
 from vcbf_drake.plants.shapes import Part
 from vcbf_drake.safety import SafetyFilter, unpack_feasible_set
@@ -98,7 +98,8 @@ def write_diagram_replay(
 
     Raises:
         ValueError: The diagram has no SceneGraph, or nothing in it to show; not one of
-            duration and log was given; it is unclear whose state the log has.
+            duration and log was given; a number of them is not finite, or the log's
+            times do not increase; it is unclear whose state the log has.
     """
     scene_graph = _first(diagram, SceneGraph)
     if scene_graph is None:
@@ -119,6 +120,7 @@ def write_diagram_replay(
 
     safety_filter = _first(diagram, SafetyFilter)
     if log is None and duration is not None:
+        check_parameter("duration", duration)
         motion = _simulated(diagram, now, duration, safety_filter, look)
     elif log is not None and duration is None:
         motion = _logged(diagram, now, log, plant, look)
@@ -202,6 +204,7 @@ def _logged(
     """Puts the state of a log into the context, and looks, at every frame."""
     if isinstance(log, VectorLog):
         log = {"time": log.sample_times(), "state": log.data().T}
+    require(isinstance(log, Mapping), "log", log, "a VectorLog, or arrays by name")
     arrays = {name: np.asarray(values) for name, values in log.items()}
     missing = [name for name in ("time", "state") if name not in arrays]
     if missing:
@@ -209,6 +212,11 @@ def _logged(
     time, state = arrays["time"], np.atleast_2d(arrays["state"])
     if len(time) == 0 or len(time) != len(state):
         raise ValueError(f"log: {len(time)} times, {len(state)} states")
+    for name, values in (("time", time), ("state", state)):
+        check_finite(("log", name), values.ravel().tolist(), size=values.size)
+    (back,) = np.nonzero(np.diff(time) < 0.0)
+    rule = "of times that do not go back"
+    require(not len(back), ("log", "time"), time[back[:1] + 1], rule)
     holder = _holder(diagram, context, state.shape[1], plant)
     own = holder.GetMyMutableContextFromRoot(context)
     is_continuous = own.num_continuous_states() == state.shape[1]
