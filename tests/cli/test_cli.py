@@ -250,6 +250,8 @@ def test_list_shows_each_scenario_on_a_line() -> None:
 
 # Bad usage -------------------------------------------------------------------------
 
+ONE_GAIN = "{barrier: {gains: [4.0]}}"
+
 
 @pytest.mark.parametrize(
     ("arguments", "problem"),
@@ -263,12 +265,14 @@ def test_list_shows_each_scenario_on_a_line() -> None:
         (["run"], "Missing argument 'SCENARIO'"),
         (["run", "car-avoidance", "--metod", "x"], "--metod"),
         (["run", "car-avoidence"], "did you mean car-avoidance?"),
-        (["run", "car-avoidance", "--method", "cbf"], "method: 'cbf'; it must be one"),
+        (["run", "car-avoidance", "--method", "cbf"], "vcbf-drake: method: 'cbf'; it"),
         (["run", "car-avoidance", "--override", "{a: [}"], "override: not YAML"),
         (["run", "car-avoidance", "--override", "{period: 0}"], "override: period: 0"),
         (["run", "car-avoidance", "--out", __file__], "is a file"),
-        (["compare", "car-avoidance", "--methods", "cbf-qp,x"], "method: 'x'"),
-        (["check", "car-avoidance", "--method", "x"], "method: 'x'"),
+        (["compare", "car-avoidance", "--out", f"{__file__}/a/b"], "is no directory"),
+        (["compare", "car-avoidance", "--methods", "cbf-qp,x"], "drake: method: 'x'"),
+        (["check", "car-avoidance", "--method", "x"], "vcbf-drake: method: 'x'"),
+        (["check", "car-avoidance", "--override", ONE_GAIN], "give 2 gains"),
     ],
 )
 def test_bad_usage_is_one_line_and_status_2(

@@ -56,9 +56,9 @@ class OneLineGroup(TyperGroup):
             complain("interrupted")
             sys.exit(_FAILED)
         except Exception as error:
-            from vcbf_drake.errors import InvalidValueError, ScenarioError
+            from vcbf_drake.errors import ModelError, ScenarioError
 
-            if isinstance(error, ScenarioError | InvalidValueError):
+            if isinstance(error, ScenarioError | ModelError):
                 complain(str(error))
                 sys.exit(_BAD_USAGE)
             kind = type(error).__name__

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -45,12 +47,22 @@ OverrideOption = Annotated[
 ]
 
 
+def _writable(directory: Path | None) -> Path | None:
+    """Refuses a directory that cannot be made, before hours are spent for it."""
+    if directory is not None:
+        there = next(each for each in (directory, *directory.parents) if each.exists())
+        if not (there.is_dir() and os.access(there, os.W_OK)):
+            raise typer.BadParameter(f"{there} is no directory that one may write to")
+    return directory
+
+
 def out_option(default: str) -> Any:
     """Returns the option --out; `default` is what the help shows."""
     return typer.Option(
         "--out",
         metavar="DIR",
         file_okay=False,
+        callback=_writable,
         show_default=default,
         help="Where the results go.",
     )
@@ -82,11 +94,8 @@ def load_vehicles(
 ) -> Fleet:
     """Returns the vehicles with the overrides and the method of the command line."""
     from vcbf_drake.simulation.loading import load_fleet
-    from vcbf_drake.simulation.scenario import validate
 
     fleet = load_fleet(name_or_path, override, scenario_name)
     if method is not None:
-        for each in fleet.vehicles:
-            each.method = method
-        validate(fleet)
+        fleet.set_method(method)
     return fleet

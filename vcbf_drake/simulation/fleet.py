@@ -26,7 +26,7 @@ from vcbf_drake.safety import Assumption
 from vcbf_drake.safety.settings import METHODS
 from vcbf_drake.simulation.audit import finding
 from vcbf_drake.simulation.loop import make_loop
-from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.simulation.scenario import Scenario, validate
 from vcbf_drake.typed import check_fields, typed
 
 OTHERS = "other vehicles"
@@ -94,6 +94,16 @@ class Fleet:
     def of(scenario: Scenario) -> Fleet:
         """Returns a scenario's only vehicle as a fleet."""
         return Fleet(name=scenario.name, vehicles=[scenario])
+
+    def set_method(self, method: str) -> None:
+        """Gives each vehicle the filter of a method.
+
+        Raises:
+            InvalidValueError: There is no such method, or a vehicle cannot have it.
+        """
+        for each in self.vehicles:
+            each.method = method
+            validate(each)
 
     @property
     def duration(self) -> float:

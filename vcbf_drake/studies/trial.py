@@ -12,7 +12,7 @@ from typing import Any
 from vcbf_drake.simulation.fleet import Fleet
 from vcbf_drake.simulation.loading import load_fleet, only_one
 from vcbf_drake.simulation.run import simulate_fleet
-from vcbf_drake.simulation.scenario import Scenario, validate
+from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.yaml_nodes import merge_overrides
 from vcbf_drake.studies.variation import Draw, Variation
 
@@ -100,9 +100,7 @@ class Trial:
         """
         overrides, name = self.all_overrides(), self.scenario_name or None
         fleet = load_fleet(self.scenario, overrides, name)
-        for each in fleet.vehicles:
-            each.method = self.method
-        validate(fleet)
+        fleet.set_method(self.method)
         return fleet
 
     def command(self) -> str:
