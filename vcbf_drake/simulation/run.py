@@ -125,40 +125,37 @@ def simulate_fleet(
     diagram = make_fleet_loop(fleet, controller)
     simulator = make_simulator(diagram, fleet)
     loops, root = loops_of(diagram, fleet), simulator.get_mutable_context()
-    found = [
-        loop_assumptions(each, loop, root, len(loops) > 1)
-        for each, loop in zip(fleet.vehicles, loops, strict=True)
-    ]
+    several = len(loops) > 1
+    vehicles = [*zip(fleet.vehicles, loops, strict=True)]
+    found = [loop_assumptions(*each, root, several) for each in vehicles]
     records = []
-    for each, loop in zip(fleet.vehicles, loops, strict=True):
+    for scenario, loop in vehicles:
         place = None if log_directory is None else Path(log_directory)
-        if place is not None and len(loops) > 1:
-            place /= each.name
+        if place is not None and several:
+            place /= scenario.name
         records.append(RunLog(loop, place))
     started = time.process_time()
     with naming_user_code(root.get_time):
         status = _advance(simulator, fleet, records, progress, watch)
     logs = [(each.ticks.arrays(), each.path.arrays()) for each in records]
     cpu_time = time.process_time() - started
-    results = []
-    for each, loop, (log, path), known in zip(
-        fleet.vehicles, loops, logs, found, strict=True
-    ):
-        ending = _ending(status, each, len(loops), path)
-        summary = _summary(each, loop, log, path, known, ending)
-        results.append(Result(each, summary, log))
     places = [
-        each.vehicle.positions(path["state"])
-        for each, (_, path) in zip(fleet.vehicles, logs, strict=True)
+        scenario.vehicle.positions(path["state"])
+        for (scenario, _), (_, path) in zip(vehicles, logs, strict=True)
     ]
-    for i, (result, loop) in enumerate(zip(results, loops, strict=True)):
-        if len(loops) > 1:
-            result.summary["least_separation"] = least_separation(places, i)
+    results = []
+    for i, (scenario, loop) in enumerate(vehicles):
+        log, path = logs[i]
+        ending = _ending(status, scenario, len(loops), path)
+        summary = _summary(scenario, loop, log, path, found[i], ending)
+        if several:
+            summary["least_separation"] = least_separation(places, i)
         if step_time:
             safety_filter = loop.GetSubsystemByName("filter")
-            result.summary["step_cpu_ms"] = step_cpu_time(safety_filter, result.log)
+            summary["step_cpu_ms"] = step_cpu_time(safety_filter, log)
         rate = status.return_time() / max(cpu_time, 1e-9)
-        result.summary["real_time_factor"] = rate
+        summary["real_time_factor"] = rate
+        results.append(Result(scenario, summary, log))
     return results
 
 

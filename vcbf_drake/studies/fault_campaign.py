@@ -45,8 +45,13 @@ class FaultDraw:
             index: Which draw of the study.
         """
         start = _random_start(scenario, np.random.default_rng([seed, index]))
-        _, overrides = _FAULTS[self.name]
-        return start | overrides(scenario, np.random.default_rng([seed, index, 1]))
+        generator = np.random.default_rng([seed, index, 1])
+        if self.name == "noise":
+            std = [0.005] * len(scenario.initial_state)
+            return start | {"noise": {"std": std, "seed": _seed(generator)}}
+        _, fault = _FAULTS[self.name]
+        drawn = fault(scenario, generator) if callable(fault) else fault
+        return start | {"faults": drawn}
 
 
 def _random_start(scenario: Scenario, generator: Generator) -> dict[str, Any]:
@@ -57,21 +62,15 @@ def _random_start(scenario: Scenario, generator: Generator) -> dict[str, Any]:
     return {"initial_state": start.tolist()}
 
 
-def _noise(scenario: Scenario, generator: Generator) -> dict[str, Any]:
-    std = [0.005] * len(scenario.initial_state)
-    return {"noise": {"std": std, "seed": _seed(generator)}}
-
-
 def _bias(scenario: Scenario, generator: Generator) -> dict[str, Any]:
     signs = generator.choice([-1.0, 1.0], len(scenario.initial_state))
-    return {"faults": {"measurement_bias": (0.02 * signs).tolist()}}
+    return {"measurement_bias": (0.02 * signs).tolist()}
 
 
 def _plant(scenario: Scenario, generator: Generator) -> dict[str, Any]:
     mass, drag = generator.choice([0.7, 1.3], 2).tolist()
     true = {"mass": mass, "drag": drag}  # Of what the vehicle has.
-    has = {k: each for k, each in true.items() if hasattr(scenario.vehicle, k)}
-    return {"faults": has}
+    return {k: each for k, each in true.items() if hasattr(scenario.vehicle, k)}
 
 
 def _gust(scenario: Scenario, generator: Generator) -> dict[str, Any]:
@@ -83,48 +82,40 @@ def _gust(scenario: Scenario, generator: Generator) -> dict[str, Any]:
     amplitude = source.bounds.delta1 * direction / np.linalg.norm(direction)
     start = float(generator.uniform(0.1, 0.6)) * scenario.duration
     gust = {"amplitude": amplitude.tolist(), "start": start, "duration": 2.0}
-    return {"faults": {"gusts": [gust]}}
+    return {"gusts": [gust]}
 
 
 def _seed(generator: Generator) -> int:
     return int(generator.integers(2**31))
 
 
-# What is wrong in words, and the overrides that make it so.
-_FAULTS: dict[str, tuple[str, Callable[[Scenario, Generator], dict[str, Any]]]] = {
-    "none": ("nothing is wrong", lambda s, g: {}),
-    "noise": ("white noise of 0.005 (m, rad, m/s, rad/s) on every state", _noise),
+_Fault = dict[str, Any] | Callable[[Scenario, Generator], dict[str, Any]]
+# What is wrong in words, and the scenario's `faults` that make it so.
+_FAULTS: dict[str, tuple[str, _Fault]] = {
+    "none": ("nothing is wrong", {}),
+    "noise": ("white noise of 0.005 (m, rad, m/s, rad/s) on every state", {}),
     "bias": ("every measured state off by 0.02, either way", _bias),
     "delay": (
         "measurements two control periods old",
-        lambda s, g: {"faults": {"measurement_delay": 2.0 * s.period}},
+        lambda s, g: {"measurement_delay": 2.0 * s.period},
     ),
     "loss": (
         "a tenth of the measurements lost, the last one stays",
-        lambda s, g: {"faults": {"measurement_loss": 0.1, "seed": _seed(g)}},
+        lambda s, g: {"measurement_loss": 0.1, "seed": _seed(g)},
     ),
-    "lag": (
-        "actuators of first order, time constant 0.1 s",
-        lambda s, g: {"faults": {"actuator_lag": 0.1}},
-    ),
-    "limit": (
-        "actuators reach 80 % of the declared limits",
-        lambda s, g: {"faults": {"actuator_limit": 0.8}},
-    ),
+    "lag": ("actuators of first order, time constant 0.1 s", {"actuator_lag": 0.1}),
+    "limit": ("actuators reach 80 % of the declared limits", {"actuator_limit": 0.8}),
     "plant": ("true mass and drag each 30 % above or below the model's", _plant),
-    "disturbance": (
-        "the disturbance is twice what is declared",
-        lambda s, g: {"faults": {"disturbance": 2.0}},
-    ),
+    "disturbance": ("the disturbance is twice what is declared", {"disturbance": 2.0}),
     "gust": ("a step of size delta1, 2 s long, in a random direction", _gust),
-    "sight": ("obstacles appear 2.5 m ahead", lambda s, g: {"faults": {"sight": 2.5}}),
+    "sight": ("obstacles appear 2.5 m ahead", {"sight": 2.5}),
     "solver": (
         "the solvers fail at a twentieth of the ticks",
-        lambda s, g: {"faults": {"solver_failure": 0.05, "seed": _seed(g)}},
+        lambda s, g: {"solver_failure": 0.05, "seed": _seed(g)},
     ),
     "process": (
         "filter and observer die every 5 s or so; no input for 0.5 s, then anew",
-        lambda s, g: {"faults": {"outage": s.period / 5.0, "seed": _seed(g)}},
+        lambda s, g: {"outage": s.period / 5.0, "seed": _seed(g)},
     ),
 }
 FAULTS = tuple(map(FaultDraw, _FAULTS))
