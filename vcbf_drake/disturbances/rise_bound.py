@@ -37,13 +37,13 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from vcbf_drake.checks import check_parameter
 from vcbf_drake.disturbances.bounds import (
     Condition,
     DisturbanceBounds,
     ErrorBound,
     noise_peak,
 )
+from vcbf_drake.typed import Checked, Positive
 
 ObserverStep = Literal["implicit", "saturated", "explicit"]
 
@@ -54,7 +54,7 @@ _GAIN_MARGIN = 1.1
 
 
 @dataclass(frozen=True)
-class RiseGains:
+class RiseGains(Checked):
     """Gains of the RISE observer (E17, the RISE observer).
 
     Attributes:
@@ -66,13 +66,9 @@ class RiseGains:
         ValueError: A gain is not finite and positive.
     """
 
-    alpha: float = 5.0
-    beta: float = 6.0
-    gamma: float = 4.0
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            check_parameter(name, value)
+    alpha: Positive = 5.0
+    beta: Positive = 6.0
+    gamma: Positive = 4.0
 
     @classmethod
     def for_bounds(
