@@ -142,6 +142,7 @@ def test_a_map_in_a_table_has_a_line_a_corner(tmp_path):
             "no polygon",
         ),
         ("!PolygonMap {file: f.csv}", "polygon,x,y\n1,0,0\n1,1,0", "polygon 1: "),
+        ("!Spheres {file: f.csv}", "x,y,radius\n", "no sphere"),
     ],
 )
 def test_a_wrong_file_is_one_line(tmp_path, entry, content, words):
@@ -214,7 +215,7 @@ def test_every_point_of_the_body_keeps_clear():
 @pytest.mark.parametrize(
     ("point", "words"),
     [
-        ({"point": [0.1]}, "2 numbers"),
+        ({"point": [0.1]}, r"body\[0\]\.point: \[0\.1\]; it must be 2 numbers"),
         ({"frame": "hand"}, "empty, for !Car is one body"),
         ({"radius": -1.0}, "radius: -1"),
         ({"radius": 10.0}, "initial_state: .* outside obstacles"),

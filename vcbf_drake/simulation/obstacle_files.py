@@ -67,6 +67,8 @@ class SpheresFile(Checked):
             except ValueError as error:
                 reason = str(error).removeprefix("obstacle: ")
                 raise _wrong(self.file, f"line {line}: {reason}") from None
+        if not found:
+            raise _wrong(self.file, "no sphere")
         return found
 
 

@@ -258,7 +258,10 @@ class Scenario(FilterSettings):
         state = np.array(self.initial_state)
         limits = np.array(self.input_set.lower), np.array(self.input_set.upper)
         check_returns(self.vehicle, state, self.target, limits)
-        places = [(each.radius, each.place(state)) for each in body(self)]
+        places = []
+        for i, each in enumerate(body(self)):
+            with below("body", i):
+                places.append((each.radius, each.place(state)))
         for i, obstacle in numbered:
             what = f"obstacles[{i}]"
             for radius, place in places:
