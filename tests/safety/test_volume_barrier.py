@@ -297,7 +297,7 @@ def test_the_plateau_ends_where_any_row_could_take_room_away(moving):
         "bound": {"bound": -0.3},
         "negative": {"value": -1e-3},
     }
-    assert not dataclasses.replace(flat, **changed[moving]).is_on_plateau
+    assert not flat._replace(**changed[moving]).is_on_plateau
 
 
 def test_the_label_says_what_is_measured():

@@ -5,25 +5,23 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from vcbf_drake.barriers import Barrier
 from vcbf_drake.between_ticks.enclosures import RowEnclosures
-from vcbf_drake.between_ticks.held_rows import HeldRows, least_height
+from vcbf_drake.between_ticks.held_rows import HeldRows
 from vcbf_drake.between_ticks.interval import Interval
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.safety import (
     Assumption,
     DisturbanceKnowledge,
+    FilterSettings,
     SafetyFilter,
     Tick,
 )
-
-if TYPE_CHECKING:
-    from vcbf_drake.simulation.scenario import Scenario
 
 # How many ticks are looked at together: a log on disk need not fit the memory.
 _BLOCK = 4096
@@ -54,15 +52,15 @@ def known_along(
     return np.broadcast_to(0.0, (T, q)), np.broadcast_to(bound, T)
 
 
-def is_certifiable(scenario: Scenario, assumptions: Sequence[Assumption]) -> bool:
+def is_certifiable(settings: FilterSettings, assumptions: Sequence[Assumption]) -> bool:
     """Returns whether state and disturbance are known as well as a certificate needs.
 
     Args:
-        scenario: What is run.
+        settings: Of what is run.
         assumptions: Its hypotheses.
     """
     # The explicit step's bound is calibrated, not proven (E27).
-    return scenario.observer.step != "explicit" and all(
+    return settings.observer.step != "explicit" and all(
         each.holds is not False or each.name.startswith(_IRRELEVANT)
         for each in assumptions
     )
@@ -194,6 +192,35 @@ class _Holds:
             self._rows.bounded(Interval(low, high) + 0.0)  # Rounds outwards.
             for low, high in zip(least, most, strict=True)
         ]
+
+
+def least_height(
+    chain: Array,
+    decay_rates: Array,
+    least_chi: float,
+    duration: float,
+    early: Mapping[int, float] | None = None,
+) -> float:
+    """Returns a lower bound of h while an input is held, by comparison (E87).
+
+    Args:
+        chain: phi^0, ..., phi^(r-1) at the tick, shape (r,).
+        decay_rates: lambda_1, ..., lambda_r, shape (r,).
+        least_chi: What phi^(r-1)' + lambda_r phi^(r-1) is at least.
+        duration: For how long the input is held [s].
+        early: What phi^(k-1)' + lambda_k phi^(k-1) is at least for each derivative k
+            that an input enters early (E8a).
+    """
+    least, r = least_chi, len(chain)
+    levels = zip(
+        range(r, 0, -1), chain[::-1].tolist(), decay_rates[::-1].tolist(), strict=True
+    )
+    for k, phi, rate in levels:
+        least = (early or {}).get(k, least)
+        decay = math.exp(-rate * duration)
+        at_end = decay * phi + (1.0 - decay) / rate * least
+        least = at_end if math.isnan(at_end) else min(phi, at_end)
+    return least
 
 
 def _hulls(points: Array) -> list[Interval]:

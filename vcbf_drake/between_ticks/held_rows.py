@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 import contextlib
 from dataclasses import replace
-import math
 from typing import TypeAlias
 
 import numpy as np
@@ -188,35 +187,6 @@ class HeldRows:
 
 def _judged(decision: FilterDecision, least: Array) -> FilterDecision:
     return replace(decision, row_margin=float(np.min(least, initial=np.inf)))
-
-
-def least_height(
-    chain: Array,
-    decay_rates: Array,
-    least_chi: float,
-    duration: float,
-    early: Mapping[int, float] | None = None,
-) -> float:
-    """Returns a lower bound of h while an input is held, by comparison (E87).
-
-    Args:
-        chain: phi^0, ..., phi^(r-1) at the tick, shape (r,).
-        decay_rates: lambda_1, ..., lambda_r, shape (r,).
-        least_chi: What phi^(r-1)' + lambda_r phi^(r-1) is at least.
-        duration: For how long the input is held [s].
-        early: What phi^(k-1)' + lambda_k phi^(k-1) is at least for each derivative k
-            that an input enters early (E8a).
-    """
-    least, r = least_chi, len(chain)
-    levels = zip(
-        range(r, 0, -1), chain[::-1].tolist(), decay_rates[::-1].tolist(), strict=True
-    )
-    for k, phi, rate in levels:
-        least = (early or {}).get(k, least)
-        decay = math.exp(-rate * duration)
-        at_end = decay * phi + (1.0 - decay) / rate * least
-        least = at_end if math.isnan(at_end) else min(phi, at_end)
-    return least
 
 
 # Singular rows have infinite ends, which become nan here.

@@ -114,8 +114,8 @@ class DisturbanceEstimate(NamedTuple):
 
     def pack(self) -> Array:
         """Returns the value of the port, shape (..., 2 q + 4)."""
-        numbers = [np.asarray(number)[..., None] for number in self[2:]]
-        return np.concatenate((self.disturbance, self.rate, *numbers), axis=-1)
+        numbers = np.stack(self[2:], axis=-1)
+        return np.concatenate((self.disturbance, self.rate, numbers), axis=-1)
 
     def log_arrays(self) -> dict[str, Array]:
         """Returns the parts by their names in a log."""

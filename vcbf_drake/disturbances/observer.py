@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from functools import lru_cache
 import math
 from typing import Any, NamedTuple, cast
 
@@ -56,8 +56,7 @@ class IntervalMean(NamedTuple):
     quadrature: float
 
 
-@dataclass(frozen=True)
-class _Posterior:
+class _Posterior(NamedTuple):
     """What an observer knows with the last measurement in.
 
     Attributes:
@@ -172,6 +171,9 @@ class DisturbanceObserver(LeafSystem):
         self._directions = model.disturbance_matrix.T.copy()
         # The sizes of the disturbed channels per unit of the states.
         self._units = np.abs(self._disturbed)
+        self._largest_unit = float(self._units.max(initial=0.0))
+        # Both arguments hardly ever change from tick to tick.
+        self._bound_of = lru_cache(maxsize=16)(self._bound_after)
         n, m, q = model.num_states, model.num_inputs, model.num_disturbances
         self._state = self.DeclareVectorInputPort("state", n)
         self._input = self.DeclareVectorInputPort("input", m)
@@ -250,15 +252,14 @@ class DisturbanceObserver(LeafSystem):
         elapsed = context.get_time() - last
         if self._is_gap(elapsed):
             nothing = np.zeros_like(memory)
-            known = replace(known, memory=nothing, since=math.nan, excess=0.0)
+            known = known._replace(memory=nothing, since=math.nan, excess=0.0)
         elif elapsed > self._instant or (math.isnan(last) and not math.isnan(since)):
             x_0, x_1 = stored[2 : self._memory_start], self._state.Eval(context)
             mean = self._plausible_mean(x_0, x_1, self._input.Eval(context), elapsed)
             if mean is None:
                 known = self._re_armed(known, context.get_time())
             else:
-                known = replace(
-                    known,
+                known = known._replace(
                     memory=self._advance(memory, mean.disturbance, elapsed),
                     quadrature=max(known.quadrature, mean.quadrature),
                 )
@@ -272,8 +273,7 @@ class DisturbanceObserver(LeafSystem):
         if not (_is_finite(x_0) and _is_finite(x_1)):
             return None
         mean, delta1 = self.mean_disturbance(x_0, x_1, u, elapsed), self.bounds.delta1
-        unit = float(self._units.max(initial=0.0))
-        rounding = _ROUNDING * (unit + self._size(x_1))
+        rounding = _ROUNDING * (self._largest_unit + self._size(x_1))
         blur = _JUMP_SIGMAS * self._noise + rounding
         most = _EXCEEDED * delta1 + mean.quadrature + blur / elapsed
         # False where it is not finite, too.
@@ -284,8 +284,7 @@ class DisturbanceObserver(LeafSystem):
     def _re_armed(self, known: _Posterior, now: float) -> _Posterior:
         """Keeps the estimate, forgets how good it was (E43)."""
         estimate = self._estimate(known.memory)
-        return replace(
-            known,
+        return known._replace(
             memory=self._started_at(estimate),
             since=now,
             excess=float(np.linalg.norm(estimate)),
@@ -350,8 +349,9 @@ class DisturbanceObserver(LeafSystem):
         return cast(_Posterior, self._posterior.Eval(context))
 
     def _calc_estimate(self, context: Context, output: BasicVector) -> None:
-        known, age = self._known(context), self._age(context)
-        bound = self._bound_after(known.excess, known.quadrature)
+        known = self._known(context)
+        age = 0.0 if math.isnan(known.since) else context.get_time() - known.since
+        bound = self._bound_of(known.excess, known.quadrature)
         estimate = DisturbanceEstimate(
             self._estimate(known.memory),
             self._estimate_rate(known.memory),
@@ -364,11 +364,6 @@ class DisturbanceObserver(LeafSystem):
 
     def _calc_disturbance_estimate(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._estimate(self._known(context).memory))
-
-    def _age(self, context: Context) -> float:
-        """Returns for how long the bound has decayed [s]."""
-        since = self._known(context).since
-        return 0.0 if math.isnan(since) else context.get_time() - since
 
     def _is_gap(self, elapsed: float) -> bool:
         least, most = -self._instant, self.longest_interval + self._instant

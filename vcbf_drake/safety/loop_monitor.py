@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from typing import NamedTuple
 
 import numpy as np
 from pydrake.common.value import Value
@@ -10,7 +11,6 @@ from pydrake.systems.framework import (
     Context,
     DiscreteValues,
     EventStatus,
-    LeafSystem,
     State,
 )
 
@@ -21,6 +21,7 @@ from vcbf_drake.safety.assumptions import (
     gain_assumptions,
     start_assumptions,
 )
+from vcbf_drake.safety.cached_system import CachedSystem, held_by
 from vcbf_drake.safety.feasible_set import unpack_feasible_set
 from vcbf_drake.safety.qp import FilterStatus
 from vcbf_drake.safety.safety_filter import SafetyFilter
@@ -31,7 +32,23 @@ _LOG = logging.getLogger("vcbf_drake")
 _MANY, _SHARE = 10, 0.5
 
 
-class LoopMonitor(LeafSystem):
+class _Findings(NamedTuple):
+    """What is wrong at a tick; or was at one so far, as the monitor's state.
+
+    Attributes:
+        status: A `FilterStatus`, the worst.
+        refuses: Whether the observer refused most of the intervals so far (E43).
+        is_small: Whether the volume row gives way where V_v is below 0.
+        is_lost: Whether the policy is ``backup`` and no way to safety is certified.
+    """
+
+    status: float
+    refuses: float
+    is_small: float
+    is_lost: float
+
+
+class LoopMonitor(CachedSystem):
     """Checks the hypotheses at the start, and tells when there is no safe input.
 
     .. pydrake_system::
@@ -82,11 +99,14 @@ class LoopMonitor(LeafSystem):
         if safety_filter.HasInputPort("estimate"):
             size = safety_filter.GetInputPort("estimate").size()
             self._ports["estimate"] = self.DeclareVectorInputPort("estimate", size)
-        # The first hypothesis that failed at the start; the worst status so far, and
-        # whether it was told that most intervals are refused, that V_v is below 0, and
-        # that there is no certified plan.
-        self._failed = self.DeclareAbstractState(Value[object](("",)))
-        self.DeclareDiscreteState(4)
+        # The first hypothesis that failed at the start; what was found so far.
+        self.DeclareAbstractState(Value[object](("",)))
+        self.DeclareDiscreteState(len(_Findings._fields))
+        ports = ("status", "volume", "backup", "estimate")
+        needs = {self._ports[name].ticket() for name in ports if name in self._ports}
+        self._findings = self._entry(
+            "findings", self._calc_findings, needs | {self.time_ticket()}
+        )
         self.DeclareInitializationUnrestrictedUpdateEvent(self._check_start)
         # When the tick is decided: by then the filter knows its threshold.
         self.DeclareInitializationPublishEvent(self._check_enclosure)
@@ -117,13 +137,12 @@ class LoopMonitor(LeafSystem):
         )
         if self._filter.method.disturbance == "estimated":
             found = (*found, *gain_assumptions(self._observer))
+        is_lost = self._has_no_plan(context)
         if "backup" in self._ports:
-            is_certified = bool(self._read(context, "backup")[1])
-            found = (certified_plan(self._filter, is_certified), *found)
+            found = (certified_plan(self._filter, not is_lost), *found)
         # A volume that starts below 0 is a hypothesis that fails; so is no plan.
-        told = state.get_mutable_discrete_state().get_mutable_vector()
-        told.SetAtIndex(2, float(volume < 0.0))
-        told.SetAtIndex(3, float(self._has_no_plan(context)))
+        told = _Findings(0.0, 0.0, volume < 0.0, is_lost)
+        state.get_mutable_discrete_state().set_value(np.array(told, dtype=float))
         failed = [each for each in found if each.holds is False]
         first = failed[0].verdict if failed else ""
         state.get_mutable_abstract_state(0).set_value((first,))
@@ -141,68 +160,61 @@ class LoopMonitor(LeafSystem):
         return EventStatus.Succeeded()
 
     def _check(self, context: Context) -> EventStatus:
-        status = FilterStatus(int(self._read(context, "status")[0]))
-        told = context.get_discrete_state_vector().CopyToVector()
-        worst, refuses, is_small, is_lost = told
-        if not is_lost and self._has_no_plan(context):
+        found: _Findings = held_by(self._findings, context)
+        told = _Findings(*context.get_discrete_state_vector().CopyToVector().tolist())
+        if found.is_lost and not told.is_lost:
             self._warn(
                 f"no certified plan at {context.get_time():.4g} s: from here on the"
                 " filter may run out of inputs; the plant, its limits, the measured"
                 " state, |d|, an obstacle or the manoeuvre is not as declared"
             )
-        if not is_small and self._is_too_small(context):
+        if found.is_small and not told.is_small:
             self._warn(
                 f"V_v is below 0 at {context.get_time():.4g} s: the rows leave less"
                 " room than the threshold, no input makes more in time, and so the"
                 " volume row gives way (RELAXED); lower volume.threshold, widen the"
                 " limits or start further away"
             )
-        if not refuses and self._refuses_most(context):
+        if found.refuses and not told.refuses:
             self._warn(
                 f"the observer refuses most intervals by {context.get_time():.4g} s:"
                 " what is measured moves more than bounds, model and noise allow, so"
                 " the disturbance is not known; check the bounds, the units and the"
                 " measured state"
             )
-        if status < FilterStatus.INFEASIBLE:
+        if found.status < FilterStatus.INFEASIBLE:
             return EventStatus.Succeeded()
         if self._settings.infeasible == "stop":
-            return EventStatus.ReachedTermination(self, self._reason(context, status))
-        if worst < FilterStatus.INFEASIBLE:
-            self._warn(self._reason(context, status))
+            reason = self._reason(context, found.status)
+            return EventStatus.ReachedTermination(self, reason)
+        if told.status < FilterStatus.INFEASIBLE:
+            self._warn(self._reason(context, found.status))
         return EventStatus.Succeeded()
 
     def _remember(self, context: Context, discrete: DiscreteValues) -> None:
         told = context.get_discrete_state_vector().CopyToVector()
-        worst, refuses, is_small, is_lost = told
-        worst = max(worst, self._read(context, "status")[0])
-        refuses = max(refuses, self._refuses_most(context))
-        is_small = max(is_small, self._is_too_small(context))
-        is_lost = max(is_lost, self._has_no_plan(context))
-        discrete.set_value([worst, refuses, is_small, is_lost])
+        discrete.set_value(np.maximum(told, held_by(self._findings, context)))
+
+    def _calc_findings(self, context: Context) -> _Findings:
+        status = float(self._read(context, "status")[0])
+        is_small = (
+            status == FilterStatus.RELAXED and self._read(context, "volume")[0] < 0.0
+        )
+        refuses = False
+        if "estimate" in self._ports:
+            estimate = DisturbanceEstimate.unpack(self._read(context, "estimate"))
+            ticks = context.get_time() / self._settings.period
+            refuses = estimate.refused_intervals >= max(_MANY, _SHARE * ticks)
+        return _Findings(status, refuses, is_small, self._has_no_plan(context))
 
     def _has_no_plan(self, context: Context) -> bool:
-        """Whether the policy is ``backup`` and no way to safety is certified."""
         return "backup" in self._ports and not self._read(context, "backup")[1]
-
-    def _is_too_small(self, context: Context) -> bool:
-        """Whether the volume row gives way where V_v is below 0."""
-        is_relaxed = self._read(context, "status")[0] == FilterStatus.RELAXED
-        return bool(is_relaxed and self._read(context, "volume")[0] < 0.0)
-
-    def _refuses_most(self, context: Context) -> bool:
-        """Whether the observer refused most of the intervals so far (E43)."""
-        if "estimate" not in self._ports:
-            return False
-        estimate = DisturbanceEstimate.unpack(self._read(context, "estimate"))
-        ticks = context.get_time() / self._settings.period
-        return bool(estimate.refused_intervals >= max(_MANY, _SHARE * ticks))
 
     def _warn(self, line: str) -> None:
         if self._settings.warn:
             _LOG.warning("%s: %s", self._filter.get_name(), line)
 
-    def _reason(self, context: Context, status: FilterStatus) -> str:
+    def _reason(self, context: Context, status: float) -> str:
         """One line on why there is no safe input at a tick."""
         at = f"at {context.get_time():.4g} s"
         if status == FilterStatus.FAILED:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +16,7 @@ from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.qp import FilterDecision
 
 
-@dataclass(frozen=True)
-class Tick:
+class Tick(NamedTuple):
     """What is known at one tick.
 
     Attributes:
@@ -96,3 +94,23 @@ MakeGate: TypeAlias = Callable[
 ]
 """Makes one of the plant, its rows, the input limits, how long an input is held [s],
 delta1 [m/s^2], and which rows are hard, (N,)."""
+
+_Made = TypeVar("_Made")
+
+
+def given(setting: str, make: Callable[..., _Made] | None) -> Callable[..., _Made]:
+    """Returns what `AddSafetyFilter` gives, of a room that the filter does not know.
+
+    Args:
+        setting: What asks for it.
+        make: Makes it.
+
+    Raises:
+        ValueError: There is none.
+    """
+    if make is None:
+        raise ValueError(
+            f"{setting}; it needs what vcbf_drake.between_ticks makes for it"
+            " (AddSafetyFilter gives it)"
+        )
+    return make

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
-from typing import TypeVar
 
 import numpy as np
 from pydrake.systems.framework import (
@@ -37,14 +36,13 @@ from vcbf_drake.safety.row_holder import (
     MakeRowHolder,
     RowHolder,
     Tick,
+    given,
 )
 from vcbf_drake.safety.row_names import RowNames
 from vcbf_drake.safety.settings import METHODS, FilterSettings
 from vcbf_drake.safety.tick_qp import Frame, TickPrograms
 from vcbf_drake.safety.volume import Volume, VolumeMeasure, threshold_of
 from vcbf_drake.typed import NotNegative, typed
-
-_Made = TypeVar("_Made")
 
 
 class SafetyFilter(CachedSystem):
@@ -142,10 +140,12 @@ class SafetyFilter(CachedSystem):
         known = settings.period, self.bounds.delta1
         self.backup_rows: BackupRows | None = None
         if self.method.feasibility == "backup":
-            laws = manoeuvres_of(model, input_set, *known)
-            margin = settings.backup_margin
             self.backup_rows = BackupRows(
-                model, self.barriers, self.barrier_set, laws, margin
+                model,
+                self.barriers,
+                self.barrier_set,
+                manoeuvres_of(model, input_set, *known),
+                settings.backup_margin,
             )
         names = (self.backup_rows or self.barrier_set).names
         self.row_names = RowNames.of(input_set, names)
@@ -156,24 +156,27 @@ class SafetyFilter(CachedSystem):
         self.certified_hold = hold if settings.between_ticks == "certified" else 0.0
         self.row_holder: RowHolder | None = None
         if self.certified_hold:
-            make_row_holder = _given("between_ticks: certified", make_row_holder)
+            make_row_holder = given("between_ticks: certified", make_row_holder)
             self.row_holder = make_row_holder(
                 model, self.barrier_set, hold, self.bounds.delta1
             )
         count = len(names)
-        self._weights = settings.one_a_barrier("violation_weights", count, 1.0)
         self._penalties = settings.one_a_barrier("soft_penalties", count, np.inf)
-        self._linear = settings.one_a_barrier("soft_linear_penalties", count, 0.0)
+        self._costs = (
+            settings.one_a_barrier("violation_weights", count, 1.0),
+            self._penalties,
+            settings.one_a_barrier("soft_linear_penalties", count, 0.0),
+        )
         self.gate: Gate | None = None
         if settings.infeasible == "backup":
             is_hard = np.isinf(self._penalties[: self.barrier_set.size])
-            make_gate = _given("infeasible: backup", make_gate)
+            make_gate = given("infeasible: backup", make_gate)
             self.gate = make_gate(model, self.barrier_set, input_set, *known, is_hard)
         self._decide = Decider(
             model, self.barriers, input_set, settings, self.row_holder, self.gate
         )
-        widening, solver = settings.volume.widening, settings.solver
-        self._measure = VolumeMeasure(input_set, widening, solver)
+        widening = settings.volume.widening
+        self._measure = VolumeMeasure(input_set, widening, settings.solver)
         self._declare_inputs()
         self._declare_cache_entries()
         self._declare_outputs()
@@ -184,15 +187,12 @@ class SafetyFilter(CachedSystem):
         self._reference = self.DeclareVectorInputPort("reference", m)
         self._held_input = self.DeclareVectorInputPort("held_input", m)
         self._obstacles: InputPort | None = None
-        if self.barrier_set.obstacles_size:
-            self._obstacles = self.DeclareVectorInputPort(
-                "obstacles", self.barrier_set.obstacles_size
-            )
+        if size := self.barrier_set.obstacles_size:
+            self._obstacles = self.DeclareVectorInputPort("obstacles", size)
         self._estimate: InputPort | None = None
         if self.method.disturbance == "estimated":
-            self._estimate = self.DeclareVectorInputPort(
-                "estimate", DisturbanceEstimate.packed_size(q)
-            )
+            size = DisturbanceEstimate.packed_size(q)
+            self._estimate = self.DeclareVectorInputPort("estimate", size)
 
     def _declare_cache_entries(self) -> None:
         needs = {self.time_ticket(), self._state.ticket()}
@@ -221,30 +221,25 @@ class SafetyFilter(CachedSystem):
             )
             needs.add(self.xd_ticket())
         self._volume_entry = self._entry("volumes", self._calc_volume, needs)
-        self._asked = {self._reference.ticket(), self._held_input.ticket()}
-        needs = {self._feasible_entry.ticket(), *self._asked}
+        needs = {self._reference.ticket(), self._held_input.ticket()}
+        needs.add(self._feasible_entry.ticket())
+        self._fallback_entry = self._entry("fallback", self._calc_fallback, needs)
         if self.method.has_volume_row:
             needs.add(self._volume_entry.ticket())
         self._decision_entry = self._entry("decision", self._calc_decision, needs)
 
     def _declare_outputs(self) -> None:
         m, n_rows = self.model.num_inputs, self.num_rows
-        N, scale = self.barrier_set.size, self.input_set.scale
-        num_levels = sum(self.barrier_set.degrees)
+        N, num_levels = self.barrier_set.size, sum(self.barrier_set.degrees)
         num_soft = int(np.isfinite(self._penalties).sum())
         decision = self._decision_entry
         self._output("command", m, decision, lambda d: d.input)
-        self.DeclareVectorOutputPort(
-            "fallback",
-            m,
-            lambda context, output: output.SetFromVector(self._fallback(context)),
-            {self._feasible_entry.ticket(), *self._asked},
-        )
+        self._output("fallback", m, self._fallback_entry, lambda u: u)
         self._output("slack", 1, decision, lambda d: [d.slack])
         if num_soft:
-            nothing = [np.nan] * num_soft
+            none = [np.nan] * num_soft
             self._output(
-                "soft_slacks", num_soft, decision, lambda d: d.soft_slacks or nothing
+                "soft_slacks", num_soft, decision, lambda d: d.soft_slacks or none
             )
         self._output("status", 1, decision, lambda d: [d.status])
         self._output("decay", 1, decision, lambda d: [d.decay])
@@ -265,7 +260,7 @@ class SafetyFilter(CachedSystem):
             "authority",
             N,
             self._feasible_entry,
-            lambda found: self.of_barriers(found.rows.authority(scale)),
+            lambda found: self.of_barriers(found.rows.authority(self.input_set.scale)),
         )
         self.DeclareVectorOutputPort(
             "feasible_set",
@@ -323,9 +318,8 @@ class SafetyFilter(CachedSystem):
         decision, feasible = self.decision(context), self.feasible_set(context)
         if decision.qp is None:
             return None
-        names = self.row_names
         widening = self.settings.volume.widening
-        return TickPrograms.of(decision.qp, feasible, names, widening)
+        return TickPrograms.of(decision.qp, feasible, self.row_names, widening)
 
     def barrier_rows(self, context: Context) -> BarrierRows:
         """Returns the barriers' own rows at the context's state and time."""
@@ -345,14 +339,7 @@ class SafetyFilter(CachedSystem):
         if self.backup_rows is not None:
             x, t = self._state.Eval(context), context.get_time()
             rows = self.backup_rows.rows(x, t, rows, self._seen(context))
-        return feasible_set(
-            self.input_set,
-            rows,
-            self.knowledge(context),
-            self._weights,
-            self._penalties,
-            self._linear,
-        )
+        return feasible_set(self.input_set, rows, self.knowledge(context), *self._costs)
 
     def threshold(self, context: Context) -> float:
         """Returns xi of the volume barrier.
@@ -387,10 +374,10 @@ class SafetyFilter(CachedSystem):
         x, t = self._state.Eval(context), context.get_time()
         if not np.isfinite(x).all():
             return FilterDecision(self.input_set.project(held), FilterStatus.FAILED)
-        rows, known = self.barrier_rows(context), self.knowledge(context)
-        tick = Tick(rows, x, t, known, self._seen(context))
+        rows, feasible = self.barrier_rows(context), self.feasible_set(context)
+        tick = Tick(rows, x, t, feasible.known, self._seen(context))
         v = self.volume(context) if self.method.has_volume_row else None
-        return self._decide(tick, self.feasible_set(context), v, reference, held)
+        return self._decide(tick, feasible, v, reference, held)
 
     def _held(self, context: Context) -> Array:
         if not self._held_input.HasValue(context):
@@ -398,7 +385,7 @@ class SafetyFilter(CachedSystem):
         held: Array = self._held_input.Eval(context)
         return held
 
-    def _fallback(self, context: Context) -> Array:
+    def _calc_fallback(self, context: Context) -> Array:
         inputs, feasible = self.input_set, self.feasible_set(context)
         reference, held = self._reference.Eval(context), self._held(context)
         if not (feasible.is_finite and np.isfinite(reference).all()):
@@ -409,13 +396,3 @@ class SafetyFilter(CachedSystem):
         feasible, known = self.feasible_set(context), self.volume(context)
         frame, center = self._measure.ellipsoid(feasible, known)
         output.SetFromVector(pack_feasible_set(feasible.A, feasible.b, frame, center))
-
-
-def _given(setting: str, make: Callable[..., _Made] | None) -> Callable[..., _Made]:
-    """What `AddSafetyFilter` gives, of a room that the filter does not know."""
-    if make is None:
-        raise ValueError(
-            f"{setting}; it needs what vcbf_drake.between_ticks makes for it"
-            " (AddSafetyFilter gives it)"
-        )
-    return make

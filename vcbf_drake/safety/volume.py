@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -74,8 +74,7 @@ def least_threshold(num_inputs: int) -> float:
     return _LEAST_RADIUS**num_inputs
 
 
-@dataclass(frozen=True)
-class Volume:
+class Volume(NamedTuple):
     """V_v, or det B, at one tick and its partial derivatives (E58).
 
     Attributes:
@@ -118,9 +117,9 @@ class Volume:
 
     def above(self, threshold: float) -> Volume:
         """Returns V_v, where this is det B: less its threshold xi."""
-        return replace(self, value=self.value - threshold)
+        return self._replace(value=self.value - threshold)
 
-    @cached_property
+    @property
     def is_on_plateau(self) -> bool:
         """Whether there is room, and no row that touches it and could take it away."""
         moving = self.state.any() or self.time or self.estimate.any() or self.bound

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vcbf_drake.barriers import BarrierSet
-from vcbf_drake.between_ticks.certified_heights import known_along
+from vcbf_drake.between_ticks import known_along
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceObserver
 from vcbf_drake.safety import Assumption, FilterStatus, InputSet, SafetyFilter

@@ -18,10 +18,7 @@ from pydrake.systems.analysis import (
 )
 from pydrake.systems.framework import Context, Diagram, EventStatus, System
 
-from vcbf_drake.between_ticks.certified_heights import (
-    certified_least_barrier,
-    is_certifiable,
-)
+from vcbf_drake.between_ticks import certified_least_barrier, is_certifiable
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError, naming_user_code
 from vcbf_drake.model.interface import state_port_of
