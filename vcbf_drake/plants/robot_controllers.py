@@ -21,6 +21,7 @@ from vcbf_drake.checks import Array, check_finite, require
 from vcbf_drake.errors import InvalidValueError
 from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.plants.postures import Posture
+from vcbf_drake.plants.robot_file import how_to_fix
 from vcbf_drake.typed import Checked, NotNegative, Positive
 
 
@@ -45,9 +46,7 @@ class InverseDynamics(Checked):
         if not is_driven(plant):
             problem = f"!InverseDynamics needs {n} motors for {n} velocities; there are"
             problem += f" {plant.num_actuators()} (!JointStiffness and !Lqr need fewer)"
-            for body in map(plant.get_body, plant.GetFloatingBaseBodies()):
-                problem += f"; weld: {body.name()} fixes the floating base"
-            raise InvalidValueError((), problem)
+            raise InvalidValueError((), problem + how_to_fix(plant))
         _check_sizes(self, ("stiffness", "damping"), n)
 
     def make(self, plant: MultibodyPlant, posture: Posture) -> System:

@@ -89,7 +89,9 @@ class RobotFile:
             plant.EvalTimeDerivatives(context)
         except RuntimeError as error:
             reason = " ".join(str(error).split())
-            raise InvalidValueError((), f"it does not move: {reason}") from None
+            way_out = how_to_fix(plant) if plant.is_finalized() else ""
+            problem = f"it does not move: {reason}{way_out}"
+            raise InvalidValueError((), problem) from None
         return plant
 
     def _path(self, packages: PackageMap) -> Path:
@@ -213,6 +215,12 @@ class RobotFile:
 def _tell(message: str) -> None:
     """Says it in the log, once."""
     _LOGGER.warning(message)
+
+
+def how_to_fix(plant: MultibodyPlant) -> str:
+    """Returns what a message says of how each floating base would be fixed."""
+    bases = map(plant.get_body, plant.GetFloatingBaseBodies())
+    return "".join(f"; weld: {each.name()} fixes the floating base" for each in bases)
 
 
 @contextmanager

@@ -71,7 +71,8 @@ class Fleet:
                     value, shared = getattr(each, key), getattr(first, key)
                     rule = f"{shared}, as of the first vehicle: they share the time"
                     require(value == shared, key, value, rule)
-                rule = f"of {len(first.target)} numbers, like the first vehicle's"
+                rule = f"of {len(first.target)} numbers, like the first vehicle's:"
+                rule += " all are in the plane, or all in space"
                 is_like = len(each.target) == len(first.target)
                 require(is_like, "target", each.target, rule)
                 distance, sight = each.separation.distance, each.faults.sight
