@@ -26,6 +26,7 @@ from vcbf_drake import (
     Scenario,
     StateFeedback,
     Vehicle,
+    VolumeBarrier,
     load_scenario,
     simulate,
 )
@@ -36,7 +37,7 @@ MOST = 0.3 * MASS * GRAVITY  # [N]
 
 FILTERS = {
     "no volume barrier": {"method": "cbf-qp"},
-    "the paper's": {"method": "vcbf-qp", "volume": {"gain": 3.0}},
+    "the paper's": {"method": "vcbf-qp", "volume": {"gain": 3.0, "widening": 1.0}},
     # Felt as if there were three times the force, and given way to slowly.
     "widened": {"method": "vcbf-qp", "volume": {"gain": 0.1, "widening": 3.0}},
 }
@@ -110,6 +111,7 @@ def scenario():
         description="A car keeps its headway from a slower one, with a weak brake.",
         vehicle=Follower(),
         input_set=InputLimits([-MOST], [MOST]),
+        volume=VolumeBarrier(gain=3.0, widening=1.0),
         initial_state=[20.0, 100.0],
         target=[HEADWAY * AHEAD],
         infeasible="stop",

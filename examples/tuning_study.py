@@ -27,8 +27,8 @@ from vcbf_drake.simulation.yaml_nodes import merge_overrides
 from vcbf_drake.studies import Trial, run_study
 
 SETTINGS = {
-    "the paper's form": VolumeBarrier(),
-    "8 x as wide, same gain": VolumeBarrier(widening=8.0),
+    "the paper's form": VolumeBarrier(gain=3.0, widening=1.0),
+    "8 x as wide, same gain": VolumeBarrier(gain=3.0, widening=8.0),
     "4 x as wide, gain 0.2": VolumeBarrier(gain=0.2, widening=4.0),
     "8 x as wide, gain 0.1": VolumeBarrier(gain=0.1, widening=8.0),
 }

@@ -105,6 +105,7 @@ def safety_filter(method: str) -> SafetyFilter:
     plant = LinearSystem(
         A_PLANT, B_PLANT, np.eye(NUM_STATES), np.zeros((NUM_STATES, NUM_INPUTS))
     )
+    volume = VolumeBarrier(THRESHOLD, VOLUME_GAIN, widening=1.0)
     return SafetyFilter(
         ControlAffineModel.from_system(plant),
         [
@@ -112,7 +113,7 @@ def safety_filter(method: str) -> SafetyFilter:
             for center, radius in zip(CENTERS, RADII, strict=True)
         ],
         InputSet.box(-LIMIT * np.ones(NUM_INPUTS), LIMIT * np.ones(NUM_INPUTS)),
-        FilterSettings(method=method, volume=VolumeBarrier(THRESHOLD, VOLUME_GAIN)),
+        FilterSettings(method=method, volume=volume),
     )
 
 

@@ -160,11 +160,12 @@ def filter_among_balls(
     method: str,
 ) -> SafetyFilter:
     """Returns the filter of a point mass among balls; the arguments of `tick_times`."""
+    volume = VolumeBarrier(threshold=0.02, gain=3.0, widening=1.0)
     return SafetyFilter(
         point_mass(num_inputs, num_states),
         _balls(num_inputs, num_obstacles, num_cutting, room),
         InputSet.box(-np.ones(num_inputs), np.ones(num_inputs)),
-        FilterSettings(method=method, volume=VolumeBarrier(threshold=0.02)),
+        FilterSettings(method=method, volume=volume),
         estimate_gain=4.0,
     )
 

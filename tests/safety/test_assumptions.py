@@ -164,12 +164,12 @@ def test_a_barrier_that_no_input_moves_is_no_empty_slot(car):
 
 
 def test_the_volume_at_the_start_is_compared_with_the_threshold(car):
-    free = at(car, "dob-vcbf-qp", volume=VolumeBarrier(threshold=0.1))
+    free = at(car, "dob-vcbf-qp", volume=VolumeBarrier(0.1, widening=1.0))
     assert free["volume at the start"].holds is True
     assert free["volume at the start"].numbers["threshold"] == 0.1
     assert free["volume at the start"].numbers["V_v(0)"] == pytest.approx(0.9)
     # At 4 m/s the force is left [-4, 2 (3 * 5 - 4 * 4 - 0.3)] = [-4, -2.6] N.
-    fast = at(car, "dob-vcbf-qp", 4.0, volume=VolumeBarrier(threshold=0.2))
+    fast = at(car, "dob-vcbf-qp", 4.0, volume=VolumeBarrier(0.2, widening=1.0))
     start = fast["volume at the start"]
     assert start.holds is False
     assert start.numbers["V_v(0)"] == pytest.approx(0.7 / 4.0 - 0.2, abs=1e-9)
@@ -177,7 +177,7 @@ def test_the_volume_at_the_start_is_compared_with_the_threshold(car):
 
 def test_the_printed_weights_are_information(car):
     """delta1 = 0.3; phi_1(0) = -1 + 3 * 5 and V_v(0) = 1 - 0.1."""
-    found = at(car, "dob-vcbf-qp", volume=VolumeBarrier(threshold=0.1))
+    found = at(car, "dob-vcbf-qp", volume=VolumeBarrier(0.1, widening=1.0))
     assert found["beta_1"].holds is None and found["beta_2"].holds is None
     assert found["beta_1"].numbers == {"least beta_1": pytest.approx(0.09 / 28.0)}
     assert found["beta_2"].numbers == {"least beta_2": pytest.approx(0.09 / 1.8)}
@@ -249,3 +249,17 @@ def test_a_plant_too_fast_for_its_period_has_no_certified_hold(drag, period, hol
     assert found.holds is holds
     assert found.numbers["T abs(df/dx)"] == pytest.approx(drag * period, rel=1e-4)
     assert np.isinf(safety_filter.decision(context).row_margin) is np.bool_(not holds)
+
+
+def test_the_volume_barrier_says_its_settings_and_whose_choice_they_are(car):
+    """A tenth of det B is more than 0.02 at the start, 5 m before the wall."""
+    default = at(car, "dob-vcbf-qp")["volume barrier"]
+    assert default.holds is None
+    assert default.numbers == {"widening": 8.0, "gain": 0.1, "threshold": 0.02}
+    assert "are the default" in default.statement
+    assert "a tenth of det B at the start" in default.statement
+    given = at(car, "vcbf-qp", volume=VolumeBarrier(0.1, gain=3.0, widening=1.0))
+    paper = given["volume barrier"]
+    assert paper.numbers == {"widening": 1.0, "gain": 3.0, "threshold": 0.1}
+    assert paper.statement == "widening and gain are given; the threshold is given"
+    assert "volume barrier" not in at(car, "dob-cbf-qp")

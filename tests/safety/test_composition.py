@@ -342,7 +342,7 @@ def test_strong_actuators_between_narrow_limits_keep_a_volume_row_that_counts(
         ControlAffineModel.from_system(plant),
         barriers,
         InputSet.box(-torque, torque),
-        FilterSettings(method="vcbf-qp", volume=VolumeBarrier(gain=gain)),
+        FilterSettings(method="vcbf-qp", volume=VolumeBarrier(gain=gain, widening=1.0)),
     )
     context = safety_filter.CreateDefaultContext()
     state = [0.2, 0.7, -0.3, 0.9, 0.2, -0.5, 0.3, 1.5, -1.2, 1.4, 1.5, -1.8, 2.2, 2.0]

@@ -92,7 +92,7 @@ def test_what_fails_at_the_start_is_said_once_in_one_line(
 def test_a_threshold_that_the_start_does_not_have_is_said_with_one_to_take(caplog):
     """The rows of speed leave a share of the box: V_v(0) < 0 at threshold 0.9."""
     slow = StateLimit(2, -0.2, 0.2).barriers([1.0], "speed")
-    limit = VolumeBarrier(threshold=0.9)
+    limit = VolumeBarrier(threshold=0.9, widening=1.0)
     loop = car_loop(slow, [0.0] * 4, limit, method="vcbf-qp")
     (line,), _ = warned(caplog, loop)
     # abs(u_0) <= 2 kg * 0.2 of 1 N: det B = 0.4.
@@ -103,7 +103,7 @@ def test_a_threshold_that_the_start_does_not_have_is_said_with_one_to_take(caplo
 def test_a_volume_that_falls_below_its_threshold_is_said_once(caplog):
     """At 0.5 m/s the rows ask for -1 <= u_0 <= -0.6 of 1 N: det B = 0.2 - 0.3 < 0."""
     slow = StateLimit(2, -0.2, 0.2).barriers([1.0], "speed")
-    barrier = VolumeBarrier(threshold=0.3, gain=100.0)
+    barrier = VolumeBarrier(threshold=0.3, gain=100.0, widening=1.0)
     loop = car_loop(slow, [0.0] * 4, barrier, method="vcbf-qp")
     lines, _ = warned(caplog, loop, 0.05)
     assert lines == []
@@ -114,15 +114,25 @@ def test_a_volume_that_falls_below_its_threshold_is_said_once(caplog):
 
 
 @pytest.mark.parametrize(
-    ("speed", "determinant", "threshold"),
-    [(0.2, 0.4, 0.02), (0.01, 0.02, 0.002), (1e-4, 2e-4, 2e-5)],
+    ("speed", "widening", "determinant", "threshold"),
+    [
+        (0.2, 1.0, 0.4, 0.02),
+        (0.01, 1.0, 0.02, 0.002),
+        (1e-4, 1.0, 2e-4, 2e-5),
+        (0.2, 8.0, 0.05, 0.005),
+    ],
 )
 def test_a_threshold_left_out_is_a_tenth_of_the_start(
-    caplog, speed, determinant, threshold
+    caplog, speed, widening, determinant, threshold
 ):
-    """abs(u_0) <= 2 kg * speed of 1 N, and it stays when the set changes later."""
+    """abs(u_0) <= 2 kg * speed of 1 N, and it stays when the set changes later.
+
+    Rows on both sides leave the width of a widened set as it is, so the share of it is
+    a `widening`-th.
+    """
     slow = StateLimit(2, -speed, speed).barriers([1.0], "speed")
-    loop = car_loop(slow, [0.0] * 4, method="vcbf-qp")
+    barrier = VolumeBarrier(widening=widening)
+    loop = car_loop(slow, [0.0] * 4, barrier, method="vcbf-qp")
     lines, _ = warned(caplog, loop, 0.05)
     assert lines == []
     safety_filter = loop.get_system().GetSubsystemByName("filter")

@@ -176,7 +176,8 @@ def test_the_centre_of_an_obstacle_is_survived(model):
 
 
 def test_an_empty_set_is_reported_with_its_rows(model):
-    safety_filter = make_filter(model, volume=VolumeBarrier(threshold=0.02))
+    barrier = VolumeBarrier(threshold=0.02, widening=1.0)
+    safety_filter = make_filter(model, volume=barrier)
     fast = CLOSE.copy()
     fast[4] = 2.0
     context = fixed(safety_filter, fast)

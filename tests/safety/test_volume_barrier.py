@@ -1,19 +1,34 @@
 """V_v's derivatives: against differences, and along the closed loop."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 from pydrake.geometry.optimization import HPolyhedron
 from pydrake.systems.analysis import Simulator
+from pydrake.systems.primitives import LinearSystem
 import pytest
 
 from tests.helpers.volume_rate import volume_rate
-from vcbf_drake import Blimp, ControlAffineModel, InputSet, SphereObstacle
+from vcbf_drake import (
+    Blimp,
+    ControlAffineModel,
+    FilterSettings,
+    InputSet,
+    SafetyFilter,
+    SphereObstacle,
+    StateLimit,
+)
 from vcbf_drake.barriers import BarrierRows, BarrierSet
 from vcbf_drake.safety import DisturbanceKnowledge, VolumeBarrier
 from vcbf_drake.safety.feasible_set import feasible_set
 from vcbf_drake.safety.volume import Volume, VolumeMeasure, volume_row
-from vcbf_drake.simulation import load_scenario, make_loop
+from vcbf_drake.simulation import (
+    load_fleet,
+    load_scenario,
+    make_loop,
+    shipped_scenarios,
+)
 
 THRESHOLD = 0.02
 INPUTS = InputSet.box([-0.05, -0.2, -0.02], [0.25, 0.2, 0.02])
@@ -301,6 +316,56 @@ def test_the_plateau_ends_where_any_row_could_take_room_away(moving):
 
 
 def test_the_label_says_what_is_measured():
-    assert VolumeBarrier().label == "volume"
+    assert VolumeBarrier(widening=1.0).label == "volume"
+    assert VolumeBarrier().label == "volume, inputs x 8"
     wide = VolumeBarrier(widening=2.5)
     assert wide.label == "volume, inputs x 2.5"
+
+
+# The default -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("barrier", "widening", "gain"),
+    [(VolumeBarrier(), 8.0, 0.1), (VolumeBarrier(gain=3.0, widening=1.0), 1.0, 3.0)],
+)
+def test_the_default_brakes_where_the_papers_form_is_on_its_plateau(
+    barrier, widening, gain
+):
+    """A mass, x'' = u in [-1, 1], before the end of a rail at 1, by hand.
+
+    With h = 1 - x the row is u <= b = 3 h - 4 v; the widened set is [-kappa, b], or all
+    of it, so det B = min(1, (b + kappa) / (2 kappa)), and b' = -3 v - 4 u.
+    """
+    mass = LinearSystem([[0, 1], [0, 0]], [[0], [1]], [[1, 0], [0, 1]], [[0], [0]])
+    rail = StateLimit(0, upper=1.0).barriers([4.0, 3.0])
+    settings = FilterSettings(method="vcbf-qp", volume=barrier)
+    inputs = InputSet.box([-1.0], [1.0])
+    model = ControlAffineModel.from_system(mass)
+    safety_filter = SafetyFilter(model, rail, inputs, settings)
+    context = safety_filter.CreateDefaultContext()
+    x, v = 0.2, 0.3
+    safety_filter.GetInputPort("state").FixValue(context, [x, v])
+    safety_filter.GetInputPort("reference").FixValue(context, [1.0])
+    b = 3.0 * (1.0 - x) - 4.0 * v
+    assert b == pytest.approx(1.2)
+    determinant = min(1.0, (b + widening) / (2.0 * widening))
+    volume = safety_filter.GetOutputPort("volume").Eval(context)[0]
+    assert volume == pytest.approx(determinant - 0.02)
+    expected = 1.0
+    if determinant < 1.0:  # (-3 v - 4 u) / (2 kappa) >= -lambda V
+        expected = (2.0 * widening * gain * (determinant - 0.02) - 3.0 * v) / 4.0
+    u = safety_filter.GetOutputPort("command").Eval(context)[0]
+    assert u == pytest.approx(expected, abs=1e-9)
+    assert (u < 0.0) == (widening > 1.0)
+
+
+def test_the_default_is_everywhere_and_the_papers_scenarios_say_theirs():
+    """The paper's Section V: lambda_Vv = 3, and no widening."""
+    assert FilterSettings().volume == VolumeBarrier(None, 0.1, 1000.0, 8.0)
+    for name in shipped_scenarios():
+        volume = load_scenario(name).volume
+        assert (volume.widening, volume.gain) == (1.0, 3.0), name
+    cars = Path(__file__).parents[2] / "examples" / "two_vehicles.yaml"
+    fleet = load_fleet(cars)
+    assert all(each.volume == VolumeBarrier() for each in fleet.vehicles)

@@ -272,6 +272,19 @@ def _information(
 ) -> Iterator[Assumption]:
     """What the paper asks for and no proof needs, and what sampling costs."""
     method = safety_filter.method
+    if method.has_volume_row:
+        barrier = safety_filter.settings.volume
+        yield Assumption(
+            "volume barrier",
+            barrier.choice,
+            None,
+            {
+                "widening": barrier.widening,
+                "gain": barrier.gain,
+                "threshold": safety_filter.threshold(context),
+            },
+            "nothing",
+        )
     if method.disturbance == "estimated" and isinstance(observer, RiseObserver):
         decay, barriers = observer.decay_rate, safety_filter.barriers
         rates = (b.decay_rates[-1] for b in barriers if isinstance(b, Barrier))
