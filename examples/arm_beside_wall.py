@@ -24,7 +24,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from vcbf_drake import AddSafetyFilter, FilterSettings, InputSet
+from vcbf_drake import AddSafetyFilter, FilterSettings, InputSet, VolumeBarrier
 from vcbf_drake.barriers import HalfSpace, StateLimit
 from vcbf_drake.disturbances import DisturbanceBounds
 from vcbf_drake.model import point_position
@@ -84,7 +84,11 @@ def main() -> None:
         input_set=InputSet.box(-torque, torque),
         bounds=DisturbanceBounds(0.0, 0.0, 0.0),
         settings=FilterSettings(
-            period=PERIOD, method="vcbf-qp", between_ticks="certified"
+            period=PERIOD,
+            method="vcbf-qp",
+            between_ticks="certified",
+            # The paper's form: its motors are strong, and the hand goes to the wall.
+            volume=VolumeBarrier(gain=3.0, widening=1.0),
         ),
     )
     meshcat = Meshcat(MeshcatParams(host="127.0.0.1", port=0))

@@ -25,6 +25,7 @@ from vcbf_drake import (
     FilterSettings,
     InputSet,
     SphereObstacle,
+    VolumeBarrier,
 )
 from vcbf_drake.barriers import Geofence
 from vcbf_drake.disturbances import Sinusoid
@@ -87,7 +88,10 @@ def main() -> None:
         ],
         input_set=InputSet.box(-MOST, MOST),
         bounds=slope.bounds,
-        settings=FilterSettings(period=PERIOD),
+        # The paper's volume barrier, felt where it cuts: a person wants to steer.
+        settings=FilterSettings(
+            period=PERIOD, volume=VolumeBarrier(gain=3.0, widening=1.0)
+        ),
     )
     VehicleGeometry.AddToBuilder(
         builder, CarVehicle(), car.get_output_port(), scene_graph, "car"

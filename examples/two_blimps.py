@@ -26,6 +26,7 @@ from vcbf_drake import (
     DisturbanceSource,
     FilterSettings,
     InputSet,
+    VolumeBarrier,
 )
 from vcbf_drake.barriers import PairDistance, PerceivedSpheres
 from vcbf_drake.disturbances import Sinusoid
@@ -136,7 +137,10 @@ def main() -> None:
         obstacles=perception.get_output_port(),
         input_set=InputSet.box(-most, most),
         bounds=wind.bounds,
-        settings=FilterSettings(period=PERIOD),
+        # The paper's volume barrier, felt where it cuts: they pass close by.
+        settings=FilterSettings(
+            period=PERIOD, volume=VolumeBarrier(gain=3.0, widening=1.0)
+        ),
     )
     scene_graph = builder.AddSystem(SceneGraph())
     builder.AddSystem(Ball(scene_graph)).ConnectTo(builder, scene_graph)

@@ -144,7 +144,8 @@ def test_nothing_in_sight_leaves_the_reference_alone(model):
 
 def test_the_volume_moves_with_the_obstacles(model):
     """dV_v/dt against differences of obstacles carried on at their velocities."""
-    spheres, safety_filter = perceiving(model, volume=VolumeBarrier(threshold=0.02))
+    barrier = VolumeBarrier(threshold=0.02, widening=1.0)
+    spheres, safety_filter = perceiving(model, volume=barrier)
     c, v, r = map(np.array, SEEN.values())
 
     def volume_at(ahead):
@@ -204,7 +205,7 @@ def test_sizes_are_checked(model):
 
 
 def loop(barriers, port=True):
-    """A point mass that wants to go along x, as a diagram."""
+    """A point mass that wants to go along x, with the paper's volume barrier."""
     builder = DiagramBuilder()
     plant = builder.AddSystem(point_mass())
     wish = builder.AddSystem(ConstantVectorSource([0.3, 0.0]))
@@ -217,6 +218,7 @@ def loop(barriers, port=True):
         input_set=LIMITS,
         bounds=DisturbanceBounds(0.0, 0.0, 0.0),
         obstacles=seen.get_output_port() if port else None,
+        settings=FilterSettings(volume=VolumeBarrier(gain=3.0, widening=1.0)),
     )
     return Simulator(builder.Build()), safety, plant
 

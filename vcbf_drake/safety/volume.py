@@ -76,8 +76,8 @@ class VolumeBarrier:
         words = "widening and gain are given"
         if is_default:
             words = (
-                "widening and gain are the default, for a plant that nobody tuned them"
-                " to: early and gentle, at the price of time (docs/guide/feasibility.md)"
+                "widening and gain are the default, for a plant that nobody tuned:"
+                " early and gentle, at the price of time (docs/guide/feasibility.md)"
             )
         if self.threshold is not None:
             return f"{words}; the threshold is given"
