@@ -83,9 +83,9 @@ class Vehicle {
       Send(3);
       std::this_thread::sleep_for(std::chrono::milliseconds(50));
     }
-    std::printf("boat: %.2f m from the goal, %ld commands, %ld rejected\n",
+    std::printf("boat: %.2f m from the goal, %ld commands, %ld late, %ld rejected\n",
                 std::hypot(boat_.state[0] - 9.0, boat_.state[1] - 1.0), accepted_,
-                rejected_);
+                late_, rejected_);
   }
 
  private:
@@ -100,11 +100,15 @@ class Vehicle {
                  const vcbf_lcm::vcbf_command* command) {
     const int64_t now = Now();
     const bool is_silent = now - received_at_ > kTimeout;
+    if (now - command->state_utime >= 500'000) {  // Of a state long gone.
+      ++late_;
+      return;
+    }
     // Its format; that it answers us; that it comes from the controller we follow; that
     // it goes forward. Stock LCM has checked the type, and that no byte is missing.
     bool good = command->version == 2 && command->num_inputs == 2 &&
                 command->state_session == session_ && command->mode >= 0 &&
-                command->mode <= 3 && now - command->state_utime < 500'000;
+                command->mode <= 3;
     if (good && command->session != followed_) {
       good = is_silent || command_mode_ == 3 ||
              (command->takes_over && command->session > followed_);
@@ -164,7 +168,7 @@ class Vehicle {
   int8_t mode_ = 0, command_mode_ = 3;
   int64_t followed_ = -1, sequence_ = -1, command_utime_ = 0, received_at_ = 0;
   int64_t sent_ = 0;
-  long accepted_ = 0, rejected_ = 0;
+  long accepted_ = 0, late_ = 0, rejected_ = 0;
 };
 
 }  // namespace

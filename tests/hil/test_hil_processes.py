@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 import contextlib
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -182,8 +183,12 @@ def test_a_controller_that_raises_says_where_and_its_vehicle_falls_back(
     _, err = controller.communicate(timeout=60.0)
     assert controller.returncode == 1
     said = err.splitlines()[-1]
-    assert said.startswith("vcbf-drake: UserCodeError: controller at t = 0.3")
-    assert f" s, {path}:14: RuntimeError: out of fuel (" in said
+    start_of_line = r"vcbf-drake: UserCodeError: controller at t = ([\d.]+) s, "
+    found = re.match(start_of_line, said)
+    assert found, said
+    assert said[found.end() :].startswith(f"{path}:14: RuntimeError: out of fuel (")
+    # It raises at the first tick after 0.3 s; a busy machine may miss some of these.
+    assert 0.3 <= float(found[1]) <= changes[-1]["time"]
     assert changes[-1]["mode"] == "fallback"
     assert changes[-1]["time"] < 1.5
 
