@@ -92,7 +92,7 @@ def run_part(
                 continue
             own = [p for p in chosen if not acts_on or is_lost(found[acts_on][p])]
             trials = [population.trial(contender, *pair) for pair in own]
-            path = out / f"{population.name}-{part:02}-{number}.jsonl"
+            path = out / population.record_file(part, number)
             found[name] = dict(zip(own, run_study(trials, path, pool), strict=True))
 
 

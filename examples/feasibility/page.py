@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 import json
 from pathlib import Path
 from statistics import median
@@ -56,15 +56,17 @@ def page(directory: Path, parts: int) -> str:
         directory: Where the records are.
         parts: Of how many parts the study is.
     """
+    paths = sorted(directory.glob("*.jsonl"))
     records = {
         key(record): record
-        for path in sorted(directory.glob("*.jsonl"))
+        for path in paths
         for record in map(json.loads, whole_lines(path))
     }
     path = directory / "ticks.json"
     times = json.loads(path.read_text()) if path.exists() else {}
+    files = {path.name for path in paths}
     sections = [
-        section(population, records, times.get(population.name, {}))
+        section(population, records, times.get(population.name, {}), files, parts)
         for population in POPULATIONS
     ]
     return "\n".join([_HEAD, *sections])
@@ -81,8 +83,30 @@ def key(identity: Record) -> str:
     return json.dumps([identity[name] for name in names])
 
 
+def with_shared_runs(
+    base: dict[Pair, Record], own: dict[Pair, Record], finished: Sequence[range]
+) -> dict[Pair, Record]:
+    """Returns the records of who differs from another only where that one is lost.
+
+    The other's kept runs are its own, too, but only where all of the lost ones have
+    been run: the rest would be a selection of easy ones.
+
+    Args:
+        base: The other's records.
+        own: What has been run where these are lost.
+        finished: The blocks of courses that have been run.
+    """
+    missing = {c for (c, v), r in base.items() if is_lost(r) and (c, v) not in own}
+    whole = {c for block in finished if missing.isdisjoint(block) for c in block}
+    return {p: own.get(p, record) for p, record in base.items() if p[0] in whole}
+
+
 def section(
-    population: Population, records: dict[str, Record], times: dict[str, float]
+    population: Population,
+    records: dict[str, Record],
+    times: dict[str, float],
+    files: Collection[str],
+    parts: int,
 ) -> str:
     """Returns what is known of one population.
 
@@ -90,6 +114,8 @@ def section(
         population: The population.
         records: All records, by `key`.
         times: CPU time of a tick [ms], by method.
+        files: The names of the files that there are.
+        parts: Of how many parts the study is.
     """
     everything = range(population.first, population.first + population.count)
     pairs = population.pairs(everything)
@@ -104,14 +130,19 @@ def section(
     lost = [pair for pair, record in base.items() if is_lost(record)]
     sampled = [p for p in base if p not in set(lost) and population.is_sampled(*p)]
     found = {BASE: base}
-    for name, contender in contenders.items():
+    for number, (name, contender) in enumerate(contenders.items()):
         if name == BASE:
             continue
         found[name] = of(name, [*lost, *sampled])
         if contender.acts_on:
-            known = found[contender.acts_on].items()
-            same = {pair: record for pair, record in known if not is_lost(record)}
-            found[name] = same | found[name]
+            finished = [
+                block
+                for part, block in enumerate(population.blocks(parts))
+                if population.record_file(part, number) in files
+            ]
+            found[name] = with_shared_runs(
+                found[contender.acts_on], found[name], finished
+            )
     harmless = len(base) - len(lost)
     lines = [
         f"## {population.name.capitalize()}",

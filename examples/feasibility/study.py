@@ -128,6 +128,10 @@ class Population:
             overrides=merge_overrides(given),
         )
 
+    def record_file(self, part: int, number: int) -> str:
+        """Returns the name of the file of a part's records of one contender."""
+        return f"{self.name}-{part:02}-{number}.jsonl"
+
     def pairs(self, courses: range) -> list[tuple[int, int]]:
         """Returns every course with every variant."""
         return [(c, v) for c in courses for v in range(len(self.variants))]
