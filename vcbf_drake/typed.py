@@ -48,6 +48,9 @@ PositiveOrInfinite: TypeAlias = Annotated[
 ]
 Share: TypeAlias = Annotated[float, check_share]
 
+# The types of fields as they were declared, by their class.
+_declared: dict[type, dict[str, Any]] = {}
+
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
@@ -102,7 +105,21 @@ def check_fields(made: Any, prefix: str = "") -> None:
 
 
 class Checked:
-    """A dataclass that checks its fields when it is made; the base of such."""
+    """A dataclass that checks its fields when it is made; the base of such.
+
+    The fields themselves get plain types, for these are what `pydrake.common.yaml` can
+    read and write: it knows no `Annotated`.
+    """
+
+    def __init_subclass__(cls) -> None:
+        """Puts the declared types aside, with their ranges, for `check_fields`."""
+        super().__init_subclass__()
+        declared = vars(cls).get("__annotations__", {})
+        if any(isinstance(hint, str) for hint in declared.values()):
+            return  # Written as texts, which Drake cannot read in any case.
+        _declared[cls] = declared
+        plain = get_type_hints(cls)
+        cls.__annotations__ = {name: plain[name] for name in declared}
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -137,6 +154,8 @@ def check_type(path: str | Path, value: Any, hint: Any) -> None:
 @cache
 def _field_hints(kind: Any) -> dict[str, Any]:
     hints = get_type_hints(kind, include_extras=True)
+    for base in reversed(kind.__mro__):
+        hints |= _declared.get(base, {})
     return {name: hints[name] for name in kind.__dataclass_fields__}
 
 

@@ -76,7 +76,8 @@ def test_lockstep_is_the_simulation(name: str, duration: float) -> None:
 
 
 def test_a_vehicle_arrives_within_a_tenth_of_its_way_where_nothing_is_said() -> None:
-    loaded = load_scenario(EXAMPLES / "own_robot.py", {"target": [0.4, -0.4]})
+    early = {"target": [0.4, -0.4], "volume": {"widening": 1.0, "gain": 3.0}}
+    loaded = load_scenario(EXAMPLES / "own_robot.py", early)
     assert loaded.arrival_tolerance is None
     run = InProcess(loaded)
     run.advance_to(1.0)

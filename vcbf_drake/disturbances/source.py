@@ -18,6 +18,8 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from vcbf_drake.checks import (
     Array,
+    check_finite,
+    check_parameter,
     finite_array,
     require,
 )
@@ -30,7 +32,7 @@ from vcbf_drake.disturbances.signals import (
     supremum,
 )
 from vcbf_drake.errors import InvalidValueError, ModelError
-from vcbf_drake.typed import Finite, Positive, check_fields, typed
+from vcbf_drake.typed import Positive, check_fields, typed
 
 # Between two samples [s]; a spline's third derivative goes with its inverse cube.
 _SHORTEST_INTERVAL = 1e-9
@@ -79,13 +81,15 @@ class Sinusoid:
     """
 
     amplitude: list[float] = field(default_factory=list)
-    frequency: Finite = 1.0
-    phase: Finite = 0.0
+    frequency: float = 1.0
+    phase: float = 0.0
 
     def curve(self, horizon: float) -> Tones:
         """Returns the signal as a function of time; see `Signal`."""
         check_fields(self)
         amplitude = _vector("amplitude", self.amplitude)
+        check_finite("frequency", self.frequency)
+        check_finite("phase", self.phase)
         return Tones(
             amplitude[None], np.array([self.frequency]), np.array([self.phase])
         )
@@ -116,13 +120,15 @@ class SmoothStep:
     """
 
     amplitude: list[float] = field(default_factory=list)
-    start: Finite = 0.0
-    duration: Positive = 1.0
+    start: float = 0.0
+    duration: float = 1.0
 
     def curve(self, horizon: float) -> Curve:
         """Returns the signal itself, checked; see `Signal`."""
         check_fields(self)
         _vector("amplitude", self.amplitude)
+        check_finite("start", self.start)
+        check_parameter("duration", self.duration)
         return replace(self, amplitude=[*self.amplitude])
 
     @property
@@ -165,7 +171,7 @@ class BandLimitedNoise:
     """
 
     std: list[float] = field(default_factory=list)
-    bandwidth: Positive = 1.0
+    bandwidth: float = 1.0
     seed: int = 0
     tones: int = 16
 
@@ -174,6 +180,7 @@ class BandLimitedNoise:
         check_fields(self)
         std = _vector("std", self.std)
         require(bool(np.all(std >= 0.0)), "std", self.std, "not below 0")
+        check_parameter("bandwidth", self.bandwidth)
         require(self.seed >= 0, "seed", self.seed, "not below 0")
         require(1 <= self.tones <= 1000, "tones", self.tones, "from 1 to 1000")
         generator = np.random.default_rng(self.seed)

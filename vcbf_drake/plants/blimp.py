@@ -46,7 +46,7 @@ BlimpInput = namedview("BlimpInput", ["surge_force", "heave_force", "yaw_moment"
 
 
 @dataclass
-class BlimpParameters:
+class BlimpParameters(Checked):
     """Physical parameters of a neutrally buoyant blimp.
 
     The defaults are those of the Georgia Tech miniature autonomous blimp as published
