@@ -45,7 +45,7 @@ random sample of those that it does not. *Lost*: a tick without an input, a fail
 tick or a collision before the target; with `infeasible: decay` a tick without an
 input counts where no decay rate helps. *Kept*: not lost. Brackets are Wilson's 95 %
 intervals. The pairs of one course are not independent: for the car, read them as too
-narrow.
+narrow. A method without a line has not been run there yet.
 """
 
 
@@ -179,6 +179,8 @@ def table(
     for name, of in found.items():
         own = {pair: of[pair] for pair in pairs if pair in of}
         count = len(own)
+        if not count:
+            continue
         lost = {pair for pair, record in own.items() if is_lost(record)}
         cells = [words(name), str(count)]
         cells.append(share(count - len(lost), count))

@@ -94,5 +94,5 @@ def test_the_page_counts_what_was_run(tmp_path):
     assert "| 9.0 s | 0 | 0.100 |" in line
     # Who differs from another only where that one is lost is not told of by its easy
     # runs alone: the widened row lost one, and decay has not been run there.
-    assert "| `dob-vcbf-qp`, widened and decay | 0 | - |" in text
-    assert "| `dob-cbf-qp`, infeasible: decay | 0 | - |" in text
+    assert "widened and decay |" not in text
+    assert "infeasible: decay |" not in text
