@@ -7,14 +7,13 @@ that the law keeps is x1 + max(x2, 0)^2 / 2 <= 0.
 
 import numpy as np
 from pydrake.math import tanh
-from pydrake.systems.primitives import LinearSystem
 import pytest
 from scipy.integrate import solve_ivp
 
+from tests.helpers.braking_integrator import FullBrake, braking_integrator
 from vcbf_drake.barriers import Barrier, BarrierSet, SphereObstacle, ackermann_limit
 from vcbf_drake.errors import ModelError, VcbfError
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.model.manoeuvre import Manoeuvre
 from vcbf_drake.plants import Car, CarParameters
 from vcbf_drake.safety import (
     DisturbanceKnowledge,
@@ -26,30 +25,12 @@ from vcbf_drake.safety import (
 )
 from vcbf_drake.safety.backup_rows import BackupRows
 
-ALPHA = 2.0
-
-
-class Brake(Manoeuvre):
-    """Full brake; no plan is asked of it here."""
-
-    first = (0,)
-    horizon = 3.0
-
-    def input(self, state):
-        raise NotImplementedError
-
-    plan = input
-
-    def law(self, x):
-        return [-1.0]
+ALPHA, HORIZON = 2.0, 3.0
 
 
 @pytest.fixture(scope="module")
 def integrator():
-    system = LinearSystem([[0, 1], [0, 0]], [[0], [1]], np.eye(2), np.zeros((2, 1)))
-    model = ControlAffineModel.from_system(system)
-    model.make_manoeuvres = lambda *_: [Brake()]
-    return model
+    return braking_integrator(HORIZON)
 
 
 def wall():
@@ -80,9 +61,9 @@ def decide(safety_filter, x, reference):
 def test_rows_of_the_double_integrator_in_closed_form(integrator, x):
     barriers = [wall()]
     barrier_set, x = BarrierSet(integrator, barriers), np.array(x)
-    rows = BackupRows(integrator, barriers, barrier_set, [Brake()], 0.3)
+    rows = BackupRows(integrator, barriers, barrier_set, [FullBrake(HORIZON)], 0.3)
     found = rows.rows(x, 0.0, barrier_set.rows(x, 0.0), None)
-    tau = np.linspace(0.0, Brake.horizon, len(found.b) + 1)[1:]
+    tau = np.linspace(0.0, HORIZON, len(found.b) + 1)[1:]
     height = -(x[0] + x[1] * tau - 0.5 * tau**2)
     np.testing.assert_allclose(found.value, height, atol=1e-12)
     # tau u <= -x2 + alpha (h - margin)
@@ -96,7 +77,7 @@ def test_the_input_of_the_double_integrator_in_closed_form(integrator, seed):
     for _ in range(20):
         v = rng.uniform(-1.0, 1.5)
         x = np.array([-0.5 * max(v, 0.0) ** 2 - rng.uniform(0.13, 1.0), v])
-        tau = np.linspace(0.0, Brake.horizon, 61)[1:]
+        tau = np.linspace(0.0, HORIZON, 61)[1:]
         height = -(x[0] + x[1] * tau - 0.5 * tau**2)
         most = np.min((-x[1] + ALPHA * height) / tau)
         reference = rng.uniform(-1.0, 1.0)

@@ -12,13 +12,11 @@ differences give its sensitivity, and with one input the QP is the least of its 
 import math
 
 import numpy as np
-from pydrake.systems.primitives import LinearSystem
 import pytest
 from scipy.integrate import solve_ivp
 
+from tests.helpers.braking_integrator import braking_integrator
 from vcbf_drake.barriers import Barrier
-from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.model.manoeuvre import Manoeuvre
 from vcbf_drake.safety import FilterSettings, FilterStatus, InputSet, SafetyFilter
 
 STEP, HORIZON, STEPS = 0.02, 1.5, 251
@@ -31,27 +29,10 @@ def alpha(h):
     return 15.0 * h + h**3
 
 
-class FullBrake(Manoeuvre):
-    """The published backup law; no plan is asked of it."""
-
-    first = (0,)
-    horizon = HORIZON
-
-    def input(self, state):
-        raise NotImplementedError
-
-    plan = input
-
-    def law(self, x):
-        return [-1.0]
-
-
 @pytest.fixture(scope="module")
 def chosen():
     """Returns our filter: of a state the input, and whether its rows leave none."""
-    system = LinearSystem([[0, 1], [0, 0]], [[0], [1]], np.eye(2), np.zeros((2, 1)))
-    model = ControlAffineModel.from_system(system)
-    model.make_manoeuvres = lambda *_: [FullBrake()]
+    model = braking_integrator(HORIZON)
     wall = Barrier(lambda x, t, p: -x[0], [2.0, 1.0], name="wall").with_class_k(alpha)
     safety_filter = SafetyFilter(
         model,
