@@ -8,7 +8,8 @@ there is one, multipliers prove that none is better, or that there is none.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from itertools import chain, combinations
 import math
 
@@ -129,7 +130,7 @@ def _broken(tick: Tick, decision: FilterDecision) -> Iterator[str]:
     if not tick.is_finite:
         if status != FilterStatus.FAILED:
             yield "status"
-        elif not _is_held(tick, limits, v):
+        elif not _is_held(tick, limits, v, decision.input):
             yield "fallback"
         return
     rows = _Rows.of(tick.input_set, tick.A, tick.b)
@@ -161,7 +162,7 @@ def _broken_when_infeasible(
     if not _is_conflict(limits.and_(rows), list(decision.conflict)):
         yield "conflict"
     if tick.policy == "hold":
-        if not _is_held(tick, limits, v):
+        if not _is_held(tick, limits, v, decision.input):
             yield "fallback"
     elif decision.decay > 1.0:
         if tick.policy != "decay" or tick.decays_always:
@@ -227,7 +228,7 @@ def _broken_when_feasible(
     if tick.volume_row is None:
         if decision.slack != 0.0:
             yield "slack"
-        if not rows.is_optimal(v - tick.far(tick.reference), v):
+        if not rows.is_optimal(v - tick.far(tick.reference), v, decision.input):
             yield "optimal"
         return
     a, c = tick.volume_row.a, tick.volume_row.c
@@ -243,9 +244,10 @@ def _broken_when_feasible(
         if not _is_least_penalty(rows, row_v, penalty, gradient, v):
             yield "optimal"
         return
-    if slack < -FEASIBILITY and not rows.is_optimal(row_v.G[0], v):
+    if slack < -FEASIBILITY and not rows.is_optimal(row_v.G[0], v, decision.input):
         yield "least slack"
-    if not rows.and_(row_v.relaxed(min(slack, 0.0))).is_optimal(gradient, v):
+    relaxed = rows.and_(row_v.relaxed(min(slack, 0.0)))
+    if not relaxed.is_optimal(gradient, v, decision.input):
         yield "optimal"
 
 
@@ -258,12 +260,16 @@ class _Rows:
         h: Shape (n,).
         unit: What the rows were divided by: their length, or 1, shape (n,).
         rounding: How well h can be known, shape (n,).
+        A: The rows as they were given, for inputs as they are, shape (n, m).
+        b: Their right-hand sides, shape (n,).
     """
 
     G: Array
     h: Array
     unit: Array
     rounding: Array
+    A: Array
+    b: Array
 
     @staticmethod
     def of(inputs: InputSet, A: Array, b: Array) -> _Rows:
@@ -276,14 +282,15 @@ class _Rows:
         G, h, size = G / unit[:, None], h / unit, size / unit
         length = np.maximum(np.linalg.norm(G, axis=1), 1.0)  # At least 1, or it is 0.
         G, h, size = G / length[:, None], h / length, size / length
-        return _Rows(G, h, unit * length, 8.0 * _EPSILON * size)
+        return _Rows(G, h, unit * length, 8.0 * _EPSILON * size, A, b)
 
     def and_(self, other: _Rows) -> _Rows:
         mine, others = vars(self).values(), vars(other).values()
         return _Rows(*(np.concatenate(pair) for pair in zip(mine, others, strict=True)))
 
     def relaxed(self, slack: float) -> _Rows:
-        return _Rows(self.G, self.h - slack, self.unit, self.rounding)
+        b = self.b - slack * self.unit
+        return replace(self, h=self.h - slack, b=b)
 
     def slack(self, v: Array) -> Array:
         slack: Array = self.h - self.G @ v
@@ -293,22 +300,38 @@ class _Rows:
         """The largest distance to a row's wrong side, beyond rounding."""
         return float(np.max(-self.slack(v) - self.rounding, initial=0.0))
 
-    def is_optimal(self, gradient: Array, v: Array) -> bool:
+    def exact_slack(self, u: Array) -> Array:
+        """The slack at an input, of rows and inputs as they are, without rounding."""
+        sums = (
+            sum(Fraction(a) * Fraction(x) for a, x in zip(row, u.tolist(), strict=True))
+            for row in self.A.tolist()
+        )
+        pairs = zip(self.b.tolist(), sums, self.unit.tolist(), strict=True)
+        return np.array(
+            [
+                float((Fraction(b) - total) / Fraction(unit)) if np.isfinite(b) else b
+                for b, total, unit in pairs
+            ]
+        )
+
+    def is_optimal(self, gradient: Array, v: Array, u: Array) -> bool:
         """Whether no point that meets the rows is better to first order.
 
-        By what is known of them: between rows that are all but opposite multipliers are
-        so large that the rounding of h is worth more than what may be missing.
+        Between rows that are all but opposite multipliers are so large that the
+        rounding of v and h decides; then the slack is taken at u, exactly.
         """
         enough = OPTIMALITY * (1.0 + float(np.linalg.norm(gradient)))
         reach = np.full(len(v), 2.0)  # In the box |v_j| <= 1 that bounds all inputs.
-        h = self.h - self.rounding
-        return suboptimality(gradient, self.G, h, v, reach, enough) <= enough
+        if suboptimality(gradient, self.G, self.h, v, reach, enough) <= enough:
+            return True
+        h, here = self.exact_slack(u), np.zeros(len(v))
+        return suboptimality(gradient, self.G, h, here, reach, enough) <= enough
 
 
-def _is_held(tick: Tick, limits: _Rows, v: Array) -> bool:
+def _is_held(tick: Tick, limits: _Rows, v: Array, u: Array) -> bool:
     """Whether v is the input nearest to the held one."""
     if np.isfinite(tick.held_input).all():
-        return limits.is_optimal(v - tick.far(tick.held_input), v)
+        return limits.is_optimal(v - tick.far(tick.held_input), v, u)
     return bool(np.allclose(v, tick.normalised(tick.input_set.interior), atol=1e-9))
 
 
