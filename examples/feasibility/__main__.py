@@ -23,9 +23,9 @@ from vcbf_drake.studies.worker_processes import new_pool
 from .page import page
 from .study import BASE, CONTENDERS, POPULATIONS, Population, is_lost
 
-# Every part has a share of each population, so that a study that was stopped is one of
-# the first courses.
-PARTS = 30
+# A part has a share of every population that is not at its end, so that a study that
+# was stopped is one of the first courses.
+PARTS = max(population.parts for population in POPULATIONS)
 _TIMED = 3  # courses, for the CPU time of a tick
 
 
@@ -47,11 +47,13 @@ def main() -> None:
     parser.add_argument("--page", type=Path, help="write this page, and run nothing")
     options = parser.parse_args()
     if options.page:
-        atomic_write(options.page, page(options.out, PARTS))
+        atomic_write(options.page, page(options.out))
         return
     time_ticks(options.out / "ticks.json")
     for part in range(options.parts):
         for population in POPULATIONS:
+            if part >= population.parts:
+                continue
             run_part(population, part, options.out, options.workers, options.only)
             print(f"part {part + 1} of {PARTS}: {population.name}", flush=True)
 
@@ -72,7 +74,7 @@ def run_part(
         workers: How many processes.
         only: Which others, by name; without it all.
     """
-    pairs = population.pairs(list(population.blocks(PARTS))[part])
+    pairs = population.pairs(population.blocks[part])
     contenders = population.contenders()
     first = [population.trial(contenders[BASE], *pair) for pair in pairs]
     # New processes for every part: pydrake does not free every diagram.

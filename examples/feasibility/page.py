@@ -49,12 +49,11 @@ narrow. A method without a line has not been run there yet.
 """
 
 
-def page(directory: Path, parts: int) -> str:
+def page(directory: Path) -> str:
     """Returns the page.
 
     Args:
         directory: Where the records are.
-        parts: Of how many parts the study is.
     """
     paths = sorted(directory.glob("*.jsonl"))
     records = {
@@ -66,7 +65,7 @@ def page(directory: Path, parts: int) -> str:
     times = json.loads(path.read_text()) if path.exists() else {}
     files = {path.name for path in paths}
     sections = [
-        section(population, records, times.get(population.name, {}), files, parts)
+        section(population, records, times.get(population.name, {}), files)
         for population in POPULATIONS
     ]
     return "\n".join([_HEAD, *sections])
@@ -106,7 +105,6 @@ def section(
     records: dict[str, Record],
     times: dict[str, float],
     files: Collection[str],
-    parts: int,
 ) -> str:
     """Returns what is known of one population.
 
@@ -115,7 +113,6 @@ def section(
         records: All records, by `key`.
         times: CPU time of a tick [ms], by method.
         files: The names of the files that there are.
-        parts: Of how many parts the study is.
     """
     everything = range(population.first, population.first + population.count)
     pairs = population.pairs(everything)
@@ -137,7 +134,7 @@ def section(
         if contender.acts_on:
             finished = [
                 block
-                for part, block in enumerate(population.blocks(parts))
+                for part, block in enumerate(population.blocks)
                 if population.record_file(part, number) in files
             ]
             found[name] = with_shared_runs(

@@ -80,7 +80,7 @@ def test_the_page_counts_what_was_run(tmp_path):
         suffix = "" if name == BASE else f"-{number}"
         path = tmp_path / f"car-00{suffix}.jsonl"
         path.write_text("".join(json.dumps(each) + "\n" for each in records))
-    text = page(tmp_path, 30)
+    text = page(tmp_path)
     low, high = binomtest(7, 20).proportion_ci(method="wilson")
     share = f"35.0 % ({100 * low:.1f} to {100 * high:.1f})"
     assert f"Of 1500 pairs (300 courses) 20 are run; `dob-cbf-qp` loses {share}" in text
