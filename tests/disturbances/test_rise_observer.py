@@ -25,7 +25,6 @@ from vcbf_drake.disturbances import (
     Sinusoid,
     SmoothStep,
 )
-from vcbf_drake.errors import ModelError
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.plants import Blimp
 
@@ -396,15 +395,6 @@ def test_bad_numbers_are_refused():
         RiseGains(beta=-1.0)
     with pytest.raises(ValueError, match="delta2: nan"):
         DisturbanceBounds(1.0, float("nan"), 1.0)
-
-
-def test_disturbances_that_cannot_be_told_apart_are_refused():
-    model = DragModel()
-    model.disturbance_matrix = np.array(
-        [[0.0, 0.0], [0.0, 0.0], [1.0, 2.0], [0.5, 1.0]]
-    )
-    with pytest.raises(ModelError, match="drag: the disturbance matrix has rank 1"):
-        rise(model, 0.01, BOUNDS)
 
 
 def test_blimp_in_a_drake_simulation():

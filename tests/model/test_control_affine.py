@@ -387,6 +387,10 @@ def test_states_and_parts_of_wrong_shape_are_refused() -> None:
             np.array(model.dynamics.g),
             np.eye(3),
         )
+    parallel = np.outer([0.0, 0.0, 1.0, 0.5], [1.0, 2.0])
+    f, g = np.array(model.dynamics.f), np.array(model.dynamics.g)
+    with pytest.raises(ModelError, match="disturbance matrix E are dependent"):
+        ControlAffineModel(model.state, f, g, parallel)
 
 
 def test_values_are_the_same_in_every_process() -> None:

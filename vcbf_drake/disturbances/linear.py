@@ -71,7 +71,6 @@ class LinearDisturbanceObserver(DisturbanceObserver):
                 every time is bridged, and the bound is for the period.
 
         Raises:
-            ModelError: Two disturbances act on the state in the same way.
             ValueError: Period or rate are not positive, or the noise is below 0.
         """
         interval = max(period, longest_interval or 0.0)

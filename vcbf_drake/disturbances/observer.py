@@ -24,7 +24,6 @@ from vcbf_drake.disturbances.bounds import (
     DisturbanceEstimate,
     ErrorBound,
 )
-from vcbf_drake.errors import ModelError
 from vcbf_drake.model import ControlAffineModel
 
 # By how much an interval's mean may exceed delta1 before it is refused.
@@ -150,9 +149,6 @@ class DisturbanceObserver(LeafSystem):
             estimate_gain: See the attribute.
             noise: Standard deviation of the measured disturbed channels.
             longest_interval: See the attribute.
-
-        Raises:
-            ModelError: Two disturbances act on the state in the same way.
         """
         super().__init__()
         self.bounds = bounds
@@ -167,7 +163,7 @@ class DisturbanceObserver(LeafSystem):
         self._instant = 1e-6 * period
         self._error_bound = error_bound
         self._noise = noise
-        self._disturbed = _left_inverse(model)
+        self._disturbed = np.linalg.pinv(model.disturbance_matrix)
         self._directions = model.disturbance_matrix.T.copy()
         # The sizes of the disturbed channels per unit of the states.
         self._units = np.abs(self._disturbed)
@@ -379,15 +375,3 @@ def nearest_in_ball(vector: Array, radius: float) -> Array:
 def _is_finite(vector: Array) -> bool:
     """Whether all numbers are finite: NaN and infinity survive a sum."""
     return math.isfinite(sum(vector.tolist()))
-
-
-def _left_inverse(model: ControlAffineModel) -> Array:
-    """Returns the pseudo-inverse of E, shape (q, n)."""
-    E = np.asarray(model.disturbance_matrix, dtype=float)
-    rank = np.linalg.matrix_rank(E) if E.size else 0
-    if rank < E.shape[1]:
-        raise ModelError(
-            f"{model.name}: the disturbance matrix has rank {rank}; it must be"
-            f" {E.shape[1]}, one for each disturbance"
-        )
-    return np.linalg.pinv(E)

@@ -133,7 +133,6 @@ class RiseObserver(DisturbanceObserver):
                 the longest (E35), and without noise; else calibrated.
 
         Raises:
-            ModelError: Two disturbances act on the state in the same way.
             ValueError: An argument is outside what is allowed, or the gains fail a
                 condition.
         """

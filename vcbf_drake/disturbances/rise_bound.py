@@ -1,37 +1,14 @@
-"""What can be said about the RISE observer's error in sampled time.
+"""The RISE observer's error in sampled time: gain conditions and bounds (E27) to (E42).
 
-Proven, for exact measurements and every period dt. With dbar_k the mean of d over
-[t_k, t_k+1] and e_k = dbar_k-1 - dhat_k, the implicit step (E24) is exactly backward
-Euler for the error system (E19), d' replaced by dbar'_k = (dbar_k - dbar_k-1) / dt:
-
-    (E29, sampled error dynamics)  x_k+1 = x_k + dt (e_k+1 - α x_k+1),
-           e_k+1 = e_k + dt (dbar'_k - γ e_k+1 - x_k+1 - β s_k+1),
-
-with x for xtil and s_k+1 in the subdifferential of the 1-norm at x_k+1. Then (E30)
-|dbar'_k| <= δ2, |dbar'_k+1 - dbar'_k| <= δ3 dt, |e_0| <= δ1 + δ2 dt. Take (E31)
-
-    W_k = |x_k|²/2 + |e_k|²/2 + P_k,   κ = min(α - 1, γ),
-    (1 + κ dt) P_k+1 = P_k - dt e_k+1 . (dbar'_k - β s_k+1),   P_0 = 0.
-
-By convexity of the squares (1 + κ dt) W_k+1 <= W_k. By convexity of the 1-norm
-P_k >= β |x_k|_1 - x_k . dbar'_k >= 0 if (E32) (α - κ)(β - δ2) >= δ3 (1 + κ dt). So
-|e_k| <= |e_0| (1 + κ dt)^(-k/2); d(t_k) is within δ2 dt / 2 of dbar_k-1: (E33). The
-saturated step has the Huber function of width φ for the 1-norm. There P_k may fall
-below 0, which costs the further floor (E38, the saturated step's bound).
-
-Over unequal intervals the implicit step's bound is that of the longest, under a gain
-condition of its own (E35): a mean's rate may then jump from interval to interval.
-
-Calibrated, not proven: what measurement noise adds (E39), the saturated step over
-unequal intervals, and all of the explicit step, which chatters (E27). Where the
-conditions fail, nothing but |d| <= δ1 is left: the estimate is kept within δ1, so that
-it is off by 2 δ1 at most (E37, without a proof).
+Proven for exact measurements are the implicit step's bound (E33), over unequal
+intervals too (E35), and the saturated step's (E38). Calibrated by simulations are what
+measurement noise adds (E39), the saturated step over unequal intervals, and all of the
+explicit step, which chatters (E27). The proofs are in `docs/theory.md`, section 4.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 import math
 from typing import Literal, NamedTuple
 
@@ -170,7 +147,6 @@ def gain_conditions(
     return (*conditions, Condition(name, longest, period, longest > period))
 
 
-@lru_cache(maxsize=256)  # It is asked for at every tick, and so is `error_bound`.
 def with_quadrature(
     bounds: DisturbanceBounds, quadrature: float, period: float
 ) -> DisturbanceBounds:
@@ -188,7 +164,6 @@ def with_quadrature(
     )
 
 
-@lru_cache(maxsize=256)
 def error_bound(
     gains: RiseGains,
     bounds: DisturbanceBounds,

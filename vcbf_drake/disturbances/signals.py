@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
-from operator import add
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import (
-    Adder,
     ConstantVectorSource,
     MatrixGain,
     Sine,
@@ -22,34 +19,9 @@ from pydrake.trajectories import PiecewisePolynomial
 from vcbf_drake.checks import Array
 
 
-class Curve(Protocol):
-    """A C2 function of time with q channels and a bounded third derivative."""
-
-    @property
-    def size(self) -> int:
-        """How many channels it has, q."""
-
-    def derivative(self, t: float | Array, order: int = 0) -> Array:
-        """Returns the derivative of an order from 0 (the value) to 3.
-
-        Args:
-            t: Times [s], of any shape.
-            order: The order.
-
-        Returns:
-            Shape of `t` + (q,), [unit / s^order].
-        """
-
-    def derivative_bound(self, order: int) -> float:
-        """Returns an upper bound of the derivative's Euclidean norm over all time."""
-
-    def system(self) -> System:
-        """Returns a system of Drake's own whose only output is the function, (q,)."""
-
-
 @dataclass(frozen=True)
 class Tones:
-    """A sum of K tones, ``sum_k a_k sin(w_k t + p_k)``.
+    """A sum of K tones in q channels, ``sum_k a_k sin(w_k t + p_k)``.
 
     Attributes:
         amplitude: The vectors a_k, shape (K, q).
@@ -64,10 +36,10 @@ class Tones:
     @property
     def size(self) -> int:
         """How many channels it has, q."""
-        return len(self.amplitude[0])
+        return self.amplitude.shape[1]
 
     def derivative(self, t: float | Array, order: int = 0) -> Array:
-        """Returns ``sum_k a_k w_k^order sin(w_k t + p_k + order pi / 2)``."""
+        """Returns a derivative of any order at times t [s]: shape of `t` + (q,)."""
         angle = np.multiply.outer(t, self.frequency) + self.phase
         quarter_turns = order * np.pi / 2
         scaled = self.amplitude * self.frequency[:, None] ** order
@@ -75,12 +47,12 @@ class Tones:
         return value
 
     def derivative_bound(self, order: int) -> float:
-        """Returns ``sum_k |a_k| |w_k|^order``."""
+        """Returns a bound of a derivative's norm, ``sum_k |a_k| |w_k|^order``."""
         size = np.linalg.norm(self.amplitude, axis=1)
         return float(size @ np.abs(self.frequency) ** order)
 
     def system(self) -> System:
-        """Returns unit sines behind the matrix of amplitudes; see `Curve`."""
+        """Returns unit sines of Drake's behind the matrix of amplitudes."""
         if self.size == 0:
             return ConstantVectorSource([])
         builder = DiagramBuilder()
@@ -91,105 +63,67 @@ class Tones:
         builder.ExportOutput(mixed.get_output_port())
         return builder.Build()
 
-    def __add__(self, other: Tones) -> Tones:
-        return Tones(
-            np.concatenate([self.amplitude, other.amplitude]),
-            np.concatenate([self.frequency, other.frequency]),
-            np.concatenate([self.phase, other.phase]),
-        )
 
-
-class Spline:
-    """The C2 cubic spline through samples, its ends not-a-knot.
-
-    It is C2 between the first and the last sample time only; outside it is held.
+class Pieces:
+    """A piecewise polynomial in q channels, held before its start and after its end.
 
     Args:
-        times: Increasing, shape (T,) with T >= 3 [s].
-        values: One row a time, shape (T, q).
+        path: The polynomial, shape (q, 1), C2 on its interval.
+        bounds: Upper bounds of the norms of its value and first three derivatives.
     """
 
-    def __init__(self, times: Array, values: Array) -> None:
-        spline = PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
+    def __init__(self, path: PiecewisePolynomial, bounds: Sequence[float]) -> None:
+        self._derivatives = [path, *map(path.derivative, (1, 2, 3))]
+        self._bounds = bounds
+
+    @staticmethod
+    def through(times: Array, values: Array) -> Pieces:
+        """Returns the cubic spline through samples, its ends not-a-knot.
+
+        Args:
+            times: Increasing, shape (T,) with T >= 3 [s].
+            values: One row a time, shape (T, q).
+        """
+        path = PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
             times, values.T, False
         )
-        self._times = times
-        self._size = len(values[0])
-        self._derivatives = [spline, *map(spline.derivative, (1, 2, 3))]
+        middle, half = (times[1:] + times[:-1]) / 2, np.diff(times) / 2
+        bounds = [0.0]
+        # At mid-piece, and what half a piece can add; exact for the third, a constant.
+        for order in (3, 2, 1, 0):
+            at_middle = path.derivative(order).vector_values(middle)
+            size = np.linalg.norm(at_middle, axis=0) + half * bounds[0]
+            bounds.insert(0, float(size.max()))
+        return Pieces(path, bounds)
 
     @property
     def size(self) -> int:
         """How many channels it has, q."""
-        return self._size
+        return int(self._derivatives[0].rows())
 
     def derivative(self, t: float | Array, order: int = 0) -> Array:
-        """Returns the derivative of an order from 0 to 3; see `Curve`."""
-        times = np.asarray(t, dtype=float)
-        values = self._derivatives[order].vector_values(times.ravel())
-        return np.reshape(values.T, (*times.shape, self._size))
+        """Returns a derivative, order 0 to 3, at times t [s]: shape of `t` + (q,)."""
+        path, times = self._derivatives[order], np.asarray(t, dtype=float)
+        values = path.vector_values(times.ravel()).T.reshape(*times.shape, self.size)
+        if order == 0:
+            return values
+        within = (path.start_time() <= times) & (times <= path.end_time())
+        return np.where(within[..., None], values, 0.0)
 
     def derivative_bound(self, order: int) -> float:
-        """Returns the largest norm at mid-piece plus what half a piece can add to it.
-
-        The third derivative is constant on each piece, so there this is exact.
-        """
-        if order > 3:
-            return 0.0
-        middle = (self._times[1:] + self._times[:-1]) / 2
-        half = np.diff(self._times) / 2
-        size = np.linalg.norm(self.derivative(middle, order), axis=1)
-        return float(np.max(size + half * self.derivative_bound(order + 1)))
+        """Returns an upper bound of a derivative's norm."""
+        return self._bounds[order]
 
     def system(self) -> System:
-        """Returns the spline as a trajectory; see `Curve`."""
+        """Returns Drake's source of the polynomial."""
         return TrajectorySource(self._derivatives[0])
 
 
-@dataclass(frozen=True)
-class Sum:
-    """The sum of several curves of the same size.
-
-    Attributes:
-        parts: The curves, one at least.
-    """
-
-    parts: tuple[Curve, ...]
-
-    @staticmethod
-    def of(curves: Sequence[Curve]) -> Curve:
-        """Returns the sum of curves; all tones become one curve, which is faster."""
-        tones = [curve for curve in curves if isinstance(curve, Tones)]
-        others = [curve for curve in curves if not isinstance(curve, Tones)]
-        parts = (*([reduce(add, tones)] if tones else []), *others)
-        return parts[0] if len(parts) == 1 else Sum(parts)
-
-    @property
-    def size(self) -> int:
-        """How many channels it has, q."""
-        return self.parts[0].size
-
-    def derivative(self, t: float | Array, order: int = 0) -> Array:
-        """Returns the derivative of an order from 0 to 3; see `Curve`."""
-        first, *others = (part.derivative(t, order) for part in self.parts)
-        return sum(others, start=first)
-
-    def derivative_bound(self, order: int) -> float:
-        """Returns the sum of the parts' bounds."""
-        return sum(part.derivative_bound(order) for part in self.parts)
-
-    def system(self) -> System:
-        """Returns the sum of the parts' systems; see `Curve`."""
-        builder = DiagramBuilder()
-        total = builder.AddSystem(Adder(len(self.parts), self.size))
-        for i, part in enumerate(self.parts):
-            system = builder.AddSystem(part.system())
-            builder.Connect(system.get_output_port(0), total.get_input_port(i))
-        builder.ExportOutput(total.get_output_port())
-        return builder.Build()
+Curve: TypeAlias = Tones | Pieces
 
 
-def supremum(curve: Curve, order: int, horizon: float) -> float:
-    """Returns an upper bound of a derivative's norm over [0, horizon].
+def supremum(curves: Sequence[Curve], order: int, horizon: float) -> float:
+    """Returns an upper bound of the norm of a sum's derivative over [0, horizon].
 
     On an interval of half-width h the norm is at most its value at mid-interval plus
     h times the bound of the next derivative. Intervals where this exceeds the largest
@@ -197,16 +131,18 @@ def supremum(curve: Curve, order: int, horizon: float) -> float:
     this ends early, because a signal is a thousand times faster than its horizon.
 
     Args:
-        curve: The function.
-        order: 0 (its value) to 2.
+        curves: What is added up.
+        order: 0 (the value) to 2.
         horizon: End of the time interval [s].
     """
-    slope, ceiling = curve.derivative_bound(order + 1), curve.derivative_bound(order)
+    slope = sum(each.derivative_bound(order + 1) for each in curves)
+    ceiling = sum(each.derivative_bound(order) for each in curves)
     half = horizon / 512
     middle: Array = half * np.arange(1.0, 512.0, 2.0)
     largest = bound = 0.0
     while middle.size:
-        size = np.linalg.norm(curve.derivative(middle, order), axis=1)
+        values = sum(each.derivative(middle, order) for each in curves)
+        size = np.linalg.norm(values, axis=1)
         upper = size + half * slope
         largest = max(largest, float(size.max()))
         # Signals that cancel have no largest value to be relative to.

@@ -6,14 +6,14 @@ annotations. A field that has only the empty list as default has to be given.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 import math
-from typing import Protocol, runtime_checkable
+from typing import TypeAlias
 
 import numpy as np
 from pydrake.polynomial import Polynomial
-from pydrake.systems.framework import Diagram, DiagramBuilder, System
-from pydrake.systems.primitives import TrajectorySource
+from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.primitives import Adder
 from pydrake.trajectories import PiecewisePolynomial
 
 from vcbf_drake.checks import (
@@ -26,8 +26,7 @@ from vcbf_drake.checks import (
 from vcbf_drake.disturbances.bounds import DisturbanceBounds
 from vcbf_drake.disturbances.signals import (
     Curve,
-    Spline,
-    Sum,
+    Pieces,
     Tones,
     supremum,
 )
@@ -36,21 +35,6 @@ from vcbf_drake.typed import Positive, check_fields, typed
 
 # Between two samples [s]; a spline's third derivative goes with its inverse cube.
 _SHORTEST_INTERVAL = 1e-9
-
-
-@runtime_checkable
-class Signal(Protocol):
-    """A disturbance signal as a scenario describes it."""
-
-    def curve(self, horizon: float) -> Curve:
-        """Returns the signal as a function of time, C2 on [0, horizon].
-
-        Args:
-            horizon: End of the time interval [s].
-
-        Raises:
-            ModelError: A field is not allowed, or the signal would not be C2.
-        """
 
 
 @dataclass
@@ -64,7 +48,7 @@ class Constant:
     value: list[float] = field(default_factory=list)
 
     def curve(self, horizon: float) -> Tones:
-        """Returns the signal as a function of time; see `Signal`."""
+        """Returns the signal as a function of time, C2 on [0, horizon]."""
         check_fields(self)
         value = _vector("value", self.value)
         return Tones(value[None], np.zeros(1), np.full(1, np.pi / 2))
@@ -85,7 +69,7 @@ class Sinusoid:
     phase: float = 0.0
 
     def curve(self, horizon: float) -> Tones:
-        """Returns the signal as a function of time; see `Signal`."""
+        """Returns the signal as a function of time, C2 on [0, horizon]."""
         check_fields(self)
         amplitude = _vector("amplitude", self.amplitude)
         check_finite("frequency", self.frequency)
@@ -95,15 +79,10 @@ class Sinusoid:
         )
 
 
-# 6 s^5 - 15 s^4 + 10 s^3 and its derivatives, highest power first; their maxima on
-# [0, 1], at s = 1, 1/2, 1/2 -+ 1/sqrt(12), 0.
-_QUINTIC = (
-    (6.0, -15.0, 10.0, 0.0, 0.0, 0.0),
-    (30.0, -60.0, 30.0, 0.0, 0.0),
-    (120.0, -180.0, 60.0, 0.0),
-    (360.0, -360.0, 60.0),
-)
-_QUINTIC_MAXIMUM = (1.0, 15 / 8, 10 / math.sqrt(3), 60.0)
+# 10 s^3 - 15 s^4 + 6 s^5, lowest power first, and the maxima of it and its derivatives
+# on [0, 1], at s = 1, 1/2, 1/2 -+ 1/sqrt(12), 0.
+_QUINTIC = np.array((0.0, 0.0, 0.0, 10.0, -15.0, 6.0))
+_QUINTIC_MAXIMA = np.array((1.0, 15 / 8, 10 / math.sqrt(3), 60.0))
 
 
 @dataclass
@@ -123,40 +102,17 @@ class SmoothStep:
     start: float = 0.0
     duration: float = 1.0
 
-    def curve(self, horizon: float) -> Curve:
-        """Returns the signal itself, checked; see `Signal`."""
+    def curve(self, horizon: float) -> Pieces:
+        """Returns the signal as a function of time, C2 on [0, horizon]."""
         check_fields(self)
-        _vector("amplitude", self.amplitude)
+        amplitude = _vector("amplitude", self.amplitude)
         check_finite("start", self.start)
         check_parameter("duration", self.duration)
-        return replace(self, amplitude=[*self.amplitude])
-
-    @property
-    def size(self) -> int:
-        """How many channels it has, q."""
-        return len(self.amplitude)
-
-    def derivative(self, t: float | Array, order: int = 0) -> Array:
-        """Returns the derivative of an order from 0 to 3; see `Curve`."""
-        s = (np.asarray(t) - self.start) / self.duration
-        rise = np.polyval(_QUINTIC[order], np.clip(s, 0.0, 1.0))
-        if order > 0:
-            rise = np.where((s > 0.0) & (s < 1.0), rise, 0.0)
-        value: Array = np.multiply.outer(rise / self.duration**order, self.amplitude)
-        return value
-
-    def derivative_bound(self, order: int) -> float:
-        """Returns the exact maximum of the derivative's norm."""
-        size = float(np.linalg.norm(self.amplitude))
-        return size * _QUINTIC_MAXIMUM[order] / self.duration**order
-
-    def system(self) -> System:
-        """Returns the rise as a trajectory, held at its ends; see `Curve`."""
-        powers = self.duration ** -np.arange(len(_QUINTIC[0]))
-        coefficients = np.outer(self.amplitude, _QUINTIC[0][::-1] * powers)
-        rise = [[Polynomial(each)] for each in coefficients]
+        powers = self.duration ** -np.arange(6.0)
+        rise = [[Polynomial(powers * each * _QUINTIC)] for each in amplitude]
         times = [self.start, self.start + self.duration]
-        return TrajectorySource(PiecewisePolynomial([rise], times))
+        bounds = np.linalg.norm(amplitude) * powers[:4] * _QUINTIC_MAXIMA
+        return Pieces(PiecewisePolynomial([rise], times), bounds.tolist())
 
 
 @dataclass
@@ -176,7 +132,7 @@ class BandLimitedNoise:
     tones: int = 16
 
     def curve(self, horizon: float) -> Tones:
-        """Returns the signal as a function of time; see `Signal`."""
+        """Returns the signal as a function of time, C2 on [0, horizon]."""
         check_fields(self)
         std = _vector("std", self.std)
         require(bool(np.all(std >= 0.0)), "std", self.std, "not below 0")
@@ -208,8 +164,8 @@ class Recorded:
     times: list[float] = field(default_factory=list)
     values: list[list[float]] = field(default_factory=list)
 
-    def curve(self, horizon: float) -> Spline:
-        """Returns the signal as a function of time; see `Signal`."""
+    def curve(self, horizon: float) -> Pieces:
+        """Returns the signal as a function of time, C2 on [0, horizon]."""
         check_fields(self)
         times = _vector("times", self.times)
         require(len(times) >= 3, "times", self.times, "three at least")
@@ -225,7 +181,10 @@ class Recorded:
         rule = f"{len(times)} rows, one a time, of equally many finite numbers"
         values = finite_array(self.values, "values", 2, rule)
         require(len(values) == len(times), "values", self.values, rule)
-        return Spline(times, values)
+        return Pieces.through(times, values)
+
+
+Signal: TypeAlias = Constant | Sinusoid | SmoothStep | BandLimitedNoise | Recorded
 
 
 class DisturbanceSource(Diagram):
@@ -267,45 +226,49 @@ class DisturbanceSource(Diagram):
             ModelError: A signal is not C2, or signals differ in size.
         """
         super().__init__()
-        self._curve = _sum(signals, horizon, num_disturbances)
+        self._curves = _curves(signals, horizon, num_disturbances)
         self.bounds = DisturbanceBounds(
-            *(supremum(self._curve, order, horizon) for order in range(3))
+            *(supremum(self._curves, order, horizon) for order in range(3))
         )
         builder = DiagramBuilder()
         # All of it Drake's own: integrators ask for it at every stage of every step.
-        signal = builder.AddNamedSystem("signal", self._curve.system())
-        builder.ExportOutput(signal.get_output_port(0), "disturbance")
+        total = builder.AddNamedSystem(
+            "sum", Adder(len(self._curves), self._curves[0].size)
+        )
+        for i, curve in enumerate(self._curves):
+            signal = builder.AddNamedSystem(f"signal {i}", curve.system())
+            builder.Connect(signal.get_output_port(0), total.get_input_port(i))
+        builder.ExportOutput(total.get_output_port(), "disturbance")
         builder.BuildInto(self)
 
     def value(self, t: float | Array) -> Array:
         """Returns d at times t [s]: shape of `t` + (q,) [m/s^2]."""
-        return self._curve.derivative(t)
+        first, *others = (curve.derivative(t) for curve in self._curves)
+        return sum(others, start=first)
 
 
-def _sum(
+def _curves(
     signals: Sequence[Signal], horizon: float, num_disturbances: int | None
-) -> Curve:
+) -> list[Curve]:
+    """Returns the signals as functions of time, one at least, of one size."""
     if not signals:
         if num_disturbances is None:
             raise ModelError("a disturbance needs one signal at least; none was given")
-        zero = np.zeros((1, num_disturbances))
-        return Tones(zero, np.zeros(1), np.zeros(1))
-    curves = [_curve(i, signal, horizon) for i, signal in enumerate(signals)]
+        return [Tones(np.zeros((1, num_disturbances)), np.zeros(1), np.zeros(1))]
+    curves: list[Curve] = []
+    for i, signal in enumerate(signals):
+        try:
+            curves.append(signal.curve(horizon))
+        except ModelError as error:
+            name = type(signal).__name__
+            raise ModelError(f"disturbance signal {i} ({name}): {error}") from error
     size = num_disturbances or curves[0].size
     for i, curve in enumerate(curves):
         if curve.size != size:
             raise ModelError(
                 f"disturbance signal {i} has {curve.size} channels; it must have {size}"
             )
-    return Sum.of(curves)
-
-
-def _curve(index: int, signal: Signal, horizon: float) -> Curve:
-    try:
-        return signal.curve(horizon)
-    except ModelError as error:
-        name = type(signal).__name__
-        raise ModelError(f"disturbance signal {index} ({name}): {error}") from error
+    return curves
 
 
 def _vector(name: str, numbers: Sequence[float]) -> Array:
