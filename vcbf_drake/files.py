@@ -15,6 +15,8 @@ from threading import Thread
 from types import MappingProxyType
 from typing import Any, BinaryIO, Generic, TypeVar
 
+from vcbf_drake.errors import ScenarioError
+
 _T = TypeVar("_T")
 
 # The metadata of a dataclass's field that names a file: ``field(metadata=IS_FILE)``. In
@@ -38,6 +40,20 @@ def resolved(name: str, directory: Path) -> str:
     if not name or "://" in name:
         return name
     return str((directory / Path(name).expanduser()).resolve())
+
+
+def read_text(path: Path) -> str:
+    """Returns what a text file holds.
+
+    Raises:
+        ScenarioError: It cannot be read.
+    """
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise ScenarioError(f"{path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ScenarioError(f"{path}: not a UTF-8 text file") from None
 
 
 @contextmanager

@@ -7,10 +7,12 @@ has further checks of its values: their ranges.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields
 from functools import cache, partial, wraps
 import inspect
 from numbers import Integral, Real
+import re
 import types
 from typing import (
     Annotated,
@@ -54,12 +56,15 @@ _declared: dict[type, dict[str, Any]] = {}
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
-_BOOLEANS = (bool, np.bool_)
-TYPE_WORDS = {
+_NUMBERS: dict[Any, Any] = {float: Real, int: Integral, bool: (bool, np.bool_)}
+_WORDS: dict[Any, str] = {
     float: "a number",
     int: "a whole number",
     bool: "true or false",
     str: "text",
+    types.NoneType: "None",
+    np.ndarray: "numbers",
+    Callable: "a function",
 }
 _PLURALS = {float: "numbers", int: "whole numbers", str: "texts"}
 
@@ -100,8 +105,14 @@ def check_fields(made: Any, prefix: str = "") -> None:
         InvalidValueError: A field is of another type.
     """
     kind: Any = type(made)
-    for name, hint in _field_hints(kind).items():
+    for name, hint in field_types(kind).items():
         check_type(prefix + name, getattr(made, name), hint)
+
+
+def tag_of(kind: Any) -> str:
+    """Returns a class's tag in a scenario: ``!Car`` of CarVehicle, for example."""
+    name = re.sub("(Vehicle|Obstacle)$", "", kind.__name__)
+    return str(getattr(kind, "TAG", f"!{name}"))
 
 
 class Checked:
@@ -138,25 +149,23 @@ def check_type(path: str | Path, value: Any, hint: Any) -> None:
             for check in getattr(each, "__metadata__", ()):
                 check(path, value)
             return
-    items = [_item(each) for each in members if _item(each) is not None]
-    if items and _is_list(value):
-        nested = len(value) > 0 and _is_list(value[0])
-        deeper = [each for each in items if _item(members_of(each)[0]) is not None]
-        for index, item in enumerate(value):
-            check_type(
-                (*path, index), item, deeper[0] if nested and deeper else items[0]
-            )
-        return
-    rule = " or ".join(dict.fromkeys(map(_in_words, members)))
-    require(False, path, value, rule)
+    items = [*filter(None, map(item_type, members))]
+    if not (items and _is_list(value)):
+        require(False, path, value, in_words(hint))
+    is_nested = len(value) > 0 and _is_list(value[0])
+    deeper = [each for each in items if item_type(members_of(each)[0]) is not None]
+    item = deeper[0] if is_nested and deeper else items[0]
+    for index, each in enumerate(value):
+        check_type((*path, index), each, item)
 
 
 @cache
-def _field_hints(kind: Any) -> dict[str, Any]:
+def field_types(kind: Any) -> dict[str, Any]:
+    """Returns the types of a dataclass's fields as they are declared, with ranges."""
     hints = get_type_hints(kind, include_extras=True)
     for base in reversed(kind.__mro__):
         hints |= _declared.get(base, {})
-    return {name: hints[name] for name in kind.__dataclass_fields__}
+    return {each.name: hints[each.name] for each in fields(kind)}
 
 
 def members_of(hint: Any) -> list[Any]:
@@ -165,13 +174,13 @@ def members_of(hint: Any) -> list[Any]:
         return [Array]
     is_union = get_origin(hint) in (types.UnionType, Union)
     members = [*get_args(hint)] if is_union else [hint]
-    lists = [each for each in members if _item(each) is not None]
+    lists = [*filter(None, map(item_type, members))]
     return [each for each in members if not (lists and get_origin(each) is np.ndarray)]
 
 
-def _item(hint: Any) -> Any:
-    """The type of a list's items; None for what is no list of one type."""
-    if get_origin(hint) in (list, Sequence, Iterable):
+def item_type(hint: Any) -> Any:
+    """Returns the type of the items of a list or a tuple; None of anything else."""
+    if get_origin(hint) in (list, Sequence, Iterable, tuple):
         return get_args(hint)[0]
     return None
 
@@ -183,41 +192,28 @@ def _is_list(value: Any) -> bool:
 
 def _is(value: Any, hint: Any) -> bool:
     """Whether a value is of one type, its items and its range left to be looked at."""
-    hint = _bare(hint)
+    hint = bare(hint)
     origin = get_origin(hint) or hint
-    if hint is Any:
-        return True
-    if hint is None or hint is types.NoneType:
-        return value is None
     if origin is Literal:
         return isinstance(value, str) and value in get_args(hint)
-    if hint is float:
-        return isinstance(value, Real) and not isinstance(value, _BOOLEANS)
-    if hint is int:
-        return isinstance(value, Integral) and not isinstance(value, _BOOLEANS)
-    if hint is bool:
-        return isinstance(value, _BOOLEANS)
+    if hint is Any:
+        return True
+    if hint in _NUMBERS:
+        is_boolean = isinstance(value, _NUMBERS[bool])
+        return isinstance(value, _NUMBERS[hint]) and is_boolean == (hint is bool)
     if origin is np.ndarray:
         return _is_array(value, hint)
-    if origin is Callable:
-        return callable(value)
-    if origin in (dict, Mapping):
-        return isinstance(value, Mapping)
-    if _item(hint) is not None:
+    if item_type(hint) is not None:
         return False  # Its items are looked at one by one.
-    if isinstance(origin, type) and not _is_unchecked(origin):
-        return isinstance(value, origin)
-    return True
+    is_protocol = getattr(origin, "_is_protocol", False)
+    if is_protocol and not getattr(origin, "_is_runtime_protocol", False):
+        return True
+    return not isinstance(origin, type) or isinstance(value, origin)
 
 
-def _bare(hint: Any) -> Any:
-    """A type without what is annotated."""
+def bare(hint: Any) -> Any:
+    """Returns a type without what is annotated."""
     return get_args(hint)[0] if get_origin(hint) is Annotated else hint
-
-
-def _is_unchecked(kind: Any) -> bool:
-    is_protocol = getattr(kind, "_is_protocol", False)
-    return bool(is_protocol and not getattr(kind, "_is_runtime_protocol", False))
 
 
 def _is_array(value: Any, hint: Any) -> bool:
@@ -231,23 +227,20 @@ def _is_array(value: Any, hint: Any) -> bool:
     return array.dtype.kind in "fiuO"
 
 
+def in_words(hint: Any) -> str:
+    """Returns what a message calls what a type hint allows."""
+    return " or ".join(dict.fromkeys(map(_in_words, members_of(hint))))
+
+
 def _in_words(hint: Any) -> str:
-    hint = _bare(hint)
-    item = _item(hint)
-    if item is not None:
-        inner = _bare(members_of(item)[0])
-        lists = _item(inner) is not None
-        name = "lists" if lists else _PLURALS.get(inner, "")
-        name = name or getattr(inner, "__name__", "values") + "s"
-        return f"a list of {name}" + (" of numbers" if lists else "")
-    if hint is None or hint is types.NoneType:
-        return "None"
-    if get_origin(hint) is Literal:
-        return f"one of {', '.join(get_args(hint))}"
-    if get_origin(hint) is np.ndarray:
-        return "numbers"
-    if get_origin(hint) is Callable:
-        return "a function"
+    hint = bare(hint)
     kind = get_origin(hint) or hint
+    if (item := item_type(hint)) is not None:
+        inner = bare(members_of(item)[0])
+        name = _PLURALS.get(inner) or f"{getattr(inner, '__name__', 'value')}s"
+        is_nested = item_type(inner) is not None
+        return f"a list of {'lists of numbers' if is_nested else name}"
+    if kind is Literal:
+        return f"one of {', '.join(get_args(hint))}"
     name = getattr(kind, "__name__", str(kind)).removesuffix("_[float]")
-    return TYPE_WORDS.get(kind) or f"a{'n' * (name[0] in 'AEIOU')} {name}"
+    return _WORDS.get(kind) or f"a{'n' * (name[0] in 'AEIOU')} {name}"

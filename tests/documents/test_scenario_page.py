@@ -1,7 +1,4 @@
-"""The page of the scenario format, and its JSON schema, say what the program does.
-
-Run as a program, it writes the page anew.
-"""
+"""The page of the scenario format, and its JSON schema, say what the program does."""
 
 from __future__ import annotations
 
@@ -13,12 +10,8 @@ from typing import Any
 from pydrake.common.yaml import yaml_load
 import pytest
 
-from vcbf_drake.simulation import (
-    loading,
-    scenario_page,
-    scenario_schema,
-    shipped_scenarios,
-)
+from docs.make_scenario_page import MARK, PAGE, scenario_page
+from vcbf_drake.simulation import loading, scenario_schema, shipped_scenarios
 from vcbf_drake.simulation.loading import load_scenario
 from vcbf_drake.simulation.scenario import Scenario
 
@@ -26,13 +19,9 @@ ROOT = Path(__file__).parents[2]
 SCENARIOS = Path(loading.__file__).parent / "scenarios"
 
 
-PAGE = ROOT / "docs" / "guide" / "scenarios.md"
-MARK = "<!-- generated -->\n"
-
-
 def test_page_is_what_the_program_makes() -> None:
     _, generated = PAGE.read_text().split(MARK)
-    assert generated == scenario_page(), f"python {__file__} writes it anew"
+    assert generated == scenario_page(), "python -m docs.make_scenario_page"
 
 
 def test_page_explains_every_key() -> None:
@@ -114,7 +103,3 @@ def check(value: Any, schema: dict[str, Any], definitions: dict[str, Any]) -> No
         for key, each in given.items():
             check(each, schema["properties"][key], definitions)
     return None
-
-
-if __name__ == "__main__":
-    PAGE.write_text(PAGE.read_text().split(MARK)[0] + MARK + scenario_page())

@@ -27,7 +27,7 @@ from vcbf_drake.simulation.loading import (
     shipped_scenarios,
 )
 from vcbf_drake.simulation.yaml_nodes import merge_overrides
-from vcbf_drake.simulation.yaml_values import tag_of
+from vcbf_drake.typed import tag_of
 
 SHIPPED = (
     "blimp-multiple-obstacles",
@@ -405,19 +405,27 @@ REFUSED = [
     ("{obstacles: [{radius: 0.1}]}", "obstacles[0].center", "missing"),
     ("{obstacles: [{center: [2, 2, 2]}]}", "obstacles[0].radius", "missing"),
     ("{disturbance: [!Constant {}]}", "disturbance[0].value", "a list of finite"),
-    ("{duration: long}", "duration", "expected a number, got 'long'"),
-    ("{target: [1, 90deg, 3]}", "target[1]", "got '90deg'; angles are plain numbers"),
+    ("{duration: long}", "duration", "'long'; it must be a number"),
+    (
+        "{target: [1, 90deg, 3]}",
+        "target[1]",
+        "'90deg'; it must be a number, in radians",
+    ),
     ("{target: [1, pi/2, 3]}", "target[1]", "in radians: 1.5708 for 90 degrees"),
     ("{target: [1, 90 °, 3]}", "target[1]", "in radians: 1.5708 for 90 degrees"),
-    ("{duration: '3'}", "duration", "expected a number, got the text '3'"),
-    ("{duration: yes}", "duration", "expected a number, got 'yes'"),
+    ("{duration: '3'}", "duration", "'3'; it must be a number"),
+    ("{duration: yes}", "duration", "True; it must be a number"),
     ("{duration: [3]}", "duration", "expected a number, got a list"),
-    ("{duration: }", "duration", "expected a number, got nothing"),
-    ("{noise: {seed: '3'}}", "noise.seed", "expected a whole number, got the text"),
-    ("{noise: {seed: 1.5}}", "noise.seed", "expected a whole number, got '1.5'"),
-    ("{method: 3}", "method", "expected text, got '3'"),
-    ("{target: 3}", "target", "expected a list, got '3'"),
-    ("{obstacles: {center: [1]}}", "obstacles", "expected a list, got a mapping"),
+    ("{duration: }", "duration", "None; it must be a number"),
+    ("{noise: {seed: '3'}}", "noise.seed", "'3'; it must be a whole number"),
+    ("{noise: {seed: 1.5}}", "noise.seed", "'1.5'; it must be a whole number"),
+    ("{method: 3}", "method", "3; it must be text"),
+    ("{target: 3}", "target", "3; it must be a list of numbers"),
+    (
+        "{obstacles: {center: [1]}}",
+        "obstacles",
+        "expected a list, got a mapping",
+    ),
     ("{observer: [1]}", "observer", "expected a mapping, got a list"),
     ("{target: [1, [2], 3]}", "target[1]", "expected a number, got a list"),
     ("{period: 1, period: 2}", "period", "given twice"),

@@ -26,8 +26,8 @@ from vcbf_drake.model.interface import (
     with_ports_held,
 )
 from vcbf_drake.plants.shapes import Part
-from vcbf_drake.plants.vehicle import Vehicle, tag
-from vcbf_drake.typed import check_fields, members_of
+from vcbf_drake.plants.vehicle import Vehicle
+from vcbf_drake.typed import check_fields, members_of, tag_of
 
 _SCALARS = (float, int, bool, str, types.NoneType)
 _LARGEST = 1e15  # Of a scenario's numbers, and of what its plant makes of them.
@@ -117,12 +117,12 @@ def _check_parameters(vehicle: Vehicle) -> None:
     rule = "a dataclass: write @dataclass above its class"
     require(is_dataclass(kind), "vehicle", kind.__name__, rule)
     shipped = [
-        tag(each)
+        tag_of(each)
         for each in Vehicle.__subclasses__()
         if each.__module__.startswith("vcbf_drake.") and each is not kind
     ]
     rule = f"called otherwise, for {', '.join(shipped)} come with the package"
-    require(tag(kind) not in shipped, "vehicle", kind.__name__, rule)
+    require(tag_of(kind) not in shipped, "vehicle", kind.__name__, rule)
     hints = get_type_hints(kind)
     for each in fields(kind):
         if not _is_parameter(hints[each.name]):

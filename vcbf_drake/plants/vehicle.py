@@ -17,7 +17,7 @@ from vcbf_drake.barriers import Barrier, StateInputLimit
 from vcbf_drake.checks import Array, require
 from vcbf_drake.model.position import Position
 from vcbf_drake.plants.shapes import Part, bounding_box, of_body
-from vcbf_drake.typed import typed
+from vcbf_drake.typed import tag_of, typed
 
 
 class Vehicle(ABC):
@@ -74,7 +74,8 @@ class Vehicle(ABC):
         Raises:
             InvalidValueError: There is no such frame, or not one number a dimension.
         """
-        require(not frame, "frame", frame, f"empty, for {tag(type(self))} is one body")
+        rule = f"empty, for {tag_of(type(self))} is one body"
+        require(not frame, "frame", frame, rule)
         if not len(point):
             return self.position
         return _PointOfBody(self.position, tuple(point), self.heading)
@@ -92,7 +93,7 @@ class Vehicle(ABC):
         changes = {}
         for name, ratio in (("mass", mass), ("drag", drag)):
             if ratio != 1.0:
-                rule = f"1, for {tag(type(self))} has no {name}"
+                rule = f"1, for {tag_of(type(self))} has no {name}"
                 require(hasattr(self, name), name, ratio, rule)
                 changes[name] = (ratio * np.array(getattr(self, name))).tolist()
         return replace(self, **changes)  # type: ignore[type-var]
@@ -203,8 +204,3 @@ def _are_numbers(value: Any, size: int) -> bool:
         return np.asarray(value, dtype=float).shape == (size,)
     except (TypeError, ValueError):  # None, words, or lists of different lengths.
         return False
-
-
-def tag(vehicle: type[Vehicle]) -> str:
-    """Returns a vehicle's tag in a scenario file."""
-    return f"!{vehicle.__name__.removesuffix('Vehicle')}"

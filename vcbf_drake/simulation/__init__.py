@@ -19,7 +19,7 @@ from vcbf_drake.simulation.run import (
     simulate_fleet,
 )
 from vcbf_drake.simulation.scenario import Scenario, validate
-from vcbf_drake.simulation.schema import scenario_page, scenario_schema
+from vcbf_drake.simulation.schema import scenario_schema
 from vcbf_drake.simulation.sections import (
     BarrierGains,
     Hardware,
@@ -53,7 +53,6 @@ __all__ = [
     "make_fleet_loop",
     "make_loop",
     "read_log_files",
-    "scenario_page",
     "scenario_schema",
     "shipped_scenarios",
     "simulate",

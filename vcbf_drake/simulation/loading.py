@@ -15,7 +15,8 @@ from typing import Any, cast
 from pydrake.common.yaml import yaml_dump
 import yaml
 
-from vcbf_drake.errors import InvalidValueError, ScenarioError, written
+from vcbf_drake.errors import InvalidValueError, ScenarioError
+from vcbf_drake.files import read_text
 from vcbf_drake.simulation.fleet import Fleet
 from vcbf_drake.simulation.python_file import scenario_of
 from vcbf_drake.simulation.scenario import Scenario
@@ -24,13 +25,12 @@ from vcbf_drake.simulation.yaml_nodes import (
     compose,
     did_you_mean,
     entries_of,
-    fail,
     locate,
     merged,
     shown,
 )
-from vcbf_drake.simulation.yaml_values import build, field_types, plain
-from vcbf_drake.typed import typed
+from vcbf_drake.simulation.yaml_values import build, plain
+from vcbf_drake.typed import field_types, typed
 
 _DIRECTORY = Path(__file__).parent / "scenarios"
 VEHICLES = "vehicles"
@@ -108,13 +108,7 @@ def load_fleet(
         if overrides is None:
             return fleet
         return _parse(dump_fleet(fleet), str(path), overrides)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ScenarioError(f"{path}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise ScenarioError(f"{path}: not a UTF-8 text file") from None
-    return _parse(text, str(path), overrides, scenario_name)
+    return _parse(read_text(path), str(path), overrides, scenario_name)
 
 
 def parse_scenario(
@@ -148,11 +142,9 @@ def _parse(
         node = _select(compose(text, source), source, scenario_name)
         if overrides is not None:
             node = merged(node, compose(overrides))
-        try:
-            return _build_fleet(node)
-        except InvalidValueError as error:
-            place = f"{locate(node, error.path)}: {written(error.path)}"
-            raise ScenarioError(f"{place}: {error.problem}") from None
+        return _build_fleet(node)
+    except InvalidValueError as error:
+        raise ScenarioError(f"{locate(node, error.path)}: {error}") from None
     except RecursionError:
         raise ScenarioError(f"{source}: nested too deeply") from None
 
@@ -197,14 +189,14 @@ def _build_fleet(node: Node) -> Fleet:
     """Returns the vehicles; those of a list share the entries beside it."""
     entries = dict(entries_of(node))
     if VEHICLES not in entries:
-        return Fleet.of(build(node, Scenario, ()))
+        return Fleet.of(build(node, Scenario))
     _, listed = entries.pop(VEHICLES)
     _, name = entries.pop("name")
     if not isinstance(listed, yaml.SequenceNode):
-        fail(listed, (VEHICLES,), f"expected a list, got {shown(listed)}")
+        raise InvalidValueError(VEHICLES, f"expected a list, got {shown(listed)}")
     shared = yaml.MappingNode(node.tag, [*entries.values()], node.start_mark)
-    vehicles = []
-    for i, own in enumerate(listed.value):
-        entries_of(own, (VEHICLES, i))  # Nothing but a mapping.
-        vehicles.append(build(merged(shared, own), Scenario, (VEHICLES, i)))
+    vehicles = [
+        build(merged(shared, own), Scenario, (VEHICLES, i))
+        for i, own in enumerate(listed.value)
+    ]
     return Fleet(name=name.value, vehicles=vehicles)

@@ -18,8 +18,8 @@ from scipy.spatial import ConvexHull, QhullError
 
 from vcbf_drake.barriers import PolygonObstacle, SphereObstacle
 from vcbf_drake.checks import Array
-from vcbf_drake.errors import InvalidValueError
-from vcbf_drake.files import IS_FILE
+from vcbf_drake.errors import InvalidValueError, below
+from vcbf_drake.files import IS_FILE, read_text
 from vcbf_drake.typed import Checked, NotNegative, Positive
 
 _LOG = logging.getLogger("vcbf_drake")
@@ -137,12 +137,9 @@ def _wrong(file: str, problem: str) -> InvalidValueError:
 
 
 def _text(file: str) -> str:
-    try:
-        return Path(file).read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise _wrong(file, error.strerror or "cannot be read") from None
-    except UnicodeDecodeError:
-        raise _wrong(file, "not a UTF-8 text file") from None
+    with below("file"):
+        text = read_text(Path(file))
+    return text
 
 
 def _table(

@@ -1,4 +1,4 @@
-"""YAML's nodes, which remember where they were written: merged, located, refused."""
+"""YAML's nodes, which remember where they were written: composed, merged, located."""
 
 from __future__ import annotations
 
@@ -8,15 +8,14 @@ from functools import reduce
 import math
 from pathlib import Path
 from textwrap import shorten
-from typing import Any, NoReturn, TypeAlias, cast
+from typing import Any, TypeAlias, cast
 
 from pydrake.common.yaml import yaml_dump
 import yaml
 
-from vcbf_drake.errors import Path as KeyPath, ScenarioError, written
+from vcbf_drake.errors import Path as KeyPath, ScenarioError
 
 Node: TypeAlias = Any  # A yaml.Node; PyYAML has no type stubs.
-
 _OVERRIDE = "override"
 
 
@@ -30,6 +29,15 @@ def merge_overrides(*overrides: str | Mapping[str, Any]) -> str:
     _put_on_one_line(node)
     text: str = yaml.serialize(node, Dumper=yaml.SafeDumper, width=math.inf)
     return text.strip()
+
+
+def _put_on_one_line(node: Node) -> None:
+    if isinstance(node, yaml.CollectionNode):
+        node.flow_style = True
+        for each in node.value:
+            _put_on_one_line(each[1] if isinstance(each, tuple) else each)
+    elif node.style in ("|", ">"):
+        node.style = '"'
 
 
 def did_you_mean(word: str, allowed: Iterable[str]) -> str:
@@ -52,36 +60,39 @@ def compose(text: str | Mapping[str, Any], source: str = _OVERRIDE) -> Node:
         loader = yaml.SafeLoader(text if isinstance(text, str) else yaml_dump({**text}))
         loader.name = source
         node = loader.get_single_node()
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        raise ScenarioError(f"{_where(mark)}: not YAML: {error.problem}") from None
     except yaml.YAMLError as error:
-        reason = " ".join(str(error).split())
-        raise ScenarioError(f"{source}: not YAML: {reason}") from None
+        mark = getattr(error, "problem_mark", None)
+        place = _where(mark) if mark else source
+        reason = getattr(error, "problem", None) or " ".join(str(error).split())
+        raise ScenarioError(f"{place}: not YAML: {reason}") from None
     if not isinstance(node, yaml.MappingNode):
         raise ScenarioError(f"{source}: expected a mapping, got {shown(node)}")
     return node
 
 
-def entries_of(node: Node, path: KeyPath = ()) -> dict[str, tuple[Node, Node]]:
-    """Returns a mapping's keys and values by name, merge keys (``<<``) resolved."""
+def entries_of(node: Node) -> dict[str, tuple[Node, Node]]:
+    """Returns a mapping's keys and values by name, merge keys (``<<``) resolved.
+
+    Raises:
+        ScenarioError: It, or what it merges, is no mapping of different words.
+    """
     if not isinstance(node, yaml.MappingNode):
-        fail(node, path, f"expected a mapping, got {shown(node)}")
+        raise _refusal(node, f"expected a mapping, got {shown(node)}")
     if not hasattr(node, "entries"):
         own: dict[str, tuple[Node, Node]] = {}
-        merged: dict[str, tuple[Node, Node]] = {}
+        shared: dict[str, tuple[Node, Node]] = {}
         for key, value in node.value:
             if not isinstance(key, yaml.ScalarNode):
-                fail(key, path, f"{shown(key)} as a key; keys are words")
+                raise _refusal(key, f"{shown(key)} as a key; keys are words")
             if key.value in own:
-                fail(key, (*path, key.value), "given twice")
+                raise _refusal(key, f"{key.value}: given twice")
             if key.tag.endswith(":merge"):
                 is_list = isinstance(value, yaml.SequenceNode)
                 for each in reversed(value.value if is_list else [value]):
-                    merged |= entries_of(each, path)
+                    shared |= entries_of(each)
             else:
                 own[key.value] = (key, value)
-        node.entries = merged | own
+        node.entries = shared | own
     return cast(dict[str, tuple[Node, Node]], node.entries)
 
 
@@ -96,7 +107,8 @@ def merged(base: Node, top: Node) -> Node:
         values = [*base.value]
         for name, (key, value) in entries_of(top).items():
             if int(name) >= len(values):
-                fail(key, (), f"{name} is no entry; they are 0 to {len(values) - 1}")
+                rule = f"they are 0 to {len(values) - 1}"
+                raise _refusal(key, f"{name} is no entry; {rule}")
             values[int(name)] = merged(values[int(name)], value)
         return yaml.SequenceNode(base.tag, values, base.start_mark)
     both = isinstance(base, yaml.MappingNode) and isinstance(top, yaml.MappingNode)
@@ -107,15 +119,6 @@ def merged(base: Node, top: Node) -> Node:
         old = entries.get(name)
         entries[name] = (key, merged(old[1], value) if old else value)
     return yaml.MappingNode(base.tag, [*entries.values()], base.start_mark)
-
-
-def _put_on_one_line(node: Node) -> None:
-    if isinstance(node, yaml.CollectionNode):
-        node.flow_style = True
-        for each in node.value:
-            _put_on_one_line(each[1] if isinstance(each, tuple) else each)
-    elif node.style in ("|", ">"):
-        node.style = '"'
 
 
 def locate(node: Node, path: KeyPath) -> str:
@@ -131,9 +134,10 @@ def locate(node: Node, path: KeyPath) -> str:
     return _where(mark)
 
 
-def directory_of(mark: Any) -> Path:
+def directory_of(node: Node) -> Path:
     """What paths are relative to: where a file is, or where an override was written."""
-    return Path() if mark.name == _OVERRIDE else Path(mark.name).parent
+    source = node.start_mark.name
+    return Path() if source == _OVERRIDE else Path(source).parent
 
 
 def _where(mark: Any) -> str:
@@ -142,19 +146,8 @@ def _where(mark: Any) -> str:
     return f"{mark.name}:{mark.line + 1}" if has_lines else str(mark.name)
 
 
-def fail(node: Node, path: KeyPath, problem: str) -> NoReturn:
-    """Refuses a node.
-
-    Args:
-        node: Whose place is told.
-        path: What it is of the scenario.
-        problem: What was found and what is allowed.
-
-    Raises:
-        ScenarioError: Always.
-    """
-    place = filter(None, (_where(node.start_mark), written(path), problem))
-    raise ScenarioError(": ".join(place))
+def _refusal(node: Node, problem: str) -> ScenarioError:
+    return ScenarioError(f"{_where(node.start_mark)}: {problem}")
 
 
 def shown(node: Node) -> str:
@@ -163,5 +156,4 @@ def shown(node: Node) -> str:
         return "a list" if isinstance(node, yaml.SequenceNode) else "a mapping"
     if node is None or (node.style is None and node.value in ("", "~", "null")):
         return "nothing"
-    text = repr(node.value if len(node.value) <= 40 else node.value[:37] + "...")
-    return text if node.style is None else f"the text {text}"
+    return repr(node.value if len(node.value) <= 40 else node.value[:37] + "...")

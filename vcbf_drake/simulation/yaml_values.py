@@ -2,29 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 import inspect
 import math
 from pathlib import Path
 import re
-import types
-from typing import Any, Union, cast, get_args, get_origin, get_type_hints
+from types import NoneType
+from typing import Any, get_args, get_origin
 
 import numpy as np
 import yaml
 
-from vcbf_drake.errors import Path as KeyPath, below
+from vcbf_drake.checks import require
+from vcbf_drake.errors import InvalidValueError, Path as KeyPath, below
 from vcbf_drake.files import names_file, resolved
 from vcbf_drake.simulation.yaml_nodes import (
     Node,
     did_you_mean,
     directory_of,
     entries_of,
-    fail,
     shown,
 )
-from vcbf_drake.typed import TYPE_WORDS
+from vcbf_drake.typed import (
+    bare,
+    check_type,
+    field_types,
+    in_words,
+    item_type,
+    members_of,
+    tag_of,
+)
 
 # What people write for an angle: 90deg, 90°, pi/2.
 _ANGLE = re.compile(r"\d *(deg|°)|\bpi\b|\brad\b")
@@ -32,17 +40,14 @@ _ANGLE = re.compile(r"\d *(deg|°)|\bpi\b|\brad\b")
 _LARGEST = 1e15
 
 
-def allowed_types(hint: Any) -> tuple[Any, ...]:
+def allowed_types(hint: Any) -> list[Any]:
     """Returns the types that a hint allows: of an abstract class, its subclasses.
 
     None is the last of them.
     """
     if inspect.isabstract(hint):
-        return tuple(_concrete(hint))
-    is_union = get_origin(hint) in (types.UnionType, Union)
-    members = get_args(hint) if is_union else (hint,)
-    lists = [each for each in members if get_origin(each) is not np.ndarray]
-    return tuple(sorted(lists, key=lambda each: each is types.NoneType))
+        return [*_concrete(hint)]
+    return sorted(map(bare, members_of(hint)), key=lambda each: each is NoneType)
 
 
 def _concrete(kind: Any) -> Iterator[Any]:
@@ -51,13 +56,6 @@ def _concrete(kind: Any) -> Iterator[Any]:
         if not inspect.isabstract(each):
             yield each
         yield from _concrete(each)
-
-
-def item_type(hint: Any) -> Any:
-    """Returns the type of the items of a list or a tuple; None of anything else."""
-    if get_origin(hint) not in (list, Sequence, tuple):
-        return None
-    return get_args(hint)[0]
 
 
 def tagged_types(hint: Any) -> dict[str, Any]:
@@ -70,109 +68,105 @@ def tagged_types(hint: Any) -> dict[str, Any]:
     return {tag_of(each): each for each in (*found, *own)}
 
 
-def tag_of(schema: Any) -> str:
-    """Returns a class's tag: ``!Car`` for a CarVehicle, ``!Box`` for a BoxObstacle."""
-    name = re.sub("(Vehicle|Obstacle)$", "", schema.__name__)
-    return str(getattr(schema, "TAG", f"!{name}"))
+def build(node: Node, hint: Any, path: KeyPath = ()) -> Any:
+    """Returns what a node holds, where a type is asked for.
 
-
-def field_types(schema: Any) -> dict[str, Any]:
-    """Returns the types of a dataclass's fields."""
-    hints = get_type_hints(schema)
-    return {each.name: hints[each.name] for each in fields(schema)}
-
-
-def build(node: Node, hint: Any, path: KeyPath) -> Any:
-    """Returns what a type hint asks for; only whole numbers may become floats."""
-    classes, (first, *others) = tagged_types(hint), allowed_types(hint)
-    if types.NoneType in others and shown(node) == "nothing":
+    Raises:
+        InvalidValueError: It holds something else.
+    """
+    classes, (kind, *others) = tagged_types(hint), allowed_types(hint)
+    if NoneType in others and shown(node) == "nothing":
         return None
-    if is_dataclass(first) or (classes and isinstance(node, yaml.MappingNode)):
-        needs_tag = inspect.isabstract(hint)
-        return _build_object(node, classes, path, needs_tag)
+    is_mapping = isinstance(node, yaml.MappingNode)
+    if is_dataclass(kind) or (classes and is_mapping):
+        return _build_object(node, classes, path, inspect.isabstract(hint))
     if node.tag.startswith("!"):
-        fail(node, path, f"tag {node.tag}; no tag is expected here")
-    if (item := item_type(first)) is not None:
-        if not isinstance(node, yaml.SequenceNode):
-            fail(node, path, f"expected a list, got {shown(node)}")
-        made = [build(each, item, (*path, i)) for i, each in enumerate(node.value)]
-        if get_origin(first) is not tuple:
-            return made
-        size = len(get_args(first))
-        if Ellipsis not in get_args(first) and len(made) != size:
-            fail(node, path, f"expected {size} values, got {len(made)}")
-        return tuple(made)
-    return _build_scalar(node, first if first in TYPE_WORDS else str, path)
+        raise InvalidValueError(path, f"tag {node.tag}; no tag is expected here")
+    if isinstance(node, yaml.ScalarNode):
+        return _build_scalar(node, kind, path)
+    item = item_type(kind)
+    if item is None or is_mapping:
+        expected = in_words(hint) if item is None else "a list"
+        raise InvalidValueError(path, f"expected {expected}, got {shown(node)}")
+    made = [build(each, item, (*path, i)) for i, each in enumerate(node.value)]
+    if get_origin(kind) is not tuple:
+        return made
+    size = len(get_args(kind))
+    is_whole = Ellipsis in get_args(kind) or len(made) == size
+    require(is_whole, path, made, f"{size} values")
+    return tuple(made)
 
 
 def _build_object(
     node: Node, classes: Mapping[str, Any], path: KeyPath, needs_tag: bool
 ) -> Any:
-    tag, (first, *others) = node.tag, classes
-    guess = ""
+    tag, (first, *others), guess = node.tag, classes, ""
     if not tag.startswith("!"):
         if needs_tag:
-            fail(node, path, f"its tag is missing; allowed: {', '.join(classes)}")
+            missing = f"its tag is missing; allowed: {', '.join(classes)}"
+            raise InvalidValueError(path, missing)
         tag = first
         guess = f" (no tag, so read as {first}; or {', '.join(others)})" * bool(others)
     if tag not in classes:
-        fail(node, path, f"unknown tag {tag}; {did_you_mean(tag, classes)}")
+        unknown = f"unknown tag {tag}; {did_you_mean(tag, classes)}"
+        raise InvalidValueError(path, unknown)
+    if not isinstance(node, yaml.MappingNode):
+        raise InvalidValueError(path, f"expected a mapping, got {shown(node)}")
     schema, values = classes[tag], {}
     hints = field_types(schema)
-    for name, (key, value) in entries_of(node, path).items():
+    for name, (_, value) in entries_of(node).items():
+        place = (*path, name)
         if name not in hints:
             advice = did_you_mean(name, hints)
             if name in getattr(schema, "MOVED", {}):
                 advice = f"it is {schema.MOVED[name]} now"
-            fail(key, (*path, name), f"unknown key{guess}; {advice}")
-        values[name] = build(value, hints[name], (*path, name))
+            raise InvalidValueError(place, f"unknown key{guess}; {advice}")
+        values[name] = build(value, hints[name], place)
+        check_type(place, values[name], hints[name])
     for each in fields(schema):
-        if names_file(each) and each.name in values:
-            written_in = directory_of(entries_of(node)[each.name][1].start_mark)
+        if each.name in values and names_file(each):
+            written_in = directory_of(entries_of(node)[each.name][1])
             values[each.name] = resolved(values[each.name], written_in)
         needed = each.default is each.default_factory is MISSING
         if needed and each.name not in values:
-            fail(node, (*path, each.name), f"missing{guess}")
+            raise InvalidValueError((*path, each.name), f"missing{guess}")
     with below(*path):
         return schema(**values)
 
 
-def _build_scalar(node: Node, kind: Any, path: KeyPath) -> float | int | bool | str:
-    """Returns the scalar; quoted means text, and unquoted numbers are not text."""
-    text, is_plain = node.value, getattr(node, "style", "") is None
-    is_text = node.tag.endswith(":str") or not is_plain
+def _build_scalar(node: Node, kind: Any, path: KeyPath) -> float | bool | str | None:
+    """Returns a number, a word or nothing; what is quoted, or no other, is text."""
+    text, is_quoted = node.value, node.style is not None
+    if is_quoted or (kind is str and node.tag.endswith(":str")):
+        return text
+    if shown(node) == "nothing":
+        return None
+    if text.lower() in yaml.SafeLoader.bool_values:
+        return yaml.SafeLoader.bool_values[text.lower()]
     try:
-        if kind is str and is_text and isinstance(text, str):
-            return text
-        if kind is bool and is_plain:
-            return bool(yaml.SafeLoader.bool_values[text.lower()])
-        if kind in (int, float) and is_plain:
-            # YAML 1.1 takes 1e-3 for text; .inf and .nan are its own.
-            number = kind(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
-            if _LARGEST < abs(number) < math.inf:
-                rule = f"it must be at most {_LARGEST:g} in size"
-                fail(node, path, f"{text[:99]}; {rule}")
-            return cast(float, number)
-    except (KeyError, ValueError):
-        pass
-    is_angle = kind is float and isinstance(text, str) and _ANGLE.search(text.lower())
-    hint = "; angles are plain numbers, in radians: 1.5708 for 90 degrees"
-    found = shown(node) + hint * bool(is_angle)
-    fail(node, path, f"expected {TYPE_WORDS[kind]}, got {found}")
+        # YAML 1.1 takes 1e-3 for text; .inf and .nan are its own.
+        digits = text.lower().replace(".inf", "inf").replace(".nan", "nan")
+        number = float(digits) if kind is float else int(digits)
+    except ValueError:
+        is_angle = kind is float and _ANGLE.search(text.lower()) is not None
+        require(not is_angle, path, text, "a number, in radians: 1.5708 for 90 degrees")
+        return text
+    if _LARGEST < abs(number) < math.inf:
+        rule = f"it must be at most {_LARGEST:g} in size"
+        raise InvalidValueError(path, f"{text[:99]}; {rule}")
+    return number
 
 
 def plain(value: Any, hint: Any) -> Any:
     """Returns what YAML can hold; a member of a union has its tag."""
     if is_dataclass(value):
-        hints, tags = field_types(type(value)), tagged_types(hint)
+        kind: Any = type(value)
+        hints = field_types(kind)
         data = {key: plain(getattr(value, key), hints[key]) for key in hints}
-        data |= {
-            each.name: resolved(data[each.name], Path())
-            for each in fields(value)
-            if names_file(each)
-        }
-        is_one_of = len(tags) > 1 or inspect.isabstract(hint)
-        return {"_tag": tag_of(type(value)), **data} if is_one_of else data
+        for each in filter(names_file, fields(value)):
+            data[each.name] = resolved(data[each.name], Path())
+        is_one_of = len(tagged_types(hint)) > 1 or inspect.isabstract(hint)
+        return {"_tag": tag_of(kind), **data} if is_one_of else data
     if isinstance(value, list | tuple | np.ndarray):
         item = item_type(allowed_types(hint)[0])
         return [plain(each, item) for each in value]

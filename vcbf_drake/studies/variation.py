@@ -14,6 +14,7 @@ import numpy as np
 import yaml
 
 from vcbf_drake.errors import ScenarioError
+from vcbf_drake.files import read_text
 from vcbf_drake.simulation.python_file import module_of
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.yaml_nodes import merge_overrides
@@ -134,10 +135,7 @@ def load_variation(text_or_path: str) -> Variation | PythonVariation:
     if path.suffix not in (".py", ".yaml", ".yml"):
         _parse(text_or_path)
         return Variation(text_or_path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ScenarioError(f"{path}: {error.strerror}") from None
+    text = read_text(path)
     if path.suffix == ".py":
         _function(str(path))
         return PythonVariation(str(path))

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vcbf_drake.plants.vehicle import tag
+from vcbf_drake.typed import tag_of
 from vcbf_drake.viz.replay.page import Words, page_data, write_page
 from vcbf_drake.viz.runs import Run, barrier_unit
 from vcbf_drake.viz.stage import Stage, set_stage
@@ -66,7 +66,7 @@ def stage_words(stage: Stage) -> Words:
     scenario = stage.run.scenario
     title, _, rest = scenario.description.strip().partition("\n")
     title = title.strip().rstrip(".") or scenario.name
-    name = tag(type(stage.run.vehicle)).removeprefix("!").lower()
+    name = tag_of(type(stage.run.vehicle)).removeprefix("!").lower()
     has_ghosts = len(stage.tasks) < len(stage.runs)
     remark = "Pale: the other methods. " if has_ghosts else ""
     one = len(stage.tasks) == 1
