@@ -15,8 +15,6 @@ from threading import Thread
 from types import MappingProxyType
 from typing import Any, BinaryIO, Generic, TypeVar
 
-from vcbf_drake.errors import ScenarioError
-
 _T = TypeVar("_T")
 
 # The metadata of a dataclass's field that names a file: ``field(metadata=IS_FILE)``. In
@@ -48,6 +46,8 @@ def read_text(path: Path) -> str:
     Raises:
         ScenarioError: It cannot be read.
     """
+    from vcbf_drake.errors import ScenarioError  # It brings NumPy, and --help is quick.
+
     try:
         return path.read_text(encoding="utf-8-sig")
     except OSError as error:

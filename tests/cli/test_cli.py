@@ -291,7 +291,7 @@ def test_bad_scenario_from_a_shell() -> None:
     assert done.returncode == 2
     assert done.stdout == ""
     assert done.stderr == (
-        "vcbf-drake: override: observer.alpha: expected a number, got the text '5'\n"
+        "vcbf-drake: override: observer.alpha: '5'; it must be a number\n"
     )
 
 
