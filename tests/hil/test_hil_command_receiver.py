@@ -5,10 +5,11 @@ from __future__ import annotations
 from hypothesis import given, settings, strategies as st
 import numpy as np
 from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context
 import pytest
 
 from tests.helpers.memory_bus import MemoryLcm
-from vcbf_drake import Car, ControlAffineModel, InputSet, load_scenario
+from vcbf_drake import load_scenario
 from vcbf_drake.hil import (
     Bus,
     CommandMode,
@@ -18,29 +19,29 @@ from vcbf_drake.hil import (
     command_format,
 )
 from vcbf_drake.hil.messages import vcbf_command
-from vcbf_drake.hil.vehicle_side import CommandReceiver, Timeline
-from vcbf_drake.simulation.sections import Hardware
+from vcbf_drake.hil.vehicle_side import VehicleEnd
 
-CAR = ControlAffineModel.from_system(Car())
 MS = 1000  # In microseconds.
 TIMEOUT = 100 * MS
+SCENARIO = load_scenario(
+    "car-avoidance",
+    {
+        "input_set": {"lower": [-1e4, -1e4], "upper": [1e4, 1e4]},
+        "hardware": {"fallback": "zero", "command_timeout": 1e-6 * TIMEOUT},
+    },
+)
 
 
 class Vehicle:
-    """A command receiver by itself, whose commands carry their number as an input."""
+    """A vehicle's end by itself, whose commands carry their number as an input."""
 
     def __init__(self) -> None:
         self.clock, lcm = SimulatedClock(), MemoryLcm()
         self.bus, self._sender = Bus(lcm, self.clock), Bus(lcm, self.clock)
-        self._timeline = Timeline(self.clock)
-        self.receiver = CommandReceiver(
-            self.bus,
-            CAR,
-            InputSet.box([-1e4, -1e4], [1e4, 1e4]),
-            Hardware(fallback="zero", command_timeout=1e-6 * TIMEOUT),
-            self._timeline,
-        )
+        self.receiver = VehicleEnd(self.bus, SCENARIO, SCENARIO.make_model())
+        self._during: list[tuple[int, VehicleMode]] = []
         self._simulator = Simulator(self.receiver)
+        self._simulator.set_monitor(self._note)
         self._context = self._simulator.get_mutable_context()
         self.receiver.GetInputPort("state").FixValue(self._context, np.zeros(4))
         self._start = self.clock.now
@@ -58,17 +59,22 @@ class Vehicle:
         self.clock.now = max(self.clock.now, self._start + instant)
 
     def step_to(self, instant: int) -> None:
+        self._during.clear()
         self._simulator.AdvanceTo(1e-6 * instant)
-        self.receiver.catch_up()
+
+    def _note(self, context: Context) -> None:
+        u = self.receiver.GetOutputPort("input").Eval(context)
+        self._during.append((round(u[0]), self.receiver.mode(context)))
+
+    # During the step: at its end, where something is sent, it looks once more.
 
     @property
     def applied(self) -> int:
-        u = self.receiver.GetOutputPort("input").Eval(self._context)
-        return round(u[0])
+        return self._during[0][0]
 
     @property
     def mode(self) -> VehicleMode:
-        return self.receiver.mode(self._context)
+        return self._during[0][1]
 
 
 @settings(max_examples=300, deadline=None, derandomize=True)
@@ -161,7 +167,7 @@ def test_a_vehicle_that_wakes_late_follows_its_controller() -> None:
     run.advance_to(0.2)
     run.kill_controller()
     sender = Bus(run.lcm, run.clock)
-    receiver = run.plant.diagram.GetSubsystemByName("command_receiver")
+    receiver = run.plant.diagram.GetSubsystemByName("vehicle_end")
     context = receiver.GetMyContextFromRoot(run.plant.context)
     start = run.clock.now
     for tick in range(1, 101):

@@ -250,7 +250,7 @@ def flight(
     assert np.ptp(log.data()) > 0.5
     receivers = (
         run.controller.diagram.GetSubsystemByName("state_receiver"),
-        run.plant.diagram.GetSubsystemByName("command_receiver"),
+        run.plant.diagram.GetSubsystemByName("vehicle_end"),
     )
     rejections = [receiver.inbox.rejections for receiver in receivers]
     return log.data().tobytes(), said, rejections, storm.sent

@@ -35,7 +35,6 @@ from vcbf_drake.hil import (
     make_hardware_loop,
     make_vehicle,
 )
-from vcbf_drake.hil.vehicle_side import Timeline
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.simulation import barriers
 from vcbf_drake.simulation.loop import add_simulated_plant, make_observer
@@ -103,10 +102,9 @@ def test_lockstep_repeats_bit_for_bit() -> None:
 def both_halves_in_one_diagram(name: str, duration: float) -> np.ndarray:
     """The states at the ticks when a simulator drives both halves."""
     loaded, clock, lcm = scenario(name), SimulatedClock(), DrakeLcm("memq://")
-    builder, timeline = DiagramBuilder(), Timeline(clock)
-    bus = Bus(lcm, clock)
+    builder, bus = DiagramBuilder(), Bus(lcm, clock)
     builder.AddNamedSystem("controller", make_hardware_loop(loaded, bus))
-    vehicle = builder.AddNamedSystem("vehicle", make_vehicle(loaded, bus, timeline))
+    vehicle = builder.AddNamedSystem("vehicle", make_vehicle(loaded, bus))
     simulator = Simulator(builder.Build())
     context = simulator.get_mutable_context()
     fixed = SimulatorConfig(max_step_size=min(loaded.period, 0.01))
@@ -114,11 +112,12 @@ def both_halves_in_one_diagram(name: str, duration: float) -> np.ndarray:
     ApplySimulatorConfig(fixed, simulator)
     context.SetAccuracy(1e-4)
     plant = vehicle.GetSubsystemByName("plant")
+    end = vehicle.GetSubsystemByName("vehicle_end")
     plant_context = plant.GetMyMutableContextFromRoot(context)
     plant_context.SetContinuousState(loaded.initial_state)
     states = []
     for tick in range(round(duration / loaded.period) + 1):
-        clock.now = timeline.utime(tick * loaded.period)
+        clock.now = end.utime(tick * loaded.period)
         simulator.AdvanceTo(tick * loaded.period)
         bus.poll()  # Messages arrive at the tick, not when the next step begins.
         states.append(plant_context.get_continuous_state_vector().CopyToVector())

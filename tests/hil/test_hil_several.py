@@ -91,7 +91,7 @@ def test_a_second_vehicle_of_the_name_is_neither_controlled_nor_does_it_obey() -
     )
     assert path(run) == path(alone)
     # Its end is not the end of the one that is controlled.
-    second._sender.ending = True
+    second._end.ending = True
     second.diagram.ForcedPublish(second.context)
     run.controller.step()
     assert not run.controller._is_over()
@@ -262,7 +262,7 @@ def test_one_stray_farewell_ends_nothing(kind) -> None:
 def test_the_end_of_its_own_vehicle_ends_a_controller() -> None:
     run = InProcess(load_scenario(CAR))
     run.advance_to(0.2)
-    run.plant.diagram.GetSubsystemByName("state_sender").ending = True
+    run.plant.diagram.GetSubsystemByName("vehicle_end").ending = True
     run.plant.diagram.ForcedPublish(run.plant.context)
     run.controller.run()
     assert run.controller.ending == "vehicle ended"

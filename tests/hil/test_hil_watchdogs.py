@@ -28,7 +28,7 @@ def loop(overrides: str = "{}", name: str = "blimp-multiple-obstacles", **option
 
 
 def applied_input(run: InProcess) -> np.ndarray:
-    receiver = run.plant.diagram.GetSubsystemByName("command_receiver")
+    receiver = run.plant.diagram.GetSubsystemByName("vehicle_end")
     context = receiver.GetMyContextFromRoot(run.plant.context)
     return receiver.GetOutputPort("input").Eval(context)
 

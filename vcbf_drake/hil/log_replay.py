@@ -32,7 +32,7 @@ from vcbf_drake.hil.inbox import (
     command_format,
     state_format,
 )
-from vcbf_drake.hil.messages import vcbf_command, vcbf_state, vcbf_status
+from vcbf_drake.hil.messages import vcbf_command, vcbf_status
 from vcbf_drake.hil.senders import Rejection
 from vcbf_drake.safety import Assumption, SafetyFilter
 from vcbf_drake.simulation.collision_monitor import TOUCH
@@ -46,19 +46,21 @@ from vcbf_drake.simulation.summary import Ending, summarise
 
 # Session and sequence of a message.
 _Key = tuple[int, int]
-_OBSTACLES, _STATUSES = "VCBF_OBSTACLES", "VCBF_STATUS"
+_STATES, _COMMANDS, _STATUSES = "VCBF_STATE", "VCBF_COMMAND", "VCBF_STATUS"
+_OBSTACLES = "VCBF_OBSTACLES"
+# What a status answers before the first state.
+_NO_STATE: _Key = (0, -1)
 
 
 class LoggedController:
     """Feeds what a vehicle said, as logged, to a controller, over ``memq://``.
 
-    The clock is the log's. The controller acts on the states that the log has a command
-    for, or a status alone, when those were sent, and on every state if the log has
-    neither. A
-    controller that started again in the log starts again here. So the log of a
-    controller makes the same commands again, bit for bit; the log of a vehicle does so
-    as far as all messages arrived. Where a controller was followed, one that never was
-    is left out.
+    The clock is the log's. What the log's controller sent, a command or a status alone,
+    tells on which state it acted, and when: so does this one, and on every state if the
+    log has neither. A controller that started again in the log starts again here. So
+    the log of a controller makes the same commands again, bit for bit; the log of a
+    vehicle does so as far as all messages arrived. Where a controller was followed, one
+    that never was is left out.
 
     Args:
         scenario: A validated scenario.
@@ -77,37 +79,44 @@ class LoggedController:
         self.on_state: Callable[[Any], None] = lambda state: None
         self.controllers: list[ControllerProcess] = []
         self.sent: dict[_Key, vcbf_command] = {}
-        self._scenario, self._events = scenario, list(events)
+        self._scenario = scenario
         n, m = len(scenario.initial_state), len(scenario.input_set.lower)
-        self._states = state_format(n, m).channel
-        self._commands = command_format(m)
-        self.logged: dict[_Key, vcbf_command] = {}
-        self._repeated: dict[_Key, vcbf_command] = {}
-        commands = list(self._logged_commands())
-        self._strangers = self._not_followed({each.session for each in commands})
-        for command in commands:
-            if command.mode == CommandMode.END or command.session in self._strangers:
+        self._decoders = {
+            _STATES: state_format(n, m).decode,
+            _COMMANDS: command_format(m).decode,
+            _STATUSES: _decoded_status,
+        }
+        self._log = [(event, self._decoded(event)) for event in events]
+        # What answers a state first, by the state; and what was sent without news.
+        self._answers: dict[_Key, Any] = {}
+        self._repeats: set[_Key] = set()
+        strangers = self._strangers()
+        for state, message in self._sent_in_log():
+            if message.mode == CommandMode.END or message.session in strangers:
                 continue  # Somebody's decision, not the controller's.
-            state = command.state_session, command.state_sequence
-            if self.logged.setdefault(state, command) is not command:
-                self._repeated[_key(command)] = command
-        # Of a controller that the vehicle did not follow there are statuses alone.
-        self._answers: dict[_Key, Any] = {**self._acted_on(), **self.logged}
+            is_first = self._answers.setdefault(state, message) is message
+            if not is_first or state == _NO_STATE:
+                self._repeats.add((message.session, message.utime))
+        self.logged = {
+            state: message
+            for state, message in self._answers.items()
+            if isinstance(message, vcbf_command)
+        }
 
     def run(self) -> None:
         """Drives the controller through the whole log."""
         first = min((each.session for each in self._answers.values()), default=None)
-        self._start(self._events[0].utime if first is None else first)
-        for event in self._events:
+        self._start(self._log[0][0].utime if first is None else first)
+        for event, message in self._log:
             if first is not None and event.utime < first:
                 continue  # Nobody listened yet.
-            if event.channel == self._states:
+            if event.channel == _STATES:
                 self._take_state(event)
             elif event.channel == _OBSTACLES:
                 self._hear(event)
-            elif (sent := self._sent_without_news(event)) is not None:
-                self._clock.now = sent.utime
-                self.controllers[-1].step()
+            elif message is not None and message.session == self._bus.session:
+                if (message.session, message.utime) in self._repeats:
+                    self._act_at(message.utime)
 
     def differences(self) -> list[float]:
         """Returns how far off the commands made are; infinite where modes differ."""
@@ -119,47 +128,50 @@ class LoggedController:
 
     def period(self) -> float | None:
         """Returns the median time between the commands, by the vehicle's time [s]."""
-        times = []
-        for event in self._events:
-            if event.channel == self._states:
-                state = _decoded(vcbf_state, event)
-                if state and (not self.logged or _key(state) in self.logged):
-                    times.append(state.time)
-        gaps = np.diff(times)
+        states = self._messages(_STATES)
+        answered = [s for s in states if not self.logged or _key(s) in self.logged]
+        gaps = np.diff([state.time for state in answered])
         gaps = gaps[gaps > 0.0]
         return float(np.median(gaps)) if len(gaps) else None
 
-    def _logged_commands(self) -> Iterator[vcbf_command]:
-        for event in self._events:
-            if event.channel == self._commands.channel:
-                message = self._commands.decode(event.data)
-                if not isinstance(message, Rejection):
-                    yield message
+    def _decoded(self, event: Event) -> Any:
+        """Returns an event's message, None if it has none that is of use."""
+        decode = self._decoders.get(event.channel)
+        message = None if decode is None else decode(event.data)
+        return None if isinstance(message, Rejection) else message
 
-    def _not_followed(self, sessions: set[int]) -> set[int]:
+    def _messages(self, channel: str) -> list[Any]:
+        return [
+            message
+            for event, message in self._log
+            if event.channel == channel and message is not None
+        ]
+
+    def _strangers(self) -> set[int]:
         """Those of several controllers whose commands the vehicle never took."""
-        followed = {
-            state.command_session
-            for event in self._events
-            if event.channel == self._states and (state := _decoded(vcbf_state, event))
-        }
+        sessions = {command.session for command in self._messages(_COMMANDS)}
+        followed = {state.command_session for state in self._messages(_STATES)}
         return sessions - followed if sessions & followed else set()
 
-    def _acted_on(self) -> dict[_Key, vcbf_status]:
-        """The first status of each state that was acted on."""
-        found: dict[_Key, vcbf_status] = {}
-        sessions: dict[int, int] = {}
-        for event in self._events:
-            if event.channel == self._states and (state := _decoded(vcbf_state, event)):
-                sessions[state.sequence] = state.session
+    def _sent_in_log(self) -> Iterator[tuple[_Key, Any]]:
+        """Yields what controllers sent, after the state that it answers.
+
+        Commands come first, then statuses without one: those of a controller that the
+        vehicle did not follow, or that had no state yet.
+        """
+        for command in self._messages(_COMMANDS):
+            yield (command.state_session, command.state_sequence), command
+        commanded = {(each.session, each.utime) for each in self._messages(_COMMANDS)}
+        sessions: dict[int, int] = {}  # The vehicle's, by a state's sequence.
+        for event, message in self._log:
+            if message is None:
+                continue
+            if event.channel == _STATES:
+                sessions[message.sequence] = message.session
             elif event.channel == _STATUSES:
-                status = _decoded(vcbf_status, event)
-                if status is None or status.session in self._strangers:
-                    continue
-                if status.state_sequence in sessions:
-                    session = sessions[status.state_sequence]
-                    found.setdefault((session, status.state_sequence), status)
-        return found
+                if (message.session, message.utime) not in commanded:
+                    sequence = message.state_sequence
+                    yield (sessions.get(sequence, 0), sequence), message
 
     def _start(self, session: int) -> None:
         self._clock = SimulatedClock(session)
@@ -183,36 +195,30 @@ class LoggedController:
             self._start(answer.session)
             self._hear(event)
         if answer is not None:
-            self._clock.now = answer.utime
-        if answer is not None or not self._answers:
-            self.controllers[-1].step()
+            self._act_at(answer.utime)
+        elif not self._answers:
+            self._act_at(event.utime)
 
     def _hear(self, event: Event) -> None:
         self._clock.now = event.utime
         self._bus.lcm.Publish(event.channel, event.data)
         self._bus.poll()
 
-    def _sent_without_news(self, event: Event) -> Any:
-        """The command that came without a new state, or status before the first."""
-        if event.channel == self._commands.channel:
-            command = _decoded(vcbf_command, event)
-            return command if command and _key(command) in self._repeated else None
-        status = _decoded(vcbf_status, event) if event.channel == _STATUSES else None
-        if status is None or status.session != self._bus.session:
-            return None
-        return status if status.state_sequence < 0 else None
+    def _act_at(self, utime: int) -> None:
+        self._clock.now = utime
+        self.controllers[-1].step()
 
     def _take_command(self, utime: int, channel: str, data: bytes) -> None:
-        if channel == self._commands.channel:
+        if channel == _COMMANDS:
             command = vcbf_command.decode(data)
             state = command.state_session, command.state_sequence
             self.sent.setdefault(state, command)
 
 
-def _decoded(kind: Any, event: Event) -> Any:
-    """An event's message, None if it is of another kind."""
+def _decoded_status(data: bytes) -> vcbf_status | None:
+    """Returns a status, whatever its sizes; None if it is none."""
     try:
-        return kind.decode(event.data)
+        return vcbf_status.decode(data)
     except (ValueError, struct.error):
         return None
 

@@ -19,12 +19,7 @@ from vcbf_drake.errors import naming_user_code
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.inbox import Inbox, VehicleMode
 from vcbf_drake.hil.senders import Reason
-from vcbf_drake.hil.vehicle_side import (
-    CommandReceiver,
-    StateSender,
-    Timeline,
-    make_vehicle,
-)
+from vcbf_drake.hil.vehicle_side import VehicleEnd, make_vehicle
 from vcbf_drake.simulation.collision_monitor import CollisionMonitor
 from vcbf_drake.simulation.loop import COLLISION_MONITOR, LOG_PREFIX
 from vcbf_drake.simulation.run import make_simulator
@@ -228,12 +223,8 @@ class PlantProcess(HardwareProcess):
         self.collided = False
         self.deadlines_missed = 0
         self.scenario = scenario
-        self._timeline = Timeline(bus.clock)
-        self.diagram = make_vehicle(scenario, bus, self._timeline)
-        self._receiver: CommandReceiver = self.diagram.GetSubsystemByName(
-            "command_receiver"
-        )
-        self._sender: StateSender = self.diagram.GetSubsystemByName("state_sender")
+        self.diagram = make_vehicle(scenario, bus)
+        self._end: VehicleEnd = self.diagram.GetSubsystemByName("vehicle_end")
         self._simulator = make_simulator(self.diagram, scenario)
         self._simulator.Initialize()
         self._elapsed = 0.0
@@ -252,19 +243,19 @@ class PlantProcess(HardwareProcess):
     @property
     def mode(self) -> VehicleMode:
         """What the vehicle does."""
-        return self._receiver.mode(self._receiver.GetMyContextFromRoot(self.context))
+        return self._end.mode(self._end.GetMyContextFromRoot(self.context))
 
     def _run(self, patience: float) -> None:
         # Not a new session: the states of the start are heard, and were another's.
-        inbox = self._receiver.inbox
+        inbox = self._end.inbox
         self._forget_the_start(inbox)
         if self._wait_for_peer(self._stand, lambda: inbox.newest is not None, patience):
-            self._timeline.restart()
+            self._end.restart()
             self._move()
-        self._elapsed = self._timeline.time()
+        self._elapsed = self._end.time()
 
     def _say_farewell(self) -> None:
-        self._sender.ending = True
+        self._end.ending = True
         say_farewell(lambda: self.diagram.ForcedPublish(self.context))
 
     def advance_to(self, time: float) -> None:
@@ -276,14 +267,13 @@ class PlantProcess(HardwareProcess):
             return
         with naming_user_code(lambda: self.time):
             status = self._simulator.AdvanceTo(time)
-        self._receiver.catch_up()
         self.collided = (
             status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition
         )
 
     def report(self) -> dict[str, Any]:
         """Returns what the motion came to, and how the bus did."""
-        scenario, inbox = self.scenario, self._receiver.inbox
+        scenario, inbox = self.scenario, self._end.inbox
         monitor: CollisionMonitor = self.diagram.GetSubsystemByName(COLLISION_MONITOR)
         times, path = self._log("path")
         reached_at, final_distance = arrival(scenario, times, path)
@@ -332,15 +322,15 @@ class PlantProcess(HardwareProcess):
         Once a second while commands answer another vehicle of its name: where both
         speak at once, a receiver that keeps one message would lose the other's.
         """
-        now, inbox = self.bus.clock.utime(), self._receiver.inbox
-        self._timeline.restart()
+        now, inbox = self.bus.clock.utime(), self._end.inbox
+        self._end.restart()
         since = 1e-6 * (now - inbox.last_rejected_at)
         is_another = inbox.last_rejection == Reason.ADDRESS.value
         is_second = is_another and since < self.scenario.hardware.command_timeout
         if not is_second or now - self._showed_itself_at >= _SECOND:
             self._showed_itself_at = now
             self.diagram.ForcedPublish(self.context)
-        self.bus.wait(self._timeline.utime(self.scenario.period))
+        self.bus.wait(self._end.utime(self.scenario.period))
         self._say()
 
     def _move(self) -> None:
@@ -348,9 +338,9 @@ class PlantProcess(HardwareProcess):
         tick = 1
         while not (self._stopping or self.collided or self.time >= duration):
             goal = min(tick * period, duration)
-            self.bus.wait(self._timeline.utime(goal))
-            self.deadlines_missed += self._timeline.time() - goal > period
-            self.advance_to(min(self._timeline.time(), goal))
+            self.bus.wait(self._end.utime(goal))
+            self.deadlines_missed += self._end.time() - goal > period
+            self.advance_to(min(self._end.time(), goal))
             tick += self.time >= goal
             self._say()
         self.ending = "stopped" if self._stopping else "duration"
@@ -360,7 +350,7 @@ class PlantProcess(HardwareProcess):
     def _say(self) -> None:
         mode = self.mode.name.lower()
         self._tell_change("mode", mode, f"{self.time:.2f} s: {mode}")
-        inbox = self._receiver.inbox
+        inbox = self._end.inbox
         complaint = inbox.complaint(self.bus.clock.utime())
         if complaint:
             line = f"{self.time:.2f} s: commands: {complaint}"

@@ -1,4 +1,4 @@
-"""The vehicle's side of the bus as Drake systems: commands in, states out."""
+"""The vehicle's side of the bus: commands in, states and obstacles out."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from pydrake.systems.framework import (
     State,
     TriggerType,
 )
-from pydrake.systems.primitives import Integrator, LogVectorOutput
+from pydrake.systems.primitives import LogVectorOutput
 
 from vcbf_drake.barriers import BarrierSet
 from vcbf_drake.checks import Array
-from vcbf_drake.hil.bus import Bus, Clock
+from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.inbox import (
     CommandMode,
     Inbox,
@@ -40,27 +40,10 @@ from vcbf_drake.simulation.loop import (
 )
 from vcbf_drake.simulation.obstacles import barriers
 from vcbf_drake.simulation.scenario import Scenario
-from vcbf_drake.simulation.sections import Hardware
 
-
-class Timeline:
-    """Ties a simulation's time to a clock; its time 0 is now, until `restart`."""
-
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
-        self.restart()
-
-    def restart(self) -> None:
-        """Makes now the simulation's time 0."""
-        self._start = self._clock.utime()
-
-    def utime(self, time: float) -> int:
-        """Returns the clock's time at a simulation's time [us]."""
-        return self._start + round(1e6 * time)
-
-    def time(self) -> float:
-        """Returns the simulation's time now, by the clock [s]."""
-        return 1e-6 * (self._clock.utime() - self._start)
+# Commands that a step may find waiting; the oldest of more are obsolete anyway.
+_MOST_WAITING = 1000
+_OBSTACLE_PERIOD = 0.5  # [s]
 
 
 def fallback_input(
@@ -91,10 +74,6 @@ def fallback_input(
     return input_set.project(u)
 
 
-# Commands that a step may find waiting; the oldest of more are obsolete anyway.
-_MOST_WAITING = 1000
-
-
 class _Received(NamedTuple):
     """A command, and when it came [us]."""
 
@@ -102,12 +81,12 @@ class _Received(NamedTuple):
     at: int
 
 
-class CommandReceiver(LeafSystem):
-    """Applies the newest command, or falls back when none came for too long.
+class VehicleEnd(LeafSystem):
+    """A vehicle's end of the bus: takes its commands, and says how it is.
 
     .. pydrake_system::
 
-        name: CommandReceiver
+        name: VehicleEnd
         input_ports:
         - state
         output_ports:
@@ -116,47 +95,45 @@ class CommandReceiver(LeafSystem):
 
     | port | size | |
     | --- | --- | --- |
-    | ``state`` | n | the vehicle's state, for the brake |
+    | ``state`` | n | the measured state |
     | ``input`` | m | what the actuators apply: always inside their limits |
     | ``mode`` | 1 | a `VehicleMode` |
 
     At the beginning of every simulator step the newest command that has come by then is
     taken, and the watchdog looks at its age; between steps the input is held. A process
     that wakes late handles commands that are younger than the step it has to make up
-    for: that one passes them over, for they were not there yet, and they wait, whatever
-    comes after them. When it is made up for (`catch_up`), they act from the next step
-    on.
+    for: that one passes them over, for they were not there yet, and they act from the
+    next one on, whatever comes after them.
+
+    States are sent periodically, obstacles twice a second, and both at forced events.
+    The context's time is tied to the bus's clock: its time 0 is when this was made, or
+    `restart` called.
 
     Args:
-        bus: Where commands come from.
+        bus: Carries states out and commands in.
+        scenario: Has the period, what to do without commands, and the obstacles.
         model: The vehicle's f, g, E.
-        input_set: What its actuators can do.
-        settings: When to fall back, and how.
-        timeline: Tells the time of the context.
 
     Attributes:
-        inbox: What arrived. Its round trips are from sending a state to the command
+        inbox: The commands. Its round trips are from sending a state to the command
             that answers it.
+        ending: Whether the vehicle is about to end.
     """
 
-    def __init__(
-        self,
-        bus: Bus,
-        model: ControlAffineModel,
-        input_set: InputSet,
-        settings: Hardware,
-        timeline: Timeline,
-    ) -> None:
+    def __init__(self, bus: Bus, scenario: Scenario, model: ControlAffineModel) -> None:
         super().__init__()
-        self._bus, self._settings, self._timeline = bus, settings, timeline
-        self._model, self._input_set = model, input_set
-        m = model.num_inputs
+        self.ending = False
+        self._bus, self._settings, self._model = bus, scenario.hardware, model
+        self._input_set = scenario.input_set.input_set()
+        self._obstacles = scenario.spheres
+        n, m = model.num_states, model.num_inputs
+        self._channel = state_format(n, m).channel
         self.inbox = Inbox(
             bus,
             command_format(m),
-            settings.command_timeout,
+            self._settings.command_timeout,
             self._receive,
-            max_clock_offset=settings.max_clock_offset,
+            max_clock_offset=self._settings.max_clock_offset,
             echo=lambda command: (command.state_utime, command.state_age),
             # What answers another vehicle was not made for this one.
             refusal=lambda command: (
@@ -165,41 +142,66 @@ class CommandReceiver(LeafSystem):
         )
         self._applied: _Received | None = None
         self._waiting: deque[_Received] = deque(maxlen=_MOST_WAITING)
-        self._overdue = 0
-        self._state = self.DeclareVectorInputPort("state", model.num_states)
+        self._passed_over = 0
+        self.restart()
+        self._state = self.DeclareVectorInputPort("state", n)
         self._input = self.DeclareDiscreteState(m)
         self._mode = self.DeclareDiscreteState([VehicleMode.WAITING])
+        # The input's integral, and at which time it is that.
+        self._integral = self.DeclareDiscreteState(m + 1)
         self.DeclareStateOutputPort("input", self._input)
         self.DeclareStateOutputPort("mode", self._mode)
         self.DeclarePerStepUnrestrictedUpdateEvent(self._take_over)
+        sent = self._send_state, scenario.period
+        for send, period in (sent, (self._send_obstacles, _OBSTACLE_PERIOD)):
+            self.DeclarePeriodicPublishEvent(period, 0.0, send)
+            self.DeclareForcedPublishEvent(send)
+
+    def restart(self) -> None:
+        """Makes now the context's time 0."""
+        self._start = self._bus.clock.utime()
+
+    def utime(self, time: float) -> int:
+        """Returns the clock's time at a time of the context [us]."""
+        return self._start + round(1e6 * time)
+
+    def time(self) -> float:
+        """Returns how late it is now, by the clock [s]."""
+        return 1e-6 * (self._bus.clock.utime() - self._start)
 
     def mode(self, context: Context) -> VehicleMode:
         """Returns what the vehicle does."""
         return VehicleMode(int(context.get_discrete_state(self._mode)[0]))
 
-    def catch_up(self) -> None:
-        """Has what was passed over act from the next step on."""
-        self._overdue = len(self._waiting)
+    def _receive(self, command: Any, now: int) -> None:
+        self._waiting.append(_Received(command, now))
+        is_answer = command.state_session == self._bus.session
+        if is_answer and command.mode == CommandMode.APPLY:
+            self.inbox.add_round_trip(now - command.state_utime)
 
     def _take_over(self, context: Context, state: State) -> EventStatus:
         self._bus.poll()
-        now = self._timeline.utime(context.get_time())
-        self._take_commands(now)
+        now, waiting = self.utime(context.get_time()), self._waiting
+        while waiting and (waiting[0].at <= now or self._passed_over > 0):
+            self._applied = waiting.popleft()
+            self._passed_over -= 1
+        self._passed_over = len(waiting)
         if self._applied is None:
             return EventStatus.DidNothing()
         mode, u = self._choose(self._applied, now, context)
         held = state.get_mutable_discrete_state()
+        held.set_value(
+            self._integral, [*self._integral_now(context), context.get_time()]
+        )
         held.set_value(self._input, u)
         held.set_value(self._mode, [mode])
         return EventStatus.Succeeded()
 
-    def _take_commands(self, now: int) -> None:
-        """Takes what has come by `now` [us], and what is overdue."""
-        waiting = self._waiting
-        while waiting and (self._overdue > 0 or waiting[0].at <= now):
-            self._applied = waiting.popleft()
-            self._overdue -= 1
-        self._overdue = 0
+    def _integral_now(self, context: Context) -> Array:
+        """The integral over time of what was applied, (m,)."""
+        *integral, since = context.get_discrete_state(self._integral).CopyToVector()
+        applied = context.get_discrete_state(self._input).CopyToVector()
+        return np.asarray(integral + applied * (context.get_time() - since))
 
     def _choose(
         self, received: _Received, now: int, context: Context
@@ -218,99 +220,27 @@ class CommandReceiver(LeafSystem):
             self._settings.brake_rate,
         )
 
-    def _receive(self, command: Any, now: int) -> None:
-        self._waiting.append(_Received(command, now))
-        is_answer = command.state_session == self._bus.session
-        if is_answer and command.mode == CommandMode.APPLY:
-            self.inbox.add_round_trip(now - command.state_utime)
-
-
-class StateSender(LeafSystem):
-    """Publishes the measured state, periodically and at forced events.
-
-    .. pydrake_system::
-
-        name: StateSender
-        input_ports:
-        - state
-        - input_integral
-        - mode
-
-    Args:
-        bus: Where to.
-        num_states: n.
-        num_inputs: m.
-        period: Time between messages [s].
-        commands: The commands that arrived.
-        timeline: Tells the time of the context.
-
-    Attributes:
-        ending: Whether the vehicle is about to end.
-    """
-
-    def __init__(
-        self,
-        bus: Bus,
-        num_states: int,
-        num_inputs: int,
-        period: float,
-        commands: Inbox,
-        timeline: Timeline,
-    ) -> None:
-        super().__init__()
-        self.ending = False
-        self._bus, self._commands, self._timeline = bus, commands, timeline
-        self._channel = state_format(num_states, num_inputs).channel
-        self._state = self.DeclareVectorInputPort("state", num_states)
-        self._integral = self.DeclareVectorInputPort("input_integral", num_inputs)
-        self._mode = self.DeclareVectorInputPort("mode", 1)
-        self.DeclarePeriodicPublishEvent(period, 0.0, self._send)
-        self.DeclareForcedPublishEvent(self._send)
-
-    def _send(self, context: Context) -> None:
-        message, command = vcbf_state(), self._commands.newest
-        mode = VehicleMode(int(self._mode.Eval(context)[0]))
-        message.mode = VehicleMode.ENDED if self.ending else mode
+    def _send_state(self, context: Context) -> None:
+        message, command, clock = vcbf_state(), self.inbox.newest, self._bus.clock
+        message.mode = VehicleMode.ENDED if self.ending else self.mode(context)
         message.time = context.get_time()
-        message.utime_measured = self._timeline.utime(message.time)
+        message.utime_measured = self.utime(message.time)
         if message.mode in (VehicleMode.WAITING, VehicleMode.ENDED):
             # Its time stands still, as it does: what is true now is measured now.
-            message.utime_measured = self._bus.clock.utime()
+            message.utime_measured = clock.utime()
         message.command_session = message.command_sequence = -1
         if command is not None:
             message.command_session = command.session
             message.command_sequence = command.sequence
             message.command_utime = command.utime
-            message.command_age = self._bus.clock.utime() - self._commands.received_at
+            message.command_age = clock.utime() - self.inbox.received_at
         message.state = self._state.Eval(context).tolist()
         message.num_states = len(message.state)
-        message.input_integral = self._integral.Eval(context).tolist()
+        message.input_integral = self._integral_now(context).tolist()
         message.num_inputs = len(message.input_integral)
         self._bus.send(self._channel, message)
 
-
-_PERIOD = 0.5  # [s]
-
-
-class ObstacleSender(LeafSystem):
-    """Publishes the scenario's obstacles twice a second and at forced events.
-
-    .. pydrake_system::
-
-        name: ObstacleSender
-
-    Args:
-        bus: Where to.
-        scenario: Has the obstacles.
-    """
-
-    def __init__(self, bus: Bus, scenario: Scenario) -> None:
-        super().__init__()
-        self._bus, self._obstacles = bus, scenario.spheres
-        self.DeclarePeriodicPublishEvent(_PERIOD, 0.0, self._send)
-        self.DeclareForcedPublishEvent(self._send)
-
-    def _send(self, context: Context) -> None:
+    def _send_obstacles(self, context: Context) -> None:
         message = vcbf_obstacles()
         message.time = context.get_time()
         for obstacle in self._obstacles:
@@ -323,17 +253,16 @@ class ObstacleSender(LeafSystem):
         self._bus.send(obstacles_format().channel, message)
 
 
-def make_vehicle(scenario: Scenario, bus: Bus, timeline: Timeline) -> Diagram:
+def make_vehicle(scenario: Scenario, bus: Bus) -> Diagram:
     """Returns a scenario's plant and disturbance behind an LCM bus.
 
-    The systems are named plant, disturbance, command_receiver, input_integral and
-    state_sender; ``log_path`` and ``log_mode`` record the true state and the vehicle's
-    mode at every integrator step. It ends a simulation at a collision.
+    The systems are those of `make_loop`, with vehicle_end where controller and filter
+    were; ``log_path`` and ``log_mode`` record the true state and the vehicle's mode at
+    every integrator step. It ends a simulation at a collision.
 
     Args:
         scenario: A validated scenario.
-        bus: Carries states out and commands in.
-        timeline: Ties the diagram's time to the bus's clock.
+        bus: Carries states and obstacles out and commands in.
 
     Raises:
         ScenarioError: A time limit is shorter than the control period.
@@ -341,37 +270,14 @@ def make_vehicle(scenario: Scenario, bus: Bus, timeline: Timeline) -> Diagram:
     check_timing(scenario)
     builder = DiagramBuilder()
     simulated = add_simulated_plant(builder, scenario)
-    plant, measured = simulated.plant, simulated.state
     model = scenario.make_model()
-    receiver = builder.AddNamedSystem(
-        "command_receiver",
-        CommandReceiver(
-            bus, model, scenario.input_set.input_set(), scenario.hardware, timeline
-        ),
-    )
-    integral = builder.AddNamedSystem("input_integral", Integrator(model.num_inputs))
-    sender = builder.AddNamedSystem(
-        "state_sender",
-        StateSender(
-            bus,
-            model.num_states,
-            model.num_inputs,
-            scenario.period,
-            receiver.inbox,
-            timeline,
-        ),
-    )
-    builder.AddNamedSystem("obstacle_sender", ObstacleSender(bus, scenario))
-    applied, mode = receiver.GetOutputPort("input"), receiver.GetOutputPort("mode")
-    builder.Connect(measured, receiver.GetInputPort("state"))
-    builder.Connect(applied, simulated.input)
-    builder.Connect(applied, integral.get_input_port())
-    builder.Connect(measured, sender.GetInputPort("state"))
-    builder.Connect(integral.get_output_port(), sender.GetInputPort("input_integral"))
-    builder.Connect(mode, sender.GetInputPort("mode"))
-    add_collision_monitor(builder, plant, BarrierSet(model, barriers(scenario)))
-    logged = {"path": state_port_of(plant), "mode": mode}
-    for name, port in logged.items():
+    end = builder.AddNamedSystem("vehicle_end", VehicleEnd(bus, scenario, model))
+    builder.Connect(simulated.state, end.GetInputPort("state"))
+    builder.Connect(end.GetOutputPort("input"), simulated.input)
+    hit = BarrierSet(model, barriers(scenario))
+    add_collision_monitor(builder, simulated.plant, hit)
+    true_state = state_port_of(simulated.plant)
+    for name, port in (("path", true_state), ("mode", end.GetOutputPort("mode"))):
         log = LogVectorOutput(port, builder, {TriggerType.kPerStep})
         log.set_name(LOG_PREFIX + name)
     diagram = builder.Build()
