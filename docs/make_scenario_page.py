@@ -50,7 +50,7 @@ def lines(
             listed = ", ".join(f"{each} [{unit}]" for each, unit in named)
             yield f"* {kind}, in this order: {listed}"
         yield ""
-    yield "| key | type | unit | default | what it is |"
+    yield "| key | type | unit | default | meaning |"
     yield "| --- | --- | --- | --- | --- |"
     for key, each in section["properties"].items():
         text = each["description"]
@@ -59,10 +59,10 @@ def lines(
         default = str(each.get("default", ""))
         default = SHOWN.get(default, default)
         if key in section["required"]:
-            default = "**needed**"
+            default = "**required**"
         kind = in_words(each, definitions)
         cells = (f"`{key}`", kind, unit[1] if unit else "", default, text)
-        yield f"| {' | '.join(cells).replace('|d', '&#124;d')} |"
+        yield f"| {' | '.join(each.replace('|', '&#124;') for each in cells)} |"
     yield ""
 
 

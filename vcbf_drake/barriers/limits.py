@@ -146,7 +146,7 @@ class StateLimit:
         state: The state's name, in a scenario; its index i elsewhere.
         lower: Least value, in the state's unit; -.inf for none.
         upper: Greatest value; .inf for none.
-        gains: K of (E4), one a derivative of the state until the input appears.
+        gains: K of (E4), one per derivative of the state until the input appears.
     """
 
     state: str | int

@@ -67,7 +67,7 @@ class SphereObstacle(Obstacle):
         center: The centre at t = 0, shape (k,) with k = 2 or 3 [m].
         radius: The obstacle's own radius [m].
         velocity: The centre's velocity, shape (k,) [m/s]; None or empty: it stands.
-        margin: The distance to keep from the obstacle's surface [m].
+        margin: Distance to keep from the obstacle's surface [m].
         form: "distance" or "squared"; None for "distance", in a scenario for the form
             of its other spheres (`barrier.form`).
     """

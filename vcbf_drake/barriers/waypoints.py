@@ -35,10 +35,10 @@ class MovingObstacle(Shape):
     its acceleration between the two.
 
     Attributes:
-        shape: The shape; without a velocity of its own.
-        times: When it is at each waypoint, increasing, two at least [s].
-        waypoints: How far it is from its own place there, (T, k) [m]: the place itself
-            where its center is 0.
+        shape: The shape, without a velocity of its own.
+        times: Increasing arrival times at the waypoints, at least two [s].
+        waypoints: Displacements from the shape's own position, (T, k) [m]: the
+            positions themselves if its center is 0.
     """
 
     shape: CarriedShape

@@ -33,16 +33,17 @@ class ObserverSettings(Checked):
 
     Attributes:
         alpha: Gain of the RISE observer (E17), (E20, the printed error bound) [1/s].
-        beta: Gain of its sign term [m/s^3]; null for one that the disturbance's bounds
-            need (E32, the gain conditions): 6, or more.
-        gamma: Gain of its filtered error [1/s].
-        uncertified: Whether gains that fail (E32) are allowed: with the error bound
-            2 delta1 (E37, without a proof).
-        step: How one sampled step is taken: implicit (E24), saturated (E26), explicit
-            (E27, the explicit step's chatter).
-        period: Time between its steps, at most the control period [s]; 0 means that
-            one.
-        boundary_layer: Where the saturated step's sign function becomes linear [m/s].
+        beta: Gain of the sign term [m/s^3]; null for the one that the disturbance's
+            bounds require (E32, the gain conditions), at least 6.
+        gamma: Gain of the filtered error [1/s].
+        uncertified: Whether gains that fail (E32) are accepted, with the error bound 2
+            delta1 (E37, without a proof).
+        step: Discretisation of the observer: implicit (E24), saturated (E26) or
+            explicit (E27, the explicit step's chatter).
+        period: Time between the observer's steps [s], at most the control period; 0 for
+            the control period.
+        boundary_layer: Half-width of the boundary layer in which the sign function of
+            the saturated step is linear [m/s].
         linear_rate: Rate of the first-order observer of method wang-xu-dob-cbf-qp
             [1/s].
 

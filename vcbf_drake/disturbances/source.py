@@ -42,7 +42,7 @@ class Constant:
     """A disturbance that never changes.
 
     Attributes:
-        value: One value a disturbed channel [m/s^2].
+        value: One value per disturbed channel [m/s^2].
     """
 
     value: list[float] = field(default_factory=list)
@@ -59,7 +59,7 @@ class Sinusoid:
     """A tone, ``amplitude sin(frequency t + phase)``.
 
     Attributes:
-        amplitude: One amplitude a disturbed channel [m/s^2].
+        amplitude: One amplitude per disturbed channel [m/s^2].
         frequency: Angular frequency [rad/s].
         phase: Phase at time zero [rad].
     """
@@ -87,13 +87,13 @@ _QUINTIC_MAXIMA = np.array((1.0, 15 / 8, 10 / math.sqrt(3), 60.0))
 
 @dataclass
 class SmoothStep:
-    """A gust that comes to stay: from 0 to its amplitude along a quintic.
+    """A lasting gust: a quintic rise from 0 to its amplitude.
 
     ``10 s^3 - 15 s^4 + 6 s^5`` has no slope and no bend at both ends, so it is C2.
 
     Attributes:
-        amplitude: One final value a disturbed channel [m/s^2].
-        start: When it begins to rise [s].
+        amplitude: One final value per disturbed channel [m/s^2].
+        start: Time at which the rise begins [s].
         duration: How long it rises [s]; s = (t - start) / duration. A sudden step is
             not C2.
     """
@@ -120,10 +120,10 @@ class BandLimitedNoise:
     """Noise below a bandwidth: tones of random frequency and phase, from a seed.
 
     Attributes:
-        std: One standard deviation (over time) a disturbed channel [m/s^2].
-        bandwidth: No tone is faster than this [rad/s].
-        seed: The same seed gives the same noise.
-        tones: Tones per channel.
+        std: One standard deviation (over time) per disturbed channel [m/s^2].
+        bandwidth: Highest frequency of a tone [rad/s].
+        seed: Seed of the frequencies and phases.
+        tones: Number of tones per channel.
     """
 
     std: list[float] = field(default_factory=list)
@@ -157,8 +157,8 @@ class Recorded:
     They have to span the whole simulation: a recording that stops is not C2 there.
 
     Attributes:
-        times: Increasing sample times, three at least [s].
-        values: One row a time, one number a disturbed channel [m/s^2].
+        times: Increasing sample times, at least three [s].
+        values: One row per time, one number per disturbed channel [m/s^2].
     """
 
     times: list[float] = field(default_factory=list)

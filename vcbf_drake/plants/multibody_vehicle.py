@@ -43,21 +43,21 @@ class MultibodyVehicle(Vehicle):
     of the joints as the file has them are barriers, its efforts the input set.
 
     Attributes:
-        file: The file, its path relative to the scenario's; or ``package://NAME/...``.
-        frame: The body or frame that carries the point which goes to the target.
-        point: The point in that frame [m].
-        weld: The body that is fixed to the world; empty where the file fixes one, or
-            the base floats.
-        actuators: The joints that have a motor; empty for those of the file, all where
-            it says nothing of motors.
-        fixed: The joints that do not move at all, a gripper's say.
-        controller: Drake's own, towards a posture whose point is at the target.
-        posture: Which of several such postures: one near these positions, (nq,); empty
-            for 0.1 each.
+        file: Path of the file, relative to the scenario's, or ``package://NAME/...``.
+        frame: The body or frame of the point that moves to the target.
+        point: Coordinates of the point in that frame [m].
+        weld: The body to fix to the world; empty if the file fixes one, or the base
+            floats.
+        actuators: The actuated joints; empty for those of the file, or all joints if it
+            declares none.
+        fixed: The locked joints, for example a gripper's.
+        controller: Drake's controller, towards a posture with the point at the target.
+        posture: Positions near which a posture is chosen if several reach the target,
+            (nq,); empty for 0.1 each.
         range_gains: K of (E4, gains and decay rates) for the joints' ranges.
         speed_gain: k_1 of (E4) for their speeds [1/s].
-        mass: Masses and inertias over those of the file.
-        drag: Dampings of the joints over those of the file.
+        mass: Ratio of masses and inertias to those of the file.
+        drag: Ratio of joint dampings to those of the file.
     """
 
     # Where the values of keys are that older files have.

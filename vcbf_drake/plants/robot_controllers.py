@@ -32,8 +32,9 @@ class InverseDynamics(Checked):
     It needs a motor at every joint and a base that does not float.
 
     Attributes:
-        stiffness: How a joint's error is undone (k_p), one for all or one each [1/s^2].
-        damping: How its speed is (k_d) [1/s].
+        stiffness: k_p, from joint error to joint acceleration [1/s^2], one for all or
+            one each.
+        damping: k_d, from speed error to joint acceleration [1/s].
     """
 
     at_rest: ClassVar[bool] = False
@@ -64,13 +65,13 @@ class InverseDynamics(Checked):
 
 @dataclass
 class JointStiffness(Checked):
-    """A spring and a damper at every driven joint, and its gravity taken off.
+    """A spring and a damper at every actuated joint, with gravity compensation.
 
     Where joints without a motor are among them, nothing is taken off.
 
     Attributes:
-        stiffness: Of a joint, one for all or one each [N m/rad].
-        damping: Of a joint, one for all or one each [N m s/rad].
+        stiffness: Stiffness of the joints, one for all or one each [N m/rad].
+        damping: Damping of the joints, one for all or one each [N m s/rad].
     """
 
     at_rest: ClassVar[bool] = False

@@ -119,37 +119,38 @@ class FilterSettings:
     Attributes:
         period: Control period [s].
         method: The safety filter, one of `METHODS`.
-        fidelity: "corrected", or "paper" for the equations as published; or the errata
-            to apply.
-        infeasible: What to do when no input satisfies the barrier rows: apply the input
-            of "least_violation", "hold" the last one, "stop" the simulation, let the
-            barriers "decay" faster than their gains say, by as little as helps (E69),
-            or follow a "backup" manoeuvre of the plant, a certified one of which is
-            kept at every tick (Theorem 5).
+        fidelity: "corrected", or "paper" for the equations as published, or the errata
+            to correct.
+        infeasible: The policy for infeasible ticks: "least_violation" applies the input
+            that violates the barrier rows least, "hold" keeps the last input, "stop"
+            ends the simulation, "decay" lets barriers decay faster than their gains
+            allow, by the least possible amount (E69), and "backup" keeps a certified
+            backup manoeuvre of the plant at every tick (Theorem 5).
         volume: The volume barrier, for the methods that have one.
-        decay_penalty: What a decay rate's growth (omega - 1)^2 costs beside the squared
-            distance to the reference (E69), with optimal-decay or infeasible: decay.
-        backup_margin: How far the way of the backup law keeps clear of every barrier,
-            in units of the position, with method backup (E68, a backup barrier's row).
-        between_ticks: "none" asks the rows to hold at the ticks alone, "certified" asks
-            for inputs under which they hold until the next tick (E88), where there are
-            such.
-        violation_weights: How much a violation of each barrier counts when not all can
-            hold, (N,); empty for 1 each.
-        input_weights: W of the cost (u - u_ref)'W (u - u_ref), its diagonal, (m,);
-            empty for that of the normalised inputs' norm, and 1 each for the published
-            |u - u_ref|^2 in the inputs' own units. In Python it may be a matrix.
-        soft_penalties: Penalty of the squared slack of each barrier row that may give
-            way, (N,): infinity for the others; empty for none. A control Lyapunov
+        decay_penalty: Penalty of a decay rate's growth, (omega - 1)^2, in the cost
+            beside the squared distance to the reference (E69), with optimal-decay or
+            infeasible: decay.
+        backup_margin: Distance that the flow of the backup law keeps from every
+            barrier, in units of the position, with method backup (E68, a backup
+            barrier's row).
+        between_ticks: "none" enforces the rows at the ticks only, "certified" also
+            until the next tick (E88), where some input permits it.
+        violation_weights: Weight of the violation of each barrier at infeasible ticks,
+            (N,); empty for 1 each.
+        input_weights: W of the cost (u - u_ref)'W (u - u_ref): its diagonal, (m,), in
+            Python also a matrix; empty for the norm of the normalised inputs. 1 each
+            gives the published |u - u_ref|^2 in the inputs' own units.
+        soft_penalties: Penalty of the squared slack of each soft barrier row, (N,):
+            infinity for the hard ones; empty if all are hard. A control Lyapunov
             function V beside barriers is the barrier h = -V with a penalty.
-        soft_linear_penalties: Penalty of the slack itself of each soft row, beside that
-            of its square, (N,); 0 for none. An exact penalty: a row that costs more
-            than what its multiplier is holds wherever the others let it.
+        soft_linear_penalties: Penalty of the slack itself of each soft row, added to
+            that of its square, (N,); 0 for none. An exact penalty: a row whose penalty
+            exceeds its multiplier holds wherever the other rows allow it.
         observer: The disturbance observer.
-        solver: Drake's solver that proposes solutions of the QP and, where it takes
-            cone programs, the largest ellipsoid: one of `SOLVERS`.
-        warn: Whether the log says which hypotheses fail at the start, and when there
-            first is no feasible input.
+        solver: Drake's solver that proposes solutions of the QP and, if it supports
+            cone programs, of the largest ellipsoid: one of `SOLVERS`.
+        warn: Whether the log reports hypotheses that fail at the start, and the first
+            infeasible tick.
 
     Raises:
         InvalidValueError: A field is outside what is allowed; one line says which.

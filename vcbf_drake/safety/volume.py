@@ -25,7 +25,7 @@ _LEAST_RADIUS, _MOST_THRESHOLD = 1e-4, 0.02
 
 @dataclass
 class VolumeBarrier:
-    """The barrier V_v = det B - xi on the room that rows leave the inputs (E49).
+    """The barrier V_v = det B - xi on the volume of the feasible set (E49).
 
     B is the shape of the largest ellipsoid of inputs, in normalised inputs, so that
     det B = 1 for a box that no barrier cuts, whatever the units of the inputs.
@@ -37,12 +37,13 @@ class VolumeBarrier:
     earlier. A widening of 4 with a gain of 0.3 kept as many, and more of them arrived.
 
     Attributes:
-        threshold: xi, the part of the free volume that must remain; null for a tenth
-            of what the set has at the first tick, at most 0.02 (E50).
-        gain: lambda_Vv, how fast V_v may decrease towards zero [1/s].
+        threshold: xi, the share of the input set's volume that must remain; null for a
+            tenth of det B at the first tick, at most 0.02 (E50).
+        gain: lambda_Vv, the rate at which V_v may decay towards zero [1/s].
         slack_penalty: M, the weight of the squared slack; unused with the exact slack.
-        widening: kappa >= 1: the input set is taken this many times as wide, so that
-            rows are felt before they cut it (E64, widening).
+        widening: kappa >= 1: the volume is measured over an input set this many times
+            as wide, so that a row reduces it before it cuts the true one (E64,
+            widening).
     """
 
     threshold: float | None = None

@@ -20,12 +20,12 @@ from vcbf_drake.typed import (
 
 @dataclass
 class StepGust(Checked):
-    """A push that comes and goes at once: not C2, and not declared.
+    """A gust that starts and ends with a jump: not C2, and not declared.
 
     Attributes:
-        amplitude: One value a disturbed channel [m/s^2].
-        start: When it begins [s].
-        duration: How long it lasts [s].
+        amplitude: One value per disturbed channel [m/s^2].
+        start: Start time [s].
+        duration: Duration [s].
     """
 
     amplitude: list[Finite]
@@ -35,29 +35,28 @@ class StepGust(Checked):
 
 @dataclass
 class Faults(Checked):
-    """What is wrong with plant, sensors, actuators and solver; by default nothing.
+    """Faults of plant, sensors, actuators and solver; none by default.
 
     The filter and its observer know of none of it. Noise is no fault but `noise`.
 
     Attributes:
-        seed: Seed of what is random here.
-        measurement_bias: Added to the measured state, in its units, (n,); empty for
+        seed: Seed of the random faults.
+        measurement_bias: Bias of the measured state, in its units, (n,); empty for
             none.
-        measurement_delay: How old a measurement is when it arrives [s].
-        measurement_loss: Probability that a tick's measurement is lost; the last one
-            stays.
-        sight: Obstacles are seen when their surface is nearer than this [m]; 0 for
+        measurement_delay: Delay of the measurements [s].
+        measurement_loss: Probability that a tick's measurement is lost; the last one is
+            kept.
+        sight: Distance to an obstacle's surface below which it is seen [m]; 0 for
             always.
         actuator_lag: Time constant of the actuators [s].
-        actuator_limit: Share of the declared input limits that the actuators reach.
-        mass: True mass (inertia and added mass with it) over the one in the model.
-        drag: True drag over the one in the model.
-        disturbance: True disturbance over the declared one.
-        gusts: Pushes on top of it.
+        actuator_limit: Ratio of the true input limits to the declared ones.
+        mass: Ratio of the true mass (with inertia and added mass) to the model's.
+        drag: Ratio of the true drag to the model's.
+        disturbance: Ratio of the true disturbance to the declared one.
+        gusts: Gusts added to the disturbance.
         solver_failure: Probability that a tick's solvers fail.
         outage: Probability that the process of filter and observer is killed at a tick.
-        outage_duration: How long it then takes until it runs again, with a fresh
-            observer [s].
+        outage_duration: Time until it runs again, with a fresh observer [s].
     """
 
     seed: NotNegativeInt = 0

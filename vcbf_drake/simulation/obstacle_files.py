@@ -35,8 +35,8 @@ class SpheresFile(Checked):
     where there are some, velocity_x, velocity_y, velocity_z [m/s] and margin [m].
 
     Attributes:
-        file: The file, its path relative to the scenario's.
-        margin: Distance to keep from their surfaces, where the file has none [m].
+        file: Path of the file, relative to the scenario's.
+        margin: Margin to the surfaces of spheres without one in the file [m].
     """
 
     TAG: ClassVar[str] = "!Spheres"
@@ -84,8 +84,8 @@ class PolygonMap(Checked):
     filled, a polygon whose sides cross is its convex hull.
 
     Attributes:
-        file: The file, its path relative to the scenario's.
-        margin: Distance to keep from the sides [m].
+        file: Path of the file, relative to the scenario's.
+        margin: Margin to the sides [m].
         smoothing: The length over which two sides blend [m].
     """
 

@@ -59,12 +59,12 @@ class BodyPoint(Checked):
     """A point of the robot that keeps clear of every obstacle, with a ball around it.
 
     Attributes:
-        point: Where it is, from the vehicle's position, forwards and to the left where
-            it has a heading; or in the frame [m]. Empty for the position, or the
-            frame's origin.
-        frame: The frame of a robot from a file that it moves with; empty for that of
+        point: Coordinates of the point from the vehicle's position, forwards and to the
+            left if it has a heading, or in the frame [m]. Empty for the position, or
+            the frame's origin.
+        frame: Frame of a robot from a file that carries the point; empty for that of
             its position.
-        radius: How much of the body around it is meant [m].
+        radius: Radius of the ball around the point [m].
     """
 
     point: list[Finite] = field(default_factory=list)

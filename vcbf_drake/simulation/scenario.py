@@ -68,26 +68,27 @@ class Scenario(FilterSettings):
     """One run: a plant, its disturbance and obstacles, its task, and a safety filter.
 
     Attributes:
-        name: What results are called; in a file, its top-level key.
-        description: What the run shows; the first line is its title.
+        name: Name of the results; in a file, the top-level key.
+        description: Description of the run; its first line is the title.
         vehicle: The robot: its plant, its controller, and its own limits.
-        input_set: What the actuators can deliver.
-        disturbance: The disturbance is the sum of these signals [m/s^2].
-        obstacles: What to keep out of; those of files are read when it is made.
-        body: The points of the robot that keep out, each with a ball around it; empty
-            for its position.
-        barrier: How: the barrier of each obstacle.
-        separation: How it keeps apart from the other vehicles, where there are some.
+        input_set: The inputs that the actuators can deliver.
+        disturbance: The signals whose sum is the disturbance [m/s^2].
+        obstacles: The obstacles to avoid; those of files are read when the scenario is
+            made.
+        body: The points of the robot that keep clear of the obstacles, each with a ball
+            around it; empty for its position.
+        barrier: Form and gains of the obstacles' barriers.
+        separation: The barrier between this vehicle and each other vehicle.
         initial_state: State at time zero, in the plant's units, (n,).
         target: Position to reach [m].
         duration: Length of the run [s].
         arrival_tolerance: Distance from the target that counts as arrival [m]; null for
-            a tenth of the way there, at most 0.3.
-        ends_at_target: Whether a simulation ends where it arrives.
+            a tenth of the distance from start to target, at most 0.3.
+        ends_at_target: Whether a simulation ends on arrival.
         integrator: The integrator.
         noise: Noise on the measured state.
-        faults: What is wrong with the loop, unknown to the filter.
-        hardware: The same over LCM, with a vehicle in another process.
+        faults: Faults of the loop, unknown to the filter.
+        hardware: Settings of hardware in the loop over LCM.
     """
 
     # Where the values of keys are that older files have.

@@ -34,12 +34,12 @@ class InputLimits:
     """The inputs that the actuators can deliver: a box, and further rows if any.
 
     Attributes:
-        lower: Least value of each input, in its unit, (m,); -.inf for none, where the
-            method has no volume barrier; empty for the vehicle's own limits, where it
+        lower: Lower limit of each input, in its unit, (m,); -.inf for none, with
+            methods without a volume barrier; empty for the vehicle's own limits, if it
             has some.
-        upper: Greatest value of each input, in its unit, (m,); .inf for none. An input
-            whose limits are equal is fixed, as of a dead actuator.
-        A: Further limits A u <= b, (k, m): coupled actuators, for example.
+        upper: Upper limit of each input, in its unit, (m,); .inf for none. An input
+            with equal limits is fixed, like a dead actuator.
+        A: Further limits A u <= b, (k, m), for example of coupled actuators.
         b: Their right-hand sides, (k,).
     """
 
@@ -89,10 +89,10 @@ class BarrierGains:
     Attributes:
         form: h: "distance" to the surface (E77), or "squared" distance difference
             (E80, the car's barrier).
-        gains: K = (k1, k2) of (E4), one a derivative of h until the input appears; the
-            roots of s^2 + k1 s + k2 are real and negative.
-        robust: Whether the worst of a disturbance that reaches h before the input does
-            is taken off at every level of its chain (E8, the robust chain).
+        gains: K = (k1, k2) of (E4), one per derivative of h until the input appears;
+            the roots of s^2 + k1 s + k2 are real and negative.
+        robust: Whether the chain is robust at every level against a disturbance that
+            enters before the input (E8, the robust chain).
     """
 
     form: SphereForm = "distance"
@@ -109,16 +109,16 @@ class BarrierGains:
 
 @dataclass(kw_only=True)
 class Separation(BarrierGains):
-    """How a vehicle keeps apart from the others of its scenario.
+    """The barrier that keeps a vehicle apart from the others of its scenario.
 
     Its filter is told, at every tick, where each of them is and how fast, and takes it
     to keep that velocity. A row that allows for any acceleration of a bounded norm is
     that of a distance which is `margin` greater (theory.md, "Other vehicles").
 
     Attributes:
-        distance: Least distance between the positions [m]; 0 where there is no other.
-        acceleration: The most that any other vehicle accelerates [m/s^2]; with 0 the
-            filter takes it to keep its velocity, and nothing is guaranteed.
+        distance: Least distance between the positions [m]; 0 for a single vehicle.
+        acceleration: Bound on the acceleration of every other vehicle [m/s^2]; with 0
+            the filter assumes constant velocities, and nothing is guaranteed.
     """
 
     distance: NotNegative = 0.0
@@ -140,7 +140,7 @@ class Separation(BarrierGains):
 
 @dataclass
 class Integrator:
-    """How the plant is integrated, at fixed steps.
+    """The fixed-step integration of the plant.
 
     Attributes:
         scheme: One of Drake's integration schemes.
@@ -160,7 +160,7 @@ class MeasurementNoise(Checked):
     """White Gaussian noise on the measured state, drawn anew at each control tick.
 
     Attributes:
-        std: Standard deviation for each state, in its unit; empty for none.
+        std: Standard deviation of each state, in its unit; empty for no noise.
         seed: Seed of the generator.
     """
 
@@ -170,29 +170,27 @@ class MeasurementNoise(Checked):
 
 @dataclass
 class Hardware(Checked):
-    """A vehicle on a bus: what both sides do when messages fail to come.
+    """Hardware in the loop: how both sides respond to missing messages.
 
     Attributes:
-        fallback: What a vehicle without commands does: "zero" input, or "brake".
-        brake_rate: How fast a braking vehicle's speed decays [1/s].
-        command_timeout: Age at which the vehicle does not follow its last command any
-            more [s].
-        max_state_age: Age at which the controller does not act on a state any more [s].
-        hold_time: How long it then holds its command before it asks for the fallback
-            [s].
-        longest_interval: The longest interval between states that the observer bridges
-            [s].
+        fallback: The action of a vehicle without commands: "zero" input, or "brake".
+        brake_rate: Decay rate of a braking vehicle's speed [1/s].
+        command_timeout: Age of a command at which the vehicle falls back [s].
+        max_state_age: Age of a state at which the controller no longer acts on it [s].
+        hold_time: Time for which the controller then holds its command, before it
+            requests the fallback [s].
+        longest_interval: Longest interval between states that the observer bridges [s].
         predict: Whether controller and filter act on the state predicted over the
             link's delays.
-        audit: What a measurement leads to that refutes the filter's hypotheses: the
+        audit: The response to measurements that refute the filter's hypotheses: the
             vehicle's "fallback", or a "report" alone.
-        obstacles: "known" ones are compared with those on the bus; "perceived" ones are
-            those on the bus.
-        most_obstacles: How many may be perceived at once.
-        max_obstacle_age: Age at which they are not acted on any more [s].
-        max_clock_offset: How far the clocks of vehicle and controller may be apart [s].
-        key_file: A file whose bytes are the key that messages are signed with; empty
-            for none.
+        obstacles: Whether the obstacles on the bus are compared with the "known" ones
+            of the scenario, or are the "perceived" ones that the filter avoids.
+        most_obstacles: Greatest number of perceived obstacles.
+        max_obstacle_age: Age at which perceived obstacles are no longer used [s].
+        max_clock_offset: Greatest offset between the clocks of vehicle and controller
+            [s].
+        key_file: File with the key that signs the messages; empty for none.
     """
 
     fallback: Fallback = "brake"
