@@ -163,9 +163,8 @@ def test_the_volume_is_compared_with_what_its_row_allows():
         "barriers": np.ones((ticks, 1)),
     }
     log["volume"][3] -= 0.001
-    finding = audit_findings(log, log["time"], np.ones((ticks, 1)), gain)[
-        "volume decrease"
-    ]
+    path = {"time": log["time"], "least_height": np.ones(ticks)}
+    finding = audit_findings(log, path, gain)["volume decrease"]
     assert finding["held"] is None
     assert finding["worst"] == pytest.approx(-0.001 / period)
     assert finding["worst_at"] == pytest.approx(2 * period)

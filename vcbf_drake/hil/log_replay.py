@@ -354,15 +354,15 @@ class _Recorder:
         """Returns the run, as `simulate` does, as far as a log tells it."""
         log = self._log()
         times = np.array([state.time for state in self._path])
-        path = np.array([state.state for state in self._path])
-        heights = self._filter.barrier_set.values_along(path, times)
-        crossed = times[np.any(heights < -TOUCH, axis=1)]
+        states = np.array([state.state for state in self._path])
+        heights = self._filter.barrier_set.values_along(states, times)
+        least = np.fmin.reduce(heights, axis=1, initial=np.inf)
+        path = {"time": times, "state": states, "least_height": least}
+        crossed = times[least < -TOUCH]
         ending = Ending(float(times[-1]), "")
         if len(crossed):
             ending = Ending(float(crossed[0]), COLLISION_MONITOR)
-        summary = summarise(
-            self._scenario, self._filter, log, times, path, heights, ending
-        )
+        summary = summarise(self._scenario, self._filter, log, path, ending)
         summary["assumptions"] = [vars(assumption) for assumption in self._assumptions]
         summary["step_cpu_ms"] = step_cpu_time(self._filter, log)
         first, last = self._path[0], self._path[-1]

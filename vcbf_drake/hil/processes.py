@@ -275,9 +275,10 @@ class PlantProcess(HardwareProcess):
         """Returns what the motion came to, and how the bus did."""
         scenario, inbox = self.scenario, self._end.inbox
         monitor: CollisionMonitor = self.diagram.GetSubsystemByName(COLLISION_MONITOR)
-        times, path = self._log("path")
-        reached_at, final_distance = arrival(scenario, times, path)
-        heights = monitor.barrier_set.values_along(path, times)
+        times, states = self._log("path")
+        path = {"time": times, "state": states}
+        reached_at, final_distance = arrival(scenario, path)
+        heights = monitor.barrier_set.values_along(states, times)
         report: dict[str, Any] = {
             "scenario": scenario.name,
             "outcome": self._outcome(reached_at is not None),

@@ -117,8 +117,7 @@ def audit_margins(
 
 def audit_findings(
     log: Mapping[str, Array],
-    path_time: Array,
-    heights: Array,
+    path: Mapping[str, Array],
     volume_gain: float,
     observer: DisturbanceObserver | None = None,
 ) -> dict[str, dict[str, Any]]:
@@ -130,8 +129,7 @@ def audit_findings(
 
     Args:
         log: The arrays of the log, one row a control tick.
-        path_time: Times of the integrator's steps, shape (S,) [s].
-        heights: The least h there, shape (S,), or every one, (S, N).
+        path: What was at the integrator's steps: ``time`` (S,) [s], ``least_height``.
         volume_gain: lambda_Vv [1/s].
         observer: What the method's estimates come from; None where it has none.
     """
@@ -146,7 +144,7 @@ def audit_findings(
     if observer is not None:
         found |= _of_measurements(log, observer)
     found[BETWEEN_TICKS] = finding(
-        "h >= 0 at every integrator step", path_time, _least_of_each(heights), TOUCH
+        "h >= 0 at every integrator step", path["time"], path["least_height"], TOUCH
     )
     if "volume" in found and len(times) > 1:
         found[VOLUME_DECREASE] = _information(
@@ -206,8 +204,8 @@ def reasons_against(
     """Returns why a run is not guaranteed; empty when it is.
 
     Args:
-        assumptions: The hypotheses at the start.
-        findings: What `audit_findings` returns.
+        assumptions: The hypotheses at the start: for its inputs alone, Theorem 5's.
+        findings: What `audit_findings` returns: then those of `FEASIBILITY`.
         collided: Whether the run ended in a collision.
     """
     hypotheses = [
@@ -217,22 +215,6 @@ def reasons_against(
         f"audit: {name}" for name, each in findings.items() if each["held"] is False
     ]
     return hypotheses + broken + ["collision"] * collided
-
-
-def reasons_against_feasibility(
-    assumptions: Iterable[Assumption],
-    findings: Mapping[str, Mapping[str, Any]],
-    collided: bool,
-) -> list[str]:
-    """Returns why a run's inputs are not guaranteed; empty when they are (Theorem 5).
-
-    Args:
-        assumptions: The theorem's hypotheses at the start.
-        findings: What `audit_findings` returns.
-        collided: Whether the run ended in a collision.
-    """
-    relevant = {name: findings[name] for name in FEASIBILITY if name in findings}
-    return reasons_against(assumptions, relevant, collided)
 
 
 def _decrease_margin(times: Array, volume: Array, gain: float) -> Array:

@@ -6,7 +6,6 @@ from collections import defaultdict
 from collections.abc import Mapping
 import os
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from pydrake.systems.framework import Context, Diagram, System
@@ -19,14 +18,6 @@ from vcbf_drake.simulation.loop import COLLISION_MONITOR, LOG_PREFIX
 
 _PATH, _PATH_OBSTACLES = "path", "path_obstacles"
 _SCALARS = ("slack", "volume", "status", "decay", "least_chi")
-
-
-class _Store(Protocol):
-    """Arrays that grow by pieces."""
-
-    def append(self, arrays: Mapping[str, Array]) -> None: ...
-
-    def arrays(self) -> dict[str, Array]: ...
 
 
 class RunLog:
@@ -54,8 +45,8 @@ class RunLog:
         self._filter: SafetyFilter = diagram.GetSubsystemByName("filter")
         self._bounds = diagram.GetSubsystemByName("disturbance").bounds
         self._truth = diagram.GetSubsystemByName(COLLISION_MONITOR).barrier_set
-        self.ticks: _Store = _Lists()
-        self.path: _Store = _Lists()
+        self.ticks: _Lists | LogFiles = _Lists()
+        self.path: _Lists | LogFiles = _Lists()
         if directory is not None:
             self.ticks = LogFiles(directory)
             self.path = LogFiles(Path(directory) / _PATH)

@@ -7,7 +7,6 @@ from dataclasses import replace
 import math
 from pathlib import Path
 import time
-from typing import Any
 
 import numpy as np
 from pydrake.systems.analysis import (
@@ -18,34 +17,22 @@ from pydrake.systems.analysis import (
 )
 from pydrake.systems.framework import Context, Diagram, EventStatus, System
 
-from vcbf_drake.between_ticks import certified_least_barrier, is_certifiable
 from vcbf_drake.checks import Array
-from vcbf_drake.errors import ModelError, naming_user_code
+from vcbf_drake.errors import naming_user_code
 from vcbf_drake.model.interface import state_port_of
 from vcbf_drake.safety import (
     Assumption,
     SafetyFilter,
     assumptions,
 )
-from vcbf_drake.simulation.audit import (
-    BETWEEN_TICKS,
-    FEASIBILITY_HYPOTHESES,
-    KNOWLEDGE,
-    ROUNDING,
-    audit_findings,
-    reasons_against,
-    reasons_against_feasibility,
-)
 from vcbf_drake.simulation.collision_monitor import TOUCH
 from vcbf_drake.simulation.faults import fault_assumptions
 from vcbf_drake.simulation.fleet import (
-    OTHERS,
     Fleet,
     least_separation,
     loops_of,
     make_fleet_loop,
     others_assumption,
-    others_finding,
 )
 from vcbf_drake.simulation.loading import load_scenario
 from vcbf_drake.simulation.log import RunLog
@@ -53,7 +40,7 @@ from vcbf_drake.simulation.loop import COLLISION_MONITOR, measurement_noise
 from vcbf_drake.simulation.result import Result
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.step_time import step_cpu_time
-from vcbf_drake.simulation.summary import Ending, summarise
+from vcbf_drake.simulation.summary import Ending, judge
 from vcbf_drake.typed import typed
 
 Progress = Callable[[float], None]
@@ -121,10 +108,10 @@ def simulate_fleet(
     """
     diagram = make_fleet_loop(fleet, controller)
     simulator = make_simulator(diagram, fleet)
-    loops, root = loops_of(diagram, fleet), simulator.get_mutable_context()
+    context, loops = simulator.get_mutable_context(), loops_of(diagram, fleet)
     several = len(loops) > 1
     vehicles = [*zip(fleet.vehicles, loops, strict=True)]
-    found = [loop_assumptions(*each, root, several) for each in vehicles]
+    found = [loop_assumptions(*each, context, several) for each in vehicles]
     records = []
     for scenario, loop in vehicles:
         place = None if log_directory is None else Path(log_directory)
@@ -132,107 +119,27 @@ def simulate_fleet(
             place /= scenario.name
         records.append(RunLog(loop, place))
     started = time.process_time()
-    with naming_user_code(root.get_time):
+    with naming_user_code(context.get_time):
         status = _advance(simulator, fleet, records, progress, watch)
     logs = [(each.ticks.arrays(), each.path.arrays()) for each in records]
-    cpu_time = time.process_time() - started
+    rate = status.return_time() / max(time.process_time() - started, 1e-9)
     places = [
-        scenario.vehicle.positions(path["state"])
-        for (scenario, _), (_, path) in zip(vehicles, logs, strict=True)
+        each.vehicle.positions(path["state"])
+        for each, (_, path) in zip(fleet.vehicles, logs, strict=True)
     ]
     results = []
     for i, (scenario, loop) in enumerate(vehicles):
         log, path = logs[i]
-        ending = _ending(status, scenario, len(loops), path)
-        summary = _summary(scenario, loop, log, path, found[i], ending)
+        ending = _ending(status, scenario, several, path)
+        summary = judge(scenario, loop, log, path, found[i], ending)
         if several:
             summary["least_separation"] = least_separation(places, i)
         if step_time:
             safety_filter = loop.GetSubsystemByName("filter")
             summary["step_cpu_ms"] = step_cpu_time(safety_filter, log)
-        rate = status.return_time() / max(cpu_time, 1e-9)
         summary["real_time_factor"] = rate
         results.append(Result(scenario, summary, log))
     return results
-
-
-def _summary(
-    scenario: Scenario,
-    diagram: Diagram,
-    log: dict[str, Array],
-    path: dict[str, Array],
-    found: Sequence[Assumption],
-    ending: Ending,
-) -> dict[str, Any]:
-    """The summary of one vehicle's run, with its assumptions and audit."""
-    safety_filter: SafetyFilter = diagram.GetSubsystemByName("filter")
-    times, heights = path["time"], path["least_height"]
-    summary = summarise(
-        scenario, safety_filter, log, times, path["state"], heights, ending
-    )
-    observer = diagram.GetSubsystemByName("filter_observer")
-    is_estimated = safety_filter.method.disturbance == "estimated"
-    summary["assumptions"] = [vars(assumption) for assumption in found]
-    summary["audit"] = audit_findings(
-        log, times, heights, scenario.volume.gain, observer if is_estimated else None
-    )
-    has_others = diagram.HasSubsystemNamed("other_vehicles")
-    if has_others:
-        summary["audit"][OTHERS] = others_finding(log, scenario)
-    is_known = not has_others and all(
-        summary["audit"].get(name, {}).get("held") is not False for name in KNOWLEDGE
-    )
-    summary["certified_min_barrier"] = (
-        _certified_least(scenario, diagram, found, log, ending) if is_known else None
-    )
-    summary["reasons_against"] = reasons_against(
-        found, summary["audit"], summary["outcome"] == "collision"
-    )
-    if _fell_short(scenario, summary["certified_min_barrier"]):
-        summary["reasons_against"].append(f"not certified: {BETWEEN_TICKS}")
-    summary["guaranteed"] = not summary["reasons_against"]
-    if safety_filter.gate is not None:
-        faults = fault_assumptions(scenario.faults, scenario.noise.std)
-        against = {*FEASIBILITY_HYPOTHESES, OTHERS, *(each.name for each in faults)}
-        summary["reasons_against_feasible"] = reasons_against_feasibility(
-            [each for each in found if each.name in against],
-            summary["audit"],
-            summary["outcome"] == "collision",
-        )
-        summary["guaranteed_feasible"] = not summary["reasons_against_feasible"]
-    return summary
-
-
-def _certified_least(
-    scenario: Scenario,
-    diagram: Diagram,
-    found: Sequence[Assumption],
-    log: dict[str, Array],
-    ending: Ending,
-) -> float | None:
-    """What h was nowhere below (E87); None where that cannot be certified."""
-    source = diagram.GetSubsystemByName("disturbance")
-    if not is_certifiable(scenario, found):
-        return None
-    # A hold that the run's end cut short counts: it is bounded for its whole period.
-    holds = int(np.sum(log["time"] < ending.time))
-    try:
-        least = certified_least_barrier(
-            diagram.GetSubsystemByName("filter"),
-            log,
-            holds,
-            scenario.period,
-            source.bounds.delta1,
-        )
-    except ModelError:
-        return None
-    return least if np.isfinite(least) else None
-
-
-def _fell_short(scenario: Scenario, certified: float | None) -> bool:
-    """Whether the margin that was asked for gave way, and it mattered."""
-    asked = scenario.between_ticks == "certified"
-    return asked and certified is not None and certified < -ROUNDING
 
 
 def check_assumptions(scenario: Scenario | Fleet) -> tuple[Assumption, ...]:
@@ -362,13 +269,16 @@ def _has_ended(status: SimulatorStatus) -> bool:
 
 
 def _ending(
-    status: SimulatorStatus, scenario: Scenario, loops: int, path: Mapping[str, Array]
+    status: SimulatorStatus,
+    scenario: Scenario,
+    several: bool,
+    path: Mapping[str, Array],
 ) -> Ending:
     """How the run ended for one vehicle: another's monitor may have ended it."""
     monitor = ""
     if _has_ended(status):
         *_, owner, monitor = status.system().GetSystemPathname().split("::")
-        if owner != scenario.name and loops > 1:
+        if several and owner != scenario.name:
             collides = path["least_height"][-1] < -TOUCH
             monitor = COLLISION_MONITOR if collides else ""
     return Ending(status.return_time(), monitor)
