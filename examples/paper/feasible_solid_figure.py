@@ -15,11 +15,11 @@ from vcbf_drake.viz.feasible_set import (
     polytope_vertices,
 )
 from vcbf_drake.viz.runs import Run
-from vcbf_drake.viz.space_figure import ParallelView
+from vcbf_drake.viz.space_figure import parallel_view
 from vcbf_drake.viz.style import ALARM, INK, MUTED, PAGE_WIDTH, new_figure
 
 _NAME = dict(fontsize=7, color=INK)
-VIEW = ParallelView.from_angles(azimuth=-62.0, elevation=22.0)
+VIEW = parallel_view(azimuth=-62.0, elevation=22.0)
 REACH = 1.25  # How far beyond the limits a reference is still drawn at its place.
 
 
@@ -63,10 +63,10 @@ def draw_feasible_solid(
     box = polytope_vertices(box_rows, box_sides, -np.ones(3), np.ones(3))
     dashed = dict(fill=False, ec=MUTED, lw=0.6, ls=(0, (3, 2)), zorder=1)
     for _, face in polytope_faces(box_rows, box_sides, box):
-        VIEW.draw_face(axes, face, **dashed)
+        _draw_face(axes, face, **dashed)
     if chosen.empty:
         style = dict(ha="center", va="center", color=ALARM, fontsize=12, weight="bold")
-        ring = VIEW.flat((chosen.reference - middle) / half)
+        ring = _flat((chosen.reference - middle) / half)
         covered = abs(ring[0]) < 0.6 and -0.3 < ring[1] < 0.3
         axes.text(0.0, -0.5 if covered else 0.0, "empty", **style)
     else:
@@ -104,21 +104,30 @@ def polytope_faces(A: Array, b: Array, corners: Array) -> list[tuple[int, Array]
     return faces
 
 
+def _flat(points: Array) -> Array:
+    """Where points, shape (..., 3), are drawn, shape (..., 2)."""
+    return np.asarray(points @ VIEW[:2].T)
+
+
+def _draw_face(axes: Any, corners: Array, **style: Any) -> None:
+    axes.fill(*_flat(corners).T, **style)
+
+
 def _draw_side(axes: Any, normal: Array, face: Array, color: str) -> None:
     """A face, paler when it is seen from inside."""
-    near = bool(normal @ VIEW.toward > 0.0)
-    VIEW.draw_face(axes, face, fc=color, alpha=0.28 if near else 0.12, lw=0, zorder=2)
+    near = bool(normal @ VIEW[2] > 0.0)
+    _draw_face(axes, face, fc=color, alpha=0.28 if near else 0.12, lw=0, zorder=2)
     edge = dict(fill=False, ec=color, lw=1.1 if near else 0.5)
-    VIEW.draw_face(axes, face, **edge, zorder=3 if near else 2)
+    _draw_face(axes, face, **edge, zorder=3 if near else 2)
 
 
 def _draw_choice(
     axes: Any, chosen: FeasibleSet, middle: Array, half: Array, color: str
 ) -> None:
     reference = np.clip((chosen.reference - middle) / half, -REACH, REACH)
-    places = [VIEW.flat(reference)]
+    places = [_flat(reference)]
     if not chosen.empty:
-        places.append(VIEW.flat((chosen.input - middle) / half))
+        places.append(_flat((chosen.input - middle) / half))
         axes.plot(*np.transpose(places), color=INK, lw=0.7, zorder=4)
         axes.plot(*places[1], "o", mfc=color, mec="white", ms=7, zorder=5)
     axes.plot(*places[0], "o", mfc="white", mec=INK, ms=5.5, mew=1.2, zorder=5)
@@ -132,7 +141,7 @@ def _name_edges(axes: Any, chosen: FeasibleSet, names: Sequence[str]) -> None:
         (2, np.array([[-1.0, -1.0, -1.0], [-1.0, -1.0, 1.0]]), (-0.5, 0.0)),
     )
     for index, edge, offset in edges:
-        ends = VIEW.flat(edge) + offset
+        ends = _flat(edge) + offset
         style = dict(ha="center", va="center", fontsize=6.5, color=MUTED)
         for end, inner, value in zip(
             ends, ends[::-1], (chosen.low[index], chosen.high[index]), strict=True
