@@ -12,7 +12,7 @@ from tests.helpers.synthetic_results import blimp_result, blimp_results, car_res
 from vcbf_drake.barriers import SphereObstacle
 from vcbf_drake.safety.settings import METHODS
 from vcbf_drake.viz import write_replay
-from vcbf_drake.viz.replay.tubes import merge, ring, tube
+from vcbf_drake.viz.replay.scene import tube
 from vcbf_drake.viz.runs import label_runs
 from vcbf_drake.viz.stage import MAX_FRAMES, set_stage
 
@@ -23,9 +23,9 @@ def commands(page):
     return [base64.b64decode(text) for text in found]
 
 
-def signed_volume(mesh):
+def signed_volume(vertices, faces):
     """By the divergence theorem: positive when the faces look outwards."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
     return np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0
 
 
@@ -230,36 +230,22 @@ def test_bad_input_is_refused_in_one_line(tmp_path):
         write_replay([], tmp_path / "page.html")
 
 
-def test_meshes_look_outwards_and_have_the_right_size():
+def test_rings_look_outwards_and_have_the_right_size():
+    angle = np.linspace(0.0, 2.0 * np.pi, 61)
+    circle = 0.9 * np.column_stack([0.0 * angle, np.cos(angle), np.sin(angle)])
+    vertices, faces = tube(circle, [1.0, 0.0, 0.0], 0.1)
+    distance = np.linalg.norm(vertices.reshape(61, -1, 3) - circle[:, None], axis=2)
+    np.testing.assert_allclose(distance, 0.1)
     volume = 2.0 * np.pi**2 * 0.9 * 0.1**2
-    circle = ring(0.9, 0.1)
-    assert signed_volume(circle) == pytest.approx(volume, rel=0.12)
-    two = merge([circle, circle.moved((5.0, 0.0, 0.0))])
-    assert signed_volume(two) == pytest.approx(2.0 * signed_volume(circle))
-
-
-@pytest.mark.parametrize(
-    "path",
-    [
-        np.linspace([0.0, 0.0, 0.0], [0.0, 0.0, 2.0], 9),  # Straight up.
-        np.tile([1.0, 2.0, 3.0], (6, 1)),  # At rest.
-        np.repeat(np.linspace([0.0, 0.0, 0.0], [1.0, 1.0, 0.0], 5), 3, axis=0),
-        np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [1, 1, 1], [0, 1, 1], [1, 1, 1]]),
-    ],
-)
-def test_a_tube_goes_anywhere(path):
-    mesh = tube(path, 0.05)
-    assert np.all(np.isfinite(mesh.vertices))
-    rings = mesh.vertices.reshape(len(path), -1, 3)
-    distance = np.linalg.norm(rings - path[:, None], axis=2)
-    np.testing.assert_allclose(distance, 0.05)
+    assert signed_volume(vertices, faces) == pytest.approx(volume, rel=0.12)
 
 
 def test_a_straight_tube_has_a_cylinders_volume():
-    mesh = tube(np.linspace([-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], 5), 0.1, sides=64)
+    way = np.linspace([-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], 5)
+    vertices, faces = tube(way, [0.0, 0.6, 0.8], 0.1, sides=64)
     # Its ends are open: they add nothing to the integral only if they hold the origin.
     side = 2.0 / 3.0 * np.pi * 0.1**2 * 2.0
-    assert signed_volume(mesh) == pytest.approx(side, rel=0.01)
+    assert signed_volume(vertices, faces) == pytest.approx(side, rel=0.01)
 
 
 @pytest.mark.slow
@@ -427,16 +413,17 @@ def test_it_plays_in_view_from_the_first_second(page_path):
 # The scene, and the shares of the trail that are drawn.
 SCENE = """(() => {
   const find = (path) => viewer.scene_tree.find(path.split("/")).object;
-  let drawn = null;
-  find("drake/trail/2").traverse((mesh) => {
-    if (mesh.isMesh) drawn = mesh.geometry.drawRange.count / mesh.geometry.index.count;
-  });
-  return drawn === null || !viewer.animator.actions.length ? null : {
+  const trails = viewer.scene.children.filter(
+    (each) => each.geometry?.type === "TubeGeometry");
+  const shares = trails.map(
+    ({ geometry }) => geometry.drawRange.count / geometry.index.count);
+  return shares.length < 3 || !viewer.animator.actions.length ? null : {
     time: Math.max(...viewer.animator.actions.map((action) => action.time)),
     playing: viewer.animator.playing,
     failure: find("drake/failure/1").visible,
     x: find("drake/vehicle/2/point").position.x,
-    drawn,
+    drawn: shares[2],
+    rings: [...trails[1].geometry.attributes.position.array],
   };
 })()"""
 DRAG = """(() => {
@@ -466,6 +453,12 @@ def test_seeking_moves_the_scene(page_path):
         x = np.interp(time, log["time"], log["state"][:, 0])
         assert seen["x"] == pytest.approx(x, abs=0.03)
         assert seen["failure"] == (time > 7.6)
+    # The trail of a run that ended early, and rests from then on, is round all along.
+    data = page_data(page_path.read_text(encoding="utf-8"))
+    path = np.array(data["runs"][1]["path"])
+    rings = np.reshape(report[0]["rings"], (len(path), -1, 3))
+    thick = np.linalg.norm(rings - path[:, None], axis=2)
+    np.testing.assert_allclose(thick, 0.7 * data["sizes"]["trail"], rtol=1e-3)
 
 
 # The limits' rectangle, the chosen input, and the reference, all in pixels.

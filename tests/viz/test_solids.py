@@ -21,7 +21,7 @@ from vcbf_drake.barriers import (
 )
 from vcbf_drake.simulation import simulate
 from vcbf_drake.viz import write_figures, write_replay
-from vcbf_drake.viz.solids import hull, solids, solids_of, walls_of
+from vcbf_drake.viz.solids import Wall, hull, solids, solids_of, walls_of
 
 
 @pytest.fixture(scope="module")
@@ -108,6 +108,19 @@ def test_walls_are_where_the_half_spaces_end(scenario):
             face = pose.translation() - 0.5 * thick * wall.normal
             assert wall.normal @ face == pytest.approx(wall.offset)
             assert pose.translation()[2] == pytest.approx(0.25)
+
+
+def test_a_slanted_wall_stands_on_the_ground_in_its_plane():
+    normal = np.array([0.8, -0.5, 0.3]) / np.sqrt(0.98)
+    slab, pose = Wall(normal, 0.7, 0.0).slab(np.array([1.0, 2.0, 3.0]), 10.0, 2.0, -0.1)
+    turn = pose.rotation().matrix()
+    np.testing.assert_allclose(turn.T @ turn, np.eye(3), atol=1e-12)
+    size = np.array([slab.width(), slab.depth(), slab.height()])
+    corners = 0.5 * size * np.array([[1, i, j] for i in (-1, 1) for j in (-1, 1)])
+    face = (pose @ corners.T).T
+    np.testing.assert_allclose(face @ normal, 0.7)
+    np.testing.assert_allclose(np.sort(face[:, 2])[:2], 0.0, atol=1e-12)
+    assert face[:, 2].max() > 1.8
 
 
 def test_hull_is_the_smallest_convex_polygon():

@@ -109,7 +109,7 @@ class LiveView:
         with urlopen(address) as answer:
             page = answer.read().decode()
         page = page.replace("url = location.toString()", f'url = "{address}/"')
-        page = whole_page(page, stage_words(stage), data)
+        page = whole_page(page, data, **stage_words(stage))
         self._tell(self._stream.serve(page.encode(), address))
         self._stream.wait_for_a_browser()
         self._lead = time.monotonic()

@@ -23,16 +23,14 @@ from vcbf_drake.model.interface import state_port_of
 from vcbf_drake.plants.shapes import Part, of_body
 from vcbf_drake.plants.vehicle import Vehicle
 from vcbf_drake.viz.solids import place_at, solids
-from vcbf_drake.viz.style import OBSTACLE
+from vcbf_drake.viz.style import BLUE, OBSTACLE
 
-BLUE = "#0072b2"
 PILLAR_HEIGHT = 0.3  # Of an obstacle in the plane [m].
 
 
-def rgba(color: str, alpha: float = 1.0) -> Rgba:
-    """Drake's colour of a hexadecimal one."""
-    red, green, blue = (int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
-    return Rgba(red, green, blue, alpha)
+def rgba(color: str) -> Rgba:
+    """Drake's colour of a hexadecimal one, of three bytes or four."""
+    return Rgba(*(byte / 255.0 for byte in bytes.fromhex(color.removeprefix("#"))))
 
 
 class PosedGeometry(LeafSystem):

@@ -116,16 +116,16 @@ class Wall:
             height: How high, where it is upright [m].
             thick: How thick, on the safe side; negative: on the other one [m].
         """
-        foot = middle + (self.offset - self.normal @ middle) * self.normal
         is_upright = abs(self.normal[2]) < 0.5
+        across = np.cross(np.eye(3)[2 if is_upright else 0], self.normal)
+        across /= np.linalg.norm(across)
+        up = np.cross(self.normal, across)
+        place = middle + (self.offset - self.normal @ middle) * self.normal
+        if is_upright:  # It stands on z = 0.
+            place = place + (0.5 * height * up[2] - place[2]) / up[2] * up
+        place = place + 0.5 * thick * self.normal
+        turn = RotationMatrix(np.column_stack([self.normal, across, up]))
         tall = height if is_upright else size
-        turn = RotationMatrix.MakeFromOneVector(self.normal, 0)
-        if is_upright:
-            up = np.array([0.0, 0.0, 1.0])
-            columns = [self.normal, np.cross(up, self.normal), up]
-            turn = RotationMatrix(np.column_stack(columns))
-            foot = foot + 0.5 * (height - 2.0 * foot[2]) * up
-        place = foot + 0.5 * thick * self.normal
         return Box(abs(thick), size, tall), RigidTransform(turn, place)
 
 

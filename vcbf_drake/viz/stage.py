@@ -13,10 +13,12 @@ from pydrake.math import RigidTransform
 from vcbf_drake.checks import Array
 from vcbf_drake.plants.shapes import Part, bounding_box, of_body
 from vcbf_drake.viz.runs import Run, label_runs
-from vcbf_drake.viz.solids import Solid, in_space, solids_of
+from vcbf_drake.viz.solids import Solid, in_space, solids_of, walls_of
+from vcbf_drake.viz.style import OBSTACLE, SHELL
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.result import Result
+    from vcbf_drake.simulation.scenario import Scenario
 
 MAX_FRAMES = 300  # A page should stay small; the browser fills in between.
 
@@ -51,6 +53,11 @@ class View:
         return 0.009 * self.span
 
     @property
+    def trail(self) -> float:
+        """The radius of the tubes that are drawn along ways [m]."""
+        return 0.0022 * self.span
+
+    @property
     def cell(self) -> float:
         """The distance between the floor's lines [m]."""
         return 1.0 if self.span > 4.0 else 0.5 if self.span > 2.0 else 0.1
@@ -58,17 +65,21 @@ class View:
 
 @dataclass(frozen=True)
 class Moving:
-    """A rigid body at every frame.
+    """A rigid body and how it moves.
 
     Attributes:
         path: Where it is in Meshcat's tree.
         parts: Its pieces, in its own frame.
-        poses: Where its frame is in the world, F of them.
+        times: Times between which it goes straight on, or nearly, shape (F,) [s].
+        poses: Where its frame is in the world at these times.
+        scale: What its parts are drawn at.
     """
 
     path: str
     parts: Sequence[Part]
+    times: Array
     poses: Sequence[RigidTransform]
+    scale: float = 1.0
 
     @property
     def moves(self) -> bool:
@@ -112,6 +123,7 @@ class Stage:
         tasks: Of each vehicle that is no ghost its name, its start and its target,
             shape (3,) [m].
         solids: The obstacles.
+        bodies: Everything that stands or moves: vehicles, obstacles, walls.
         fraction: Vehicles are drawn at the scale 1 to this.
         view: The scene around them.
     """
@@ -120,6 +132,7 @@ class Stage:
     motions: Sequence[Motion]
     tasks: Sequence[tuple[str, Array, Array]]
     solids: Sequence[Solid]
+    bodies: Sequence[Moving]
     fraction: int
     view: View
 
@@ -145,11 +158,11 @@ def set_stage(results: Sequence[Result]) -> Stage:
     """
     runs = label_runs(results)
     duration = max(float(run.time[-1]) for run in runs)
-    motions = [_motion(run, index, duration) for index, run in enumerate(runs)]
-    run, start = runs[-1], motions[-1].position[0]
+    run, start = runs[-1], runs[-1].path[0]
     span = max(0.5, float(np.linalg.norm(run.target - start)))
     solids = solids_of(run.scenario, 0.04 * span)
     fraction = _fraction(run.vehicle.length, solids)
+    motions = [_motion(*each, duration, 1.0 / fraction) for each in enumerate(runs)]
     # Of a robot of one body, the position and its height are all that matters.
     bodies = [body for each in motions if len(each.bodies) > 1 for body in each.bodies]
     reached = np.vstack([np.empty((0, 3)), *(body.reached for body in bodies)])
@@ -182,7 +195,9 @@ def set_stage(results: Sequence[Result]) -> Stage:
         ],
         few=len(solids) < 100,
     )
-    return Stage(runs, motions, tasks, solids, fraction, view)
+    bodies = [body for motion in motions for body in motion.bodies]
+    bodies += _obstacles(solids, duration) + _walls(run.scenario, view)
+    return Stage(runs, motions, tasks, solids, bodies, fraction, view)
 
 
 def body_path(index: int, body: str) -> str:
@@ -201,7 +216,7 @@ def _fraction(length: float, solids: Sequence[Solid]) -> int:
     return max(1, int(np.ceil(0.5 * length / (0.75 * least) - 1e-6)))
 
 
-def _motion(run: Run, index: int, duration: float) -> Motion:
+def _motion(index: int, run: Run, duration: float, scale: float) -> Motion:
     state = np.array(run.log["state"], dtype=float)
     rate = 10.0 if 10.0 * duration <= MAX_FRAMES else max(1.0, MAX_FRAMES // duration)
     # The last frame is not before the end, where the vehicle rests.
@@ -211,11 +226,47 @@ def _motion(run: Run, index: int, duration: float) -> Motion:
     state[:, angles] = np.unwrap(state[:, angles], axis=0)
     shown = np.stack([np.interp(time, run.time, each) for each in state.T], axis=1)
     poses, parts = [*map(run.vehicle.poses, shown)], run.vehicle.geometry(run.color)
-    bodies = [
-        Moving(body_path(index, name), of_body(parts, name), [p[name] for p in poses])
-        for name in poses[0]
-    ]
+    bodies = []
+    for name in poses[0]:
+        path, own, way = (
+            body_path(index, name),
+            of_body(parts, name),
+            [p[name] for p in poses],
+        )
+        bodies.append(Moving(path, own, time, way, scale))
     return Motion(time, in_space(run.vehicle.positions(shown)), bodies)
+
+
+def _obstacles(solids: Sequence[Solid], duration: float) -> list[Moving]:
+    """The obstacles, and around each the distance that has to be kept."""
+    bodies = []
+    for index, solid in enumerate(solids):
+        parts = [Part("body", solid.body.shape, OBSTACLE, solid.body.pose)]
+        if solid.keep_out is not None:
+            shell = solid.keep_out
+            parts.append(Part("keep_out", shell.shape, SHELL + "33", shell.pose))
+        times = solid.key_times(duration)
+        poses = [RigidTransform(solid.offset_at(time)) for time in times]
+        bodies.append(Moving(f"obstacles/{index}", parts, times, poses))
+    return bodies
+
+
+def _walls(scenario: Scenario, view: View) -> list[Moving]:
+    """The walls, and before each the distance that has to be kept."""
+    middle, size = 0.5 * (view.low + view.high), 1.2 * view.span
+    bodies = []
+    for index, wall in enumerate(walls_of(scenario)):
+        parts = []
+        for name, thick, color in (
+            ("body", -0.004 * size, SHELL + "4d"),  # More would throw a shadow.
+            ("keep_out", wall.margin, SHELL + "26"),
+        ):
+            if thick != 0.0:
+                slab, pose = wall.slab(middle, size, 0.06 * view.span, thick)
+                parts.append(Part(name, slab, color, pose))
+        body = Moving(f"walls/{index}", parts, np.zeros(1), [RigidTransform()])
+        bodies.append(body)
+    return bodies
 
 
 def _highest(points: Array) -> Array:

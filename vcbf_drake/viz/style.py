@@ -24,6 +24,8 @@ INK = "#1f2733"
 MUTED = "#6b7685"
 GRID = "#e3e7ec"
 OBSTACLE = "#9aa5b4"
+BLUE = "#0072b2"
+SHELL = "#5f7fa8"  # The distance to keep.
 START = "#4a5563"
 TARGET = "#1a9850"
 ALARM = "#c8102e"
@@ -51,13 +53,13 @@ METHOD_STYLES = {
     "wang-xu-dob-cbf-qp": MethodStyle("Wang-Xu DOB-CBF-QP", "#cc79a7", (3.0, 1.4)),
     "vcbf-qp": MethodStyle("VCBF-QP", "#e69f00", (8.0, 2.0)),
     "dob-cbf-qp": MethodStyle("DOB-CBF-QP", "#d55e00", (5.0, 1.6)),
-    "dob-vcbf-qp": MethodStyle("DOB-VCBF-QP", "#0072b2", ()),
+    "dob-vcbf-qp": MethodStyle("DOB-VCBF-QP", BLUE, ()),
     "optimal-decay": MethodStyle("Optimal decay", "#56b4e9", (9.0, 1.6, 3.0, 1.6)),
     "backup": MethodStyle("Backup CBF-QP", "#117733", (1.6, 1.6)),
 }
 
 # Of several vehicles in one scenario.
-VEHICLE_COLORS = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56606e"
+VEHICLE_COLORS = BLUE, "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56606e"
 
 RC_PARAMS: dict[str, Any] = {
     "axes.axisbelow": True,

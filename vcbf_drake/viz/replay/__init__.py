@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vcbf_drake.typed import tag_of
-from vcbf_drake.viz.replay.page import Words, page_data, write_page
+from vcbf_drake.viz.replay.page import page_data, whole_page
 from vcbf_drake.viz.runs import Run, barrier_unit
 from vcbf_drake.viz.stage import Stage, set_stage
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.result import Result
-    from vcbf_drake.viz.replay.scene import Track
 
 
 def write_replay(results: Sequence[Result], path: Path) -> Path:
@@ -42,30 +41,22 @@ def write_replay(results: Sequence[Result], path: Path) -> Path:
         if run.failure
     }
     rate = (len(stage.motions[-1].time) - 1) / stage.duration
-    page = record(meshcat, rate, _tracks(stage), failures)
-    return write_page(page, stage_words(stage), stage_data(stage), path)
+    page = record(meshcat, rate, stage.bodies, failures)
+    return write_page(path, whole_page(page, stage_data(stage), **stage_words(stage)))
 
 
-def _tracks(stage: Stage) -> Iterator[Track]:
-    """How the vehicles and the obstacles move."""
-    from pydrake.math import RigidTransform
-
-    for motion in stage.motions:
-        for body in motion.bodies:
-            if body.moves:
-                yield body.path, motion.time, body.poses
-    for index, solid in enumerate(stage.solids):
-        if solid.moves:
-            times = solid.key_times(stage.duration)
-            poses = [RigidTransform(solid.offset_at(time)) for time in times]
-            yield f"obstacles/{index}", times, poses
+def write_page(path: Path, page: str) -> Path:
+    """Writes a page, after making its directory; returns the path."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(page.encode("utf-8"))
+    return path
 
 
-def stage_words(stage: Stage) -> Words:
-    """The card of a stage: the scenario's title, which its description starts with."""
+def stage_words(stage: Stage) -> dict[str, str]:
+    """What a stage's card says: first the title, with which the description starts."""
     scenario = stage.run.scenario
     title, _, rest = scenario.description.strip().partition("\n")
-    title = title.strip().rstrip(".") or scenario.name
     name = tag_of(type(stage.run.vehicle)).removeprefix("!").lower()
     has_ghosts = len(stage.tasks) < len(stage.runs)
     remark = "Pale: the other methods. " if has_ghosts else ""
@@ -74,8 +65,11 @@ def stage_words(stage: Stage) -> Words:
     remark += " must stay outside the obstacles."
     if stage.fraction > 1:
         remark += f" It is drawn at 1:{stage.fraction}."
-    verdicts = "".join(_verdict(run) for run in stage.runs if not run.ghost)
-    return Words(title, " ".join(rest.split()), remark + verdicts)
+    return {
+        "title": title.strip().rstrip(".") or scenario.name,
+        "description": " ".join(rest.split()),
+        "remark": remark + "".join(_verdict(r) for r in stage.runs if not r.ghost),
+    }
 
 
 def _verdict(run: Run) -> str:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 import html
 from importlib.resources import files
 import json
-from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +22,7 @@ from vcbf_drake.viz.feasible_set import (
 from vcbf_drake.viz.runs import Drawn, least_barrier
 from vcbf_drake.viz.solids import hull
 from vcbf_drake.viz.stage import View
-from vcbf_drake.viz.style import multiples
+from vcbf_drake.viz.style import BLUE, multiples
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.sections import InputLimits
@@ -38,50 +36,34 @@ PHONES = '<meta name="viewport" content="width=device-width, initial-scale=1">'
 NO_ICON = '<link rel="icon" href="data:,">'  # Or the browser asks for one.
 
 
-@dataclass(frozen=True)
-class Words:
-    """What the card says.
-
-    Attributes:
-        title: The first line, and the page's title.
-        description: What is shown.
-        remark: What has to be said for the picture to be read rightly.
-    """
-
-    title: str
-    description: str = ""
-    remark: str = ""
-
-
-def write_page(page: str, words: Words, data: Mapping[str, Any], path: Path) -> Path:
-    """Writes the page of a replay; its directory is made. Returns the path.
+def whole_page(
+    page: str,
+    data: Mapping[str, Any],
+    title: str,
+    description: str = "",
+    remark: str = "",
+) -> str:
+    """Meshcat's page with the card, the plots and the player over it.
 
     Args:
         page: Meshcat's page with its recording.
-        words: What the card says.
         data: What the scripts show, JSON values only.
-        path: The file to write.
+        title: The card's first line, and the page's title.
+        description: What is shown.
+        remark: What has to be said for the picture to be read rightly.
     """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(whole_page(page, words, data).encode("utf-8"))
-    return path
-
-
-def whole_page(page: str, words: Words, data: Mapping[str, Any]) -> str:
-    """Meshcat's page with the card, the plots and the player over it."""
     # In JSON inside HTML only "<" could end the element early.
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
     overlay = Template(_text("page.html")).substitute(
-        title=html.escape(words.title),
-        description=html.escape(words.description),
-        remark=html.escape(words.remark),
+        title=html.escape(title),
+        description=html.escape(description),
+        remark=html.escape(remark),
         style=_text("page.css"),
         data=text.replace("<", "\\u003c"),
         script="\n".join(map(_text, SCRIPTS)),
     )
-    title = f"{PHONES}{NO_ICON}<title>{html.escape(words.title)} - vcbf_drake</title>"
-    head, tail = page.replace(MESHCAT_TITLE, title).rsplit("</body>", 1)
+    head = f"{PHONES}{NO_ICON}<title>{html.escape(title)} - vcbf_drake</title>"
+    head, tail = page.replace(MESHCAT_TITLE, head).rsplit("</body>", 1)
     return f"{head}{overlay}</body>{tail}"
 
 
@@ -91,6 +73,7 @@ def page_data(
     duration: float,
     unit: str,
     live: bool = False,
+    trails: Sequence[Array] = (),
 ) -> dict[str, Any]:
     """What the page's scripts show; ``None`` where a number is missing.
 
@@ -101,6 +84,7 @@ def page_data(
         duration: How long the motion lasts [s].
         unit: The barriers' unit; empty where they have several.
         live: Whether more is to come: nobody knows of the slack yet.
+        trails: The ways of others, shape (F, 3) each [m].
     """
     return {
         "duration": duration,
@@ -113,7 +97,8 @@ def page_data(
             "span": view.span,
             "direction": view.toward.round(6).tolist(),
         },
-        "sizes": {"vehicle": view.rise, "marker": view.mark},
+        "sizes": {"vehicle": view.rise, "marker": view.mark, "trail": view.trail},
+        "trails": [{"color": BLUE, "path": each.round(4).tolist()} for each in trails],
         "labels": [_label(*each, "place", 1) for each in view.places] + _ticks(view),
         "round": view.few,
     }
@@ -140,7 +125,7 @@ def series_data(run: Drawn, path: Array) -> dict[str, Any]:
     kept, log = _kept(len(run.time), MAX_SAMPLES), run.log
     data: dict[str, Any] = {
         "events": [vars(event) for event in run.events],
-        "path": path.round(3).tolist(),
+        "path": path.round(4).tolist(),
         "time": _finite(run.time[kept]),
     }
     if run.limits is None:

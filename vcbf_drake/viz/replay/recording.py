@@ -21,18 +21,12 @@ from vcbf_drake.errors import naming_user_code
 from vcbf_drake.plants.shapes import Part
 from vcbf_drake.safety import SafetyFilter, unpack_feasible_set
 from vcbf_drake.simulation.sections import InputLimits
-from vcbf_drake.viz.replay.page import Words, page_data, write_page
-from vcbf_drake.viz.replay.scene import (
-    draw_body,
-    draw_mesh,
-    draw_room,
-    private_meshcat,
-    record,
-)
-from vcbf_drake.viz.replay.tubes import tube
+from vcbf_drake.viz.replay import write_page
+from vcbf_drake.viz.replay.page import page_data, whole_page
+from vcbf_drake.viz.replay.scene import draw_body, draw_room, private_meshcat, record
 from vcbf_drake.viz.runs import Drawn, Event
-from vcbf_drake.viz.scene_graph import BLUE
 from vcbf_drake.viz.stage import MAX_FRAMES, Moving, View
+from vcbf_drake.viz.style import BLUE
 
 Log: TypeAlias = VectorLog | Mapping[str, ArrayLike]
 
@@ -126,13 +120,15 @@ def write_diagram_replay(
         motion = _logged(diagram, now, log, plant, look)
     else:
         raise ValueError("duration, log: one of the two says what to replay")
+    duration = max(float(motion.frames[-1]), 1e-3)  # It may end at once.
+    times = np.linspace(0.0, duration, len(motion.frames))
     bodies = [
-        Moving(f"frames/{number}", parts[frame], each)
+        Moving(f"frames/{number}", parts[frame], times, each)
         for number, (frame, each) in enumerate(poses.items())
     ]
     sources = [inspector.GetOwningSourceName(frame) for frame in poses]
-    words = Words(title or diagram.get_name() or "Replay")
-    return _write(path, words, bodies, sources, motion, safety_filter)
+    title = title or diagram.get_name() or "Replay"
+    return _write(path, title, bodies, sources, motion, safety_filter)
 
 
 def _first(diagram: Diagram, kind: type) -> Any:
@@ -287,7 +283,7 @@ def filter_values(safety_filter: SafetyFilter, root: Context) -> dict[str, Any]:
 
 def _write(
     path: Path,
-    words: Words,
+    title: str,
     bodies: Sequence[Moving],
     sources: Sequence[str],
     motion: _Motion,
@@ -296,22 +292,17 @@ def _write(
     """Writes the page of bodies, of which each source's farthest leaves a trail."""
     view, meshcat = _view(bodies), private_meshcat()
     draw_room(meshcat, view)
-    places = [np.array([pose.translation() for pose in b.poses]) for b in bodies]
-    travel = [float(np.ptp(each, axis=0).sum()) for each in places]
-    ranked = sorted(range(len(bodies)), key=travel.__getitem__)
-    farthest = {sources[index]: index for index in ranked}
-    for number, index in enumerate(farthest.values()):
-        if travel[index] > 1e-6:
-            way = tube(places[index], 0.0016 * view.span)
-            draw_mesh(meshcat, f"trail/{number}", way, BLUE)
     for body in bodies:
         draw_body(meshcat, body)
+    ways = [np.array([pose.translation() for pose in b.poses]) for b in bodies]
+    travel = [float(np.ptp(each, axis=0).sum()) for each in ways]
+    ranked = sorted(range(len(bodies)), key=travel.__getitem__)
+    farthest = {sources[index]: index for index in ranked}
+    *others, first = sorted(farthest.values(), key=travel.__getitem__)
+    trails = [ways[index] for index in others if travel[index] > 1e-6]
     duration = max(float(motion.frames[-1]), 1e-3)
-    rate = max(len(motion.frames) - 1, 1) / duration
-    times = np.arange(len(motion.frames)) / rate
-    tracks = [(each.path, times, each.poses) for each in bodies if each.moves]
-    page = record(meshcat, rate, tracks)
-    label, inputs, limits = words.title, list[str](), None
+    page = record(meshcat, max(len(motion.frames) - 1, 1) / duration, bodies)
+    label, inputs, limits = title, list[str](), None
     if safety_filter is not None and motion.log:
         label, input_set = safety_filter.get_name(), safety_filter.input_set
         inputs = [f"input {k}" for k in range(safety_filter.model.num_inputs)]
@@ -320,8 +311,8 @@ def _write(
     shown = Drawn(
         label, BLUE, (), False, motion.events, motion.time, motion.log, inputs, limits
     )
-    data = page_data([(shown, places[ranked[-1]])], view, duration, "")
-    return write_page(page, words, data, path)
+    data = page_data([(shown, ways[first])], view, duration, "", trails=trails)
+    return write_page(path, whole_page(page, data, title))
 
 
 def _view(bodies: Sequence[Moving]) -> View:

@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 import logging
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.geometry import Cylinder, Meshcat, MeshcatParams, Shape, Sphere
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RollPitchYaw
 
 from vcbf_drake.checks import Array
-from vcbf_drake.viz.replay.tubes import Mesh, merge, ring, tube
+from vcbf_drake.plants.shapes import Part
 from vcbf_drake.viz.scene_graph import rgba
-from vcbf_drake.viz.solids import Piece, hull, in_space, walls_of
+from vcbf_drake.viz.solids import hull, in_space
 from vcbf_drake.viz.stage import Moving, Stage, View
-from vcbf_drake.viz.style import ALARM, OBSTACLE, START, TARGET, multiples
+from vcbf_drake.viz.style import ALARM, SHELL, START, TARGET, multiples
 
 GROUND, GROUND_LINES, SKY, HORIZON = "#eceff3", "#c3ccd7", "#dfe8f2", "#f8fafc"
-SHELL, PLAN, DEFAULT = "#5f7fa8", "#8894a3", "#e6e6e6"
-UPRIGHT = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
-THICKNESS = 0.0022  # Of a trail, as a share of the span.
-MAX_TRAIL_POINTS = 1000
-
-# A path in Meshcat's tree, and where it is at which times [s].
-Track: TypeAlias = tuple[str, Iterable[float], Iterable[RigidTransform]]
+PLAN, DEFAULT = "#8894a3", "#e6e6e6"
+HALO = "29"  # The opacity of what is around a place.
+# Three rings around a place, each about another axis.
+_TURNS = [0.0, 0.0, 0.0], [0.5 * np.pi, 0.0, 0.0], [0.0, 0.5 * np.pi, 0.0]
 
 
 def private_meshcat() -> Meshcat:
@@ -41,7 +39,7 @@ def private_meshcat() -> Meshcat:
 def record(
     meshcat: Meshcat,
     rate: float,
-    tracks: Iterable[Track],
+    bodies: Iterable[Moving],
     appearing: Mapping[str, float] | None = None,
 ) -> str:
     """Meshcat's own page with its scene and a recording; the page fills in between.
@@ -49,13 +47,14 @@ def record(
     Args:
         meshcat: The scene.
         rate: The recording's frames a second.
-        tracks: What moves.
+        bodies: What may move.
         appearing: The paths of what is not there before a time [s].
     """
     meshcat.StartRecording(rate, set_visualizations_while_recording=False)
-    for path, times, poses in tracks:
-        for time, pose in zip(times, poses, strict=True):
-            meshcat.SetTransform(path, pose, float(time))
+    for body in bodies:
+        if body.moves:
+            for time, pose in zip(body.times, body.poses, strict=True):
+                meshcat.SetTransform(body.path, pose, float(time))
     for path, time in (appearing or {}).items():
         meshcat.SetProperty(path, "visible", False, 0.0)
         meshcat.SetProperty(path, "visible", True, np.ceil(time * rate - 1e-9) / rate)
@@ -67,31 +66,26 @@ def record(
 def draw_stage(meshcat: Meshcat, stage: Stage) -> None:
     """Draws a scenario's scene where everything is at the start."""
     draw_room(meshcat, stage.view)
-    _draw_obstacles(meshcat, stage)
-    _draw_walls(meshcat, stage)
+    for body in stage.bodies:
+        draw_body(meshcat, body)
+    _draw_edges(meshcat, stage)
     _draw_markers(meshcat, stage)
-    most = max(MAX_TRAIL_POINTS // len(stage.runs), 2)
-    thickness = THICKNESS * stage.view.span
+    thickness = stage.view.trail
     for index, (run, motion) in enumerate(zip(stage.runs, stage.motions, strict=True)):
-        for body in motion.bodies:
-            draw_body(meshcat, body, 1.0 / stage.fraction)
         apart = run.scenario.separation.distance
         if run.name and apart > 0.0 and not run.ghost:
             # Of two vehicles that are as near as they may be, these touch.
-            around = ring(0.5 * apart, thickness).moved(turn=UPRIGHT)
-            draw_mesh(meshcat, f"{motion.bodies[0].path}/apart", around, run.color)
-        count = min(len(motion.position), most)
-        kept = np.linspace(0, len(motion.position) - 1, count).round().astype(int)
-        way = tube(motion.position[kept], thickness * (0.7 if run.ghost else 1.0))
-        draw_mesh(meshcat, f"trail/{index}", way, run.color)
+            path = f"{motion.bodies[0].path}/apart"
+            _draw_ring(meshcat, path, 0.5 * apart, thickness, run.color)
         if run.failure:
             length = 0.5 * run.vehicle.length / stage.fraction
             radius = 1.5 * (length or 3.0 * stage.view.mark)
-            place, path = motion.position_at(run.failure.time), f"failure/{index}"
-            rings = merge([ring(radius, 0.9 * thickness).moved(turn=t) for t in _TURNS])
-            draw_mesh(meshcat, f"{path}/rings", rings.moved(place), ALARM)
-            halo = Sphere(radius)
-            _draw_shape(meshcat, f"{path}/halo", halo, place, ALARM, 0.16)
+            path, place = f"failure/{index}", motion.position_at(run.failure.time)
+            for number, turn in enumerate(_TURNS):
+                pose = RigidTransform(RollPitchYaw(turn), place)
+                ring = f"{path}/ring/{number}"
+                _draw_ring(meshcat, ring, radius, 0.9 * thickness, ALARM, pose)
+            _draw_shape(meshcat, f"{path}/halo", Sphere(radius), place, ALARM + HALO)
 
 
 def draw_room(meshcat: Meshcat, view: View) -> None:
@@ -112,7 +106,7 @@ def draw_room(meshcat: Meshcat, view: View) -> None:
     (x0, y0, z), (x1, y1, _) = view.low, view.high
     corners = np.array([[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]])
     faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
-    draw_mesh(meshcat, "ground/floor", Mesh(corners, faces), GROUND)
+    meshcat.SetTriangleMesh("ground/floor", corners.T, faces.T, rgba(GROUND))
     above = z + 0.004 * view.cell  # The floor, not in it.
     ends = [([x, y0, above], [x, y1, above]) for x in multiples(x0, x1, view.cell)]
     ends += [([x0, y, above], [x1, y, above]) for y in multiples(y0, y1, view.cell)]
@@ -120,70 +114,78 @@ def draw_room(meshcat: Meshcat, view: View) -> None:
     meshcat.SetLineSegments("ground/lines", begin, end, 1.0, rgba(GROUND_LINES))
 
 
-def draw_body(meshcat: Meshcat, body: Moving, scale: float = 1.0) -> None:
-    """A body at the first of its poses, its parts at a scale."""
+def draw_body(meshcat: Meshcat, body: Moving) -> None:
+    """A body at the first of its poses."""
     for part in body.parts:
-        path = f"{body.path}/scaled/{part.name}"
-        meshcat.SetObject(path, part.shape, rgba(part.color or DEFAULT))
-        meshcat.SetTransform(path, part.pose)
-    small = np.diag([scale, scale, scale, 1.0])
+        _draw_part(meshcat, f"{body.path}/scaled/{part.name}", part)
+    small = np.diag([body.scale, body.scale, body.scale, 1.0])
     meshcat.SetTransform(f"{body.path}/scaled", small)
     meshcat.SetTransform(body.path, body.poses[0])
 
 
-def draw_mesh(meshcat: Meshcat, path: str, mesh: Mesh, color: str) -> None:
-    """A mesh; of one below ``trail`` the page lets the triangles grow with time."""
-    meshcat.SetTriangleMesh(path, mesh.vertices.T, mesh.faces.T, rgba(color))
+def tube(
+    points: Array, normal: Sequence[float] | Array, radius: float, sides: int = 9
+) -> tuple[Array, NDArray[np.int32]]:
+    """A round tube along a path in a plane; Drake has no shape for it.
+
+    Args:
+        points: The path, which rests nowhere, shape (n, 3) [m].
+        normal: The plane's, of length 1, shape (3,).
+        radius: The tube's [m].
+        sides: How many it has.
+
+    Returns:
+        The vertices, shape (n sides, 3), and the triangles as indices into them,
+        counter-clockwise from outside, along the path, shape (2 (n - 1) sides, 3).
+    """
+    tangents = np.gradient(points, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    across = np.cross(tangents, normal)[:, None]
+    angle = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)[:, None]
+    round_it = np.cos(angle) * np.asarray(normal) + np.sin(angle) * across
+    here = np.arange((len(points) - 1) * sides, dtype=np.int32).reshape(-1, sides)
+    beside = np.roll(here, -1, axis=1)
+    corners = [here, beside, here + sides, beside, beside + sides, here + sides]
+    faces = np.stack(corners, axis=-1).reshape(-1, 3)
+    return (points[:, None] + radius * round_it).reshape(-1, 3), faces
+
+
+def _draw_part(meshcat: Meshcat, path: str, part: Part) -> None:
+    meshcat.SetObject(path, part.shape, rgba(part.color or DEFAULT))
+    meshcat.SetTransform(path, part.pose)
 
 
 def _draw_shape(
+    meshcat: Meshcat, path: str, shape: Shape, place: Array, color: str
+) -> None:
+    _draw_part(meshcat, path, Part("", shape, color, RigidTransform(place)))
+
+
+def _draw_ring(
     meshcat: Meshcat,
     path: str,
-    shape: Shape,
-    place: Array,
+    radius: float,
+    thickness: float,
     color: str,
-    alpha: float = 1.0,
+    pose: RigidTransform | None = None,
 ) -> None:
-    meshcat.SetObject(path, shape, rgba(color, alpha))
-    meshcat.SetTransform(path, RigidTransform(place))
+    """A ring about the z axis of a frame."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 61)
+    circle = radius * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+    vertices, faces = tube(circle, [0.0, 0.0, 1.0], thickness)
+    meshcat.SetTriangleMesh(path, vertices.T, faces.T, rgba(color))
+    meshcat.SetTransform(path, pose or RigidTransform())
 
 
-def _draw_obstacles(meshcat: Meshcat, stage: Stage) -> None:
-    """The obstacles, and around each the distance that has to be kept."""
+def _draw_edges(meshcat: Meshcat, stage: Stage) -> None:
+    """On the ground, where the distance that has to be kept from obstacles ends."""
     thin, up = 0.0015 * stage.view.span, np.array([0.0, 0.0, 1.0])
     for index, solid in enumerate(stage.solids):
-        path = f"obstacles/{index}"
-        _draw_piece(meshcat, f"{path}/body", solid.body, OBSTACLE)
-        if solid.keep_out is None:
-            continue
-        _draw_piece(meshcat, f"{path}/keep_out", solid.keep_out, SHELL, 0.2)
-        if stage.run.is_flat:
+        if stage.run.is_flat and solid.keep_out is not None:
             edge = in_space(hull(solid.keep_out.surface[:, :2]))
-            loop = np.vstack([edge, edge[:1]]) + thin * up
-            draw_mesh(meshcat, f"{path}/edge", tube(loop, thin, 9), SHELL)
-
-
-def _draw_piece(
-    meshcat: Meshcat, path: str, piece: Piece, color: str, alpha: float = 1.0
-) -> None:
-    meshcat.SetObject(path, piece.shape, rgba(color, alpha))
-    meshcat.SetTransform(path, piece.pose)
-
-
-def _draw_walls(meshcat: Meshcat, stage: Stage) -> None:
-    """The walls, and before each the distance that has to be kept."""
-    view = stage.view
-    middle, size = 0.5 * (view.low + view.high), 1.2 * view.span
-    for index, wall in enumerate(walls_of(stage.run.scenario)):
-        for name, thick, alpha in (
-            ("body", -0.004 * size, 0.3),  # More would throw a shadow.
-            ("keep_out", wall.margin, 0.15),
-        ):
-            if thick != 0.0:
-                path, high = f"walls/{index}/{name}", 0.06 * view.span
-                slab, pose = wall.slab(middle, size, high, thick)
-                meshcat.SetObject(path, slab, rgba(SHELL, alpha))
-                meshcat.SetTransform(path, pose)
+            vertices, faces = tube(np.vstack([edge, edge[:1]]) + thin * up, up, thin)
+            path = f"obstacles/{index}/edge"
+            meshcat.SetTriangleMesh(path, vertices.T, faces.T, rgba(SHELL))
 
 
 def _draw_markers(meshcat: Meshcat, stage: Stage) -> None:
@@ -196,23 +198,24 @@ def _draw_markers(meshcat: Meshcat, stage: Stage) -> None:
             ("target", target, TARGET, radius),
         ):
             path = f"{name}/{number}"
-            circle = ring(reach, 0.25 * size).moved(turn=UPRIGHT)
             foot = np.array([place[0], place[1], ground])
             _draw_shape(meshcat, f"{path}/centre", Sphere(size), place, color)
-            draw_mesh(meshcat, f"{path}/ring", circle.moved(foot), color)
+            pose = RigidTransform(foot)
+            _draw_ring(meshcat, f"{path}/ring", reach, 0.25 * size, color, pose)
             if (height := place[2] - ground) > size:
                 pole, middle = Cylinder(0.2 * size, height), 0.5 * (foot + place)
                 _draw_shape(meshcat, f"{path}/pole", pole, middle, color)
-        halo = Sphere(radius)
-        _draw_shape(meshcat, f"target/{number}/halo", halo, target, TARGET, 0.16)
-        way = _dashes(start, target, 0.15 * size)
-        draw_mesh(meshcat, f"plan/{number}", way, PLAN)
-
-
-def _dashes(start: Array, end: Array, radius: float) -> Mesh:
-    marks = np.linspace(0.0, 1.0, 91)[:, None] * (end - start) + start
-    pairs = zip(marks[0:-1:2], marks[1::2], strict=True)
-    return merge([tube(np.array(pair), radius, sides=6) for pair in pairs])
+        path, halo = f"target/{number}/halo", Sphere(radius)
+        _draw_shape(meshcat, path, halo, target, TARGET + HALO)
+        along = target - start
+        if not along.any():
+            continue
+        sideways = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
+        sideways /= np.linalg.norm(sideways)
+        way = np.linspace(start, target, 91)
+        vertices, faces = tube(way, sideways, 0.15 * size, sides=6)
+        dashes = faces.reshape(90, -1, 3)[::2].reshape(-1, 3)
+        meshcat.SetTriangleMesh(f"plan/{number}", vertices.T, dashes.T, rgba(PLAN))
 
 
 def _sun(points: Array) -> dict[str, Any]:
@@ -234,11 +237,4 @@ def _sun(points: Array) -> dict[str, Any]:
 
 
 def _rgb(color: str) -> list[float]:
-    return [int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]
-
-
-_TURNS = (
-    np.eye(3),
-    np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
-    np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
-)
+    return list(rgba(color).rgba[:3])

@@ -18,16 +18,60 @@ function pointAt(path, frame) {
   return path[k].map((value, axis) => value + (frame - k) * (next[axis] - value));
 }
 
+/** The way through the places of all frames, at equal times; Three.js goes by length. */
+class Way extends THREE.Curve {
+  constructor(path) {
+    super();
+    this.path = path;
+  }
+
+  getPointAt(share) {
+    return new THREE.Vector3(...pointAt(this.path, share * (this.path.length - 1)));
+  }
+
+  /** The direction in which a place was reached; where the way rests, that from before. */
+  getTangentAt(share) {
+    const last = this.path.length - 1;
+    const step = (k) => this.getPointAt((k + 1) / last).sub(this.getPointAt(k / last));
+    let k = Math.max(Math.round(share * last) - 1, 0);
+    while (k > 0 && !step(k).length()) k -= 1;
+    while (k < last - 1 && !step(k).length()) k += 1;
+    return step(k).length() ? step(k).normalize() : new THREE.Vector3(1, 0, 0);
+  }
+}
+
+/** A tube along a way up to a frame. */
+class Trail {
+  constructor({ path, color, ghost }, radius) {
+    this.path = path;
+    this.radius = radius * (ghost ? 0.7 : 1);
+    this.mesh = new THREE.Mesh(undefined, new THREE.MeshPhongMaterial({ color }));
+  }
+
+  show(frame) {
+    const segments = this.path.length - 1;
+    if (segments < 1) return;
+    if (this.segments !== segments) {
+      this.segments = segments; // A run that goes on gets more of them.
+      this.mesh.geometry.dispose();
+      this.mesh.geometry = new THREE.TubeGeometry(new Way(this.path), segments, this.radius, 6);
+      viewer.scene.add(this.mesh); // Its axes are Drake's.
+    }
+    const { geometry } = this.mesh; // Its triangles are in the order of the frames.
+    geometry.setDrawRange(0, Math.floor((frame / segments) * geometry.index.count));
+  }
+}
+
 class ReplayScene {
   constructor(data, pane, labels) {
     this.data = data;
     this.pane = pane;
     this.follows = false;
     this.fitted = true;
-    this.trails = data.runs.map(() => new THREE.Mesh()); // Of runs that go on.
     this.pixel = { value: 0 }; // The size of a pixel at a distance of 1 m [m].
     // The colours on the screen are those of the legend.
     viewer.renderer.toneMapping = THREE.NoToneMapping;
+    this.trails = [...data.runs, ...data.trails].map((way) => new Trail(way, data.sizes.trail));
     this.labels = data.labels.map((label) => this.makeLabel(label, labels));
     this.runLabels = data.runs.map((run) => {
       const node = this.makeLabel({ text: run.label, kind: "run" }, labels);
@@ -48,14 +92,12 @@ class ReplayScene {
     const frame = time * this.data.frames_per_second;
     this.finishMaterials();
     this.outlineGhosts();
-    if (this.data.live) {
-      this.drawTrails();
-    } else {
+    if (!this.data.live) {
       viewer.animator.pause();
       viewer.animator.seek(time);
       viewer.animator.display_progress(time);
-      this.growTrails(frame);
     }
+    this.trails.forEach((trail) => trail.show(frame));
     if (this.follows) this.followTo(frame);
     viewer.set_dirty();
   }
@@ -123,35 +165,6 @@ class ReplayScene {
       );
     };
     return material;
-  }
-
-  /** Draws only the triangles of the trails that lie before the frame. */
-  growTrails(frame) {
-    const share = frame / (this.data.runs.at(-1).path.length - 1);
-    viewer.scene_tree.find(["drake", "trail"]).object.traverse((mesh) => {
-      if (!mesh.isMesh) return;
-      mesh.geometry.setDrawRange(0, Math.floor(share * mesh.geometry.index.count));
-    });
-  }
-
-  /** Draws the ways of runs that go on, through places that are apart. */
-  drawTrails() {
-    const radius = 0.0022 * this.data.camera.span;
-    this.data.runs.forEach((run, k) => {
-      const places = [];
-      for (const place of run.path.map((values) => new THREE.Vector3(...values))) {
-        if (!places.length || place.distanceTo(places.at(-1)) > radius) places.push(place);
-      }
-      if (places.length < 2 || run.drawn === places.length) return;
-      run.drawn = places.length;
-      viewer.scene.remove(this.trails[k]); // Its axes are Drake's.
-      this.trails[k].geometry.dispose();
-      const way = new THREE.CatmullRomCurve3(places);
-      const geometry = new THREE.TubeGeometry(way, 2 * places.length, radius, 6);
-      const material = new THREE.MeshPhongMaterial({ color: run.color });
-      this.trails[k] = new THREE.Mesh(geometry, material);
-      viewer.scene.add(this.trails[k]);
-    });
   }
 
   /** Marks the runs that have less than the least volume at present. */
