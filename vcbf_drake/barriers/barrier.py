@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import copy
 from dataclasses import dataclass
 from numbers import Real
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from pydrake.symbolic import Expression
@@ -52,6 +52,20 @@ class EarlyDisturbance:
     smoothing: float
 
 
+class Changes(Protocol):
+    """What gives a barrier new parameters at every tick."""
+
+    def parameters_at(
+        self, t: float, obstacles: Array | None
+    ) -> tuple[float, ...] | None:
+        """Returns the parameters at a time; None where there is nothing.
+
+        Args:
+            t: The time [s].
+            obstacles: What is perceived then.
+        """
+
+
 class Barrier:
     """The constraint h(x, t) >= 0 and how hard it is enforced (E3), (E4).
 
@@ -72,6 +86,8 @@ class Barrier:
             the first k coordinates of the position that the plant names.
         early_disturbance: What `robust_to` was given; None without it.
         class_k: What `with_class_k` was given; None for lambda_r phi.
+        changes: What makes the parameters new at every tick, so that its own are an
+            example; None where they stay.
     """
 
     def __init__(
@@ -101,6 +117,7 @@ class Barrier:
         self.of_position = of_position
         self.early_disturbance: EarlyDisturbance | None = None
         self.class_k: ClassK | None = None
+        self.changes: Changes | None = None
 
     @typed
     def robust_to(self, bound: float, smoothing: float = 0.01) -> Barrier:
@@ -153,21 +170,6 @@ class Barrier:
         early = self.early_disturbance
         worst = () if early is None else (early.bound, early.smoothing)
         return (*self.decay_rates.tolist(), *worst, *self.parameters.tolist())
-
-
-class ChangingBarrier(Barrier):
-    """A barrier whose parameters are new at every tick; its own are an example."""
-
-    def parameters_at(
-        self, t: float, obstacles: Array | None
-    ) -> tuple[float, ...] | None:
-        """Returns the parameters at a time; None where there is nothing.
-
-        Args:
-            t: The time [s].
-            obstacles: What is perceived then.
-        """
-        raise NotImplementedError
 
 
 def _check_class_k(class_k: ClassK, name: str) -> None:

@@ -9,11 +9,11 @@ import math
 
 import numpy as np
 
-from vcbf_drake.barriers.barrier import Barrier, ChangingBarrier
+from vcbf_drake.barriers.barrier import Barrier, Changes
 from vcbf_drake.barriers.compared import require_same_numbers
-from vcbf_drake.barriers.followed import TrajectoryBarrier
+from vcbf_drake.barriers.followed import Followed
 from vcbf_drake.barriers.limits import EarlyInputLimit, StateInputLimit
-from vcbf_drake.barriers.perceived import PerceivedBarrier
+from vcbf_drake.barriers.perceived import Slot
 from vcbf_drake.barriers.rows import (
     BarrierRows,
     RowFunctions,
@@ -88,17 +88,15 @@ class BarrierSet:
         self.barriers = (*barriers, *early)
         self.names = _numbered([barrier.name for barrier in self.barriers])
         behind = [getattr(each, "barrier", each) for each in self.barriers]
-        self._changing = [
-            (i, barrier)
+        self._changing: list[tuple[int, Changes]] = [
+            (i, barrier.changes)
             for i, barrier in enumerate(behind)
-            if isinstance(barrier, ChangingBarrier)
+            if isinstance(barrier, Barrier) and barrier.changes is not None
         ]
         self.followed = tuple(
-            self.names[i]
-            for i, barrier in self._changing
-            if isinstance(barrier, TrajectoryBarrier)
+            self.names[i] for i, each in self._changing if isinstance(each, Followed)
         )
-        self.obstacles_size = _obstacles_size(behind)
+        self.obstacles_size = _obstacles_size([each for _, each in self._changing])
         # Of a row that limits the input itself, 0.
         self.degrees = tuple(each.relative_degree for each in self._functions)
         start = self.num_entries
@@ -280,8 +278,8 @@ class BarrierSet:
         if not self._changing:
             return self._functions
         functions = self._functions.copy()
-        for i, barrier in self._changing:
-            parameters = barrier.parameters_at(t, obstacles)
+        for i, changes in self._changing:
+            parameters = changes.parameters_at(t, obstacles)
             functions[i] = (
                 self._no_row
                 if parameters is None
@@ -314,11 +312,11 @@ def _numbered(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(numbered)
 
 
-def _obstacles_size(barriers: Sequence[object]) -> int:
+def _obstacles_size(changes: Sequence[Changes]) -> int:
     ports = {
         (each.spheres.size, each.spheres.dimensions)
-        for each in barriers
-        if isinstance(each, PerceivedBarrier)
+        for each in changes
+        if isinstance(each, Slot)
     }
     if len(ports) > 1:
         raise ValueError(

@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydrake.symbolic import Expression
 
-from vcbf_drake.barriers.frames import (
-    LocalFrame,
-    MovingPoint,
-    rotation_matrix,
-    smooth_excess,
-)
+from vcbf_drake.barriers.barrier import arithmetic
+from vcbf_drake.barriers.followed import carried
 from vcbf_drake.barriers.shapes import ShapeFunction, SmoothShape
-from vcbf_drake.checks import Array, check_parameter, finite_vector
+from vcbf_drake.checks import (
+    Array,
+    check_finite,
+    check_parameter,
+    finite_array,
+    finite_vector,
+    require,
+)
 from vcbf_drake.model.compiled import Expressions
 from vcbf_drake.typed import NotNegative, Positive, check_fields
 
 SphereForm = Literal["distance", "squared"]
+_TOLERANCE = 1e-9
 
 
 class Obstacle(SmoothShape):
@@ -35,22 +40,45 @@ class Obstacle(SmoothShape):
     velocity: Sequence[float] | Array | None
 
     def __post_init__(self) -> None:
+        """Checks the fields, the centre and the velocity.
+
+        Raises:
+            ValueError: Not 2 or 3 dimensions, a velocity of another size, or a number
+                that is out of range.
+        """
         check_fields(self, f"{self.kind}: ")
-        MovingPoint.of(self.center, self.velocity, self.kind)
+        size = len(finite_vector(self.center, f"{self.kind}: center"))
+        require(size in (2, 3), f"{self.kind}: center", self.center, "2 or 3 numbers")
+        if self.velocity is not None and len(self.velocity):
+            check_finite(f"{self.kind}: velocity", self.velocity, size=size)
+
+    @abstractmethod
+    def centered(self) -> tuple[ShapeFunction, list[float]]:
+        """Returns h(z, t, p) of the position z from the centre, and p's values."""
+
+    def formula(self) -> tuple[int, ShapeFunction, list[float]]:
+        """Returns k, h(position, t, p) with p = (of `centered`, path), and p."""
+        h, parameters = self.centered()
+        path = self.motion[: 1 + self.moves]
+        size, order = path.shape[1], len(path) - 1
+        return size, carried(h, size, order), [*parameters, 0.0, *path.flat]
 
     @property
-    def moving_center(self) -> MovingPoint:
-        """The centre c(t)."""
-        return MovingPoint.of(self.center, self.velocity, self.kind)
+    def motion(self) -> Array:
+        """Its centre at t = 0 and its velocity, shape (2, k) [m, m/s]."""
+        center = np.array(self.center, dtype=float)
+        is_given = self.velocity is not None and len(self.velocity)
+        return np.array([center, self.velocity if is_given else 0.0 * center])
 
     @property
     def moves(self) -> bool:
         """Whether its velocity is not zero."""
-        return self.moving_center.moves
+        return bool(self.motion[1].any())
 
     def center_at(self, t: float | Array) -> Array:
         """Returns the centre at time t [s], shape (k,); for times (T,), (T, k) [m]."""
-        return self.moving_center.at(t)
+        center, velocity = self.motion
+        return center + np.multiply.outer(t, velocity)
 
 
 @dataclass
@@ -99,17 +127,15 @@ class SphereObstacle(Obstacle):
         distance: float | Array = np.linalg.norm(offset, axis=-1) - self.radius
         return distance
 
-    def formula(self) -> tuple[int, ShapeFunction, list[float]]:
-        """Returns k, h(position, t, p) with p = (frame, R), and p."""
-        frame, squared = LocalFrame(self.moving_center), self.form == "squared"
+    def centered(self) -> tuple[ShapeFunction, list[float]]:
+        """Returns h(z, t, p) with p = (R,), and p."""
+        squared = self.form == "squared"
 
-        def h(position: Expressions, t: Expression, p: Expressions) -> Expression:
-            offset, (clear,) = frame.coordinates(position, t, p)
-            if squared:
-                return offset @ offset - clear**2
-            return (offset @ offset) ** 0.5 - clear
+        @arithmetic
+        def h(z: Expressions, t: Expression, p: Expressions) -> Expression:
+            return z @ z - p[0] ** 2 if squared else (z @ z) ** 0.5 - p[0]
 
-        return frame.center.size, h, [*frame.parameters, self.safety_distance]
+        return h, [self.safety_distance]
 
 
 @dataclass(frozen=True)
@@ -144,7 +170,7 @@ class EllipsoidObstacle(Obstacle):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        size = self.moving_center.size
+        size = len(self.center)
         check_parameter("ellipsoid: semi_axes", self.semi_axes, size=size)
         rotation_matrix(self.rotation, size, "ellipsoid")
 
@@ -153,21 +179,21 @@ class EllipsoidObstacle(Obstacle):
         """The matrix Q, shape (k, k) [1/m^2]."""
         return (self._axes / np.square(self.semi_axes)) @ self._axes.T
 
-    def formula(self) -> tuple[int, ShapeFunction, list[float]]:
-        """Returns k, h(position, t, p) with p = (frame, min(a), margin), and p."""
-        frame = LocalFrame(self.moving_center, (self._axes / self.semi_axes).T)
+    def centered(self) -> tuple[ShapeFunction, list[float]]:
+        """Returns h(z, t, p) with p = (scaled axes, min(a), margin), and p."""
+        axes = (self._axes / self.semi_axes).T
 
-        def h(position: Expressions, t: Expression, p: Expressions) -> Expression:
-            # The frame is scaled by the semi-axes, so |z|^2 = (p - c)' Q (p - c).
-            z, (shortest, margin) = frame.coordinates(position, t, p)
-            return shortest * ((z @ z) ** 0.5 - 1.0) - margin
+        @arithmetic
+        def h(z: Expressions, t: Expression, p: Expressions) -> Expression:
+            # Scaled by the semi-axes, |z|^2 is (p - c)' Q (p - c).
+            scaled, (shortest, margin) = p[:-2].reshape(axes.shape) @ z, p[-2:]
+            return shortest * ((scaled @ scaled) ** 0.5 - 1.0) - margin
 
-        parameters = [*frame.parameters, min(self.semi_axes), self.margin]
-        return frame.center.size, h, parameters
+        return h, [*axes.flat, min(self.semi_axes), self.margin]
 
     @property
     def _axes(self) -> Array:
-        return rotation_matrix(self.rotation, self.moving_center.size, "ellipsoid")
+        return rotation_matrix(self.rotation, len(self.center), "ellipsoid")
 
 
 @dataclass(frozen=True)
@@ -206,7 +232,7 @@ class BoxObstacle(Obstacle):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        size = self.moving_center.size
+        size = len(self.center)
         check_parameter(
             "box: half_widths", self.half_widths, size=size, zero_allowed=True
         )
@@ -218,22 +244,20 @@ class BoxObstacle(Obstacle):
         a = np.asarray(self.half_widths, dtype=float)
         return float(np.linalg.norm(smooth_excess(a, a, self.smoothing)))
 
-    def formula(self) -> tuple[int, ShapeFunction, list[float]]:
-        """Returns k, h(position, t, p) with p = (frame, a, e, gap + margin), and p."""
-        center, R = self.moving_center, self.rotation
-        k = center.size
-        axes = None if R is None else rotation_matrix(R, k, "box").T
-        frame = LocalFrame(center, axes)
+    def centered(self) -> tuple[ShapeFunction, list[float]]:
+        """Returns h(z, t, p) with p = (a, e, gap + margin, R' if turned), and p."""
+        k, R = len(self.center), self.rotation
+        turn = () if R is None else rotation_matrix(R, k, "box").T.flat
 
-        def h(position: Expressions, t: Expression, p: Expressions) -> Expression:
-            z, p = frame.coordinates(position, t, p)
-            half_widths, (smoothing, clear) = p[:k], p[k:]
+        @arithmetic
+        def h(z: Expressions, t: Expression, p: Expressions) -> Expression:
+            half_widths, (smoothing, clear), axes = p[:k], p[k : k + 2], p[k + 2 :]
+            z = axes.reshape(k, k) @ z if len(axes) else z
             s = smooth_excess(z, half_widths, smoothing)
             return (s @ s) ** 0.5 - clear
 
         clear = self.gap + self.margin
-        parameters = [*frame.parameters, *self.half_widths, self.smoothing, clear]
-        return k, h, parameters
+        return h, [*self.half_widths, self.smoothing, clear, *turn]
 
 
 @dataclass(frozen=True)
@@ -270,15 +294,19 @@ class CapsuleObstacle(Obstacle):
     smoothing: Positive = 0.05
 
     def __post_init__(self) -> None:
-        check_fields(self, "capsule: ")
-        start = finite_vector(self.start, "capsule: start")
-        end = finite_vector(self.end, "capsule: end")
-        if start.shape != end.shape or (start == end).all():
+        super().__post_init__()
+        if np.shape(self.start) != np.shape(self.end) or not self.half_length:
             raise ValueError(
                 "capsule: start and end must be two different points of one size,"
-                f" got {start.tolist()} and {end.tolist()}"
+                f" got {[*self.start]} and {[*self.end]}"
             )
-        MovingPoint.of(start, self.velocity, "capsule")
+
+    @property
+    def center(self) -> Array:  # type: ignore[override]
+        """The segment's middle at t = 0, shape (k,) [m]."""
+        start = finite_vector(self.start, "capsule: start")
+        end = finite_vector(self.end, "capsule: end")
+        return (start + end) / 2.0 if start.shape == end.shape else start
 
     @property
     def half_length(self) -> float:
@@ -291,29 +319,67 @@ class CapsuleObstacle(Obstacle):
         a = self.half_length
         return float(smooth_excess(a, a, self.smoothing))
 
-    def formula(self) -> tuple[int, ShapeFunction, list[float]]:
-        """Returns k, h(position, t, p) with p = (frame, a, e, clearance), and p."""
+    def centered(self) -> tuple[ShapeFunction, list[float]]:
+        """Returns h(z, t, p) with p = (axes, a, e, clearance), and p."""
         axes = _axes_along(np.subtract(self.end, self.start))
-        frame = LocalFrame(self.moving_center, axes)
 
-        def h(position: Expressions, t: Expression, p: Expressions) -> Expression:
-            (z, *y), constants = frame.coordinates(position, t, p)
+        @arithmetic
+        def h(z: Expressions, t: Expression, p: Expressions) -> Expression:
+            (along, *across), constants = p[:-3].reshape(axes.shape) @ z, p[-3:]
             half_length, smoothing, clear = constants
-            s = smooth_excess(z, half_length, smoothing)
-            return (np.dot(y, y) + s**2) ** 0.5 - clear
+            s = smooth_excess(along, half_length, smoothing)
+            return (np.dot(across, across) + s**2) ** 0.5 - clear
 
         clear = self.gap + self.radius + self.margin
-        parameters = [*frame.parameters, self.half_length, self.smoothing, clear]
-        return frame.center.size, h, parameters
-
-    @property
-    def moving_center(self) -> MovingPoint:
-        """The segment's middle c(t)."""
-        middle = np.add(self.start, self.end) / 2.0
-        return MovingPoint.of(middle, self.velocity, self.kind)
+        return h, [*axes.flat, self.half_length, self.smoothing, clear]
 
 
 def _axes_along(direction: Array) -> Array:
     """Returns orthonormal rows, shape (k, k), the first along the direction."""
     _, _, rows = np.linalg.svd(direction[np.newaxis])
     return rows
+
+
+def rotation_matrix(
+    rotation: Sequence[Sequence[float]] | Array | None, size: int, name: str
+) -> Array:
+    """Returns R, whose columns are a shape's own axes, shape (k, k).
+
+    Args:
+        rotation: R, or None for the identity.
+        size: The number k of dimensions.
+        name: What it turns, for the error message.
+
+    Raises:
+        ValueError: It has another shape, or its columns are not orthonormal.
+    """
+    if rotation is None:
+        return np.eye(size)
+    rule = f"{size} rows of {size} finite numbers each"
+    matrix = finite_array(rotation, f"{name}: rotation", 2, rule)
+    require(matrix.shape == (size, size), f"{name}: rotation", rotation, rule)
+    if not np.abs(matrix.T @ matrix - np.eye(size)).max() <= _TOLERANCE:
+        raise ValueError(
+            f"{name}: rotation must have orthonormal columns, got {matrix.tolist()}"
+        )
+    return matrix
+
+
+def smooth_excess(z: Any, half: Any, smoothing: Any) -> Any:
+    """Returns a smooth bound from above on how far z is beyond [-half, half].
+
+    The sum of a smooth positive part at either end, with the smoothing length e::
+
+        s(z) = (sqrt((z - a)^2 + e^2) + sqrt((z + a)^2 + e^2)) / 2 - a
+
+    It is positive and has all derivatives. It exceeds max(|z| - a, 0) everywhere, most
+    at the ends, by s(a), which is between e/2 and e. Source: ours.
+
+    Args:
+        z: The coordinate, a number, an expression or an array of either [m].
+        half: The half-width a [m].
+        smoothing: The length e over which an end is rounded [m].
+    """
+    below = ((z + half) ** 2 + smoothing**2) ** 0.5
+    above = ((z - half) ** 2 + smoothing**2) ** 0.5
+    return (below + above) / 2 - half

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vcbf_drake.barriers.barrier import Barrier, ChangingBarrier
+from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.obstacles import SphereForm, SphereObstacle
 from vcbf_drake.checks import Array
 from vcbf_drake.model.position import Position
@@ -84,8 +84,13 @@ class PerceivedSpheres:
         Raises:
             ValueError: `position` has not one index a dimension, or bad gains.
         """
-        example = self._example().barrier(gains, position, name)
-        return [PerceivedBarrier(example, self, i) for i in range(self.capacity)]
+        barriers = [
+            self._example().barrier(gains, position, f"{name} {i}")
+            for i in range(self.capacity)
+        ]
+        for i, barrier in enumerate(barriers):
+            barrier.changes = Slot(self, i)
+        return barriers
 
     @typed
     def pack(
@@ -121,26 +126,17 @@ class PerceivedSpheres:
         return SphereObstacle(zero, 1.0, one, self.margin, self.form)
 
 
-class PerceivedBarrier(ChangingBarrier):
-    """The barrier of one slot; its `parameters` are an example's.
+@dataclass(frozen=True)
+class Slot:
+    """What changes the barrier of one slot.
 
     Attributes:
         spheres: What the slot is one of.
-        slot: Its number, from 0.
+        number: Which, from 0.
     """
 
-    def __init__(self, example: Barrier, spheres: PerceivedSpheres, slot: int) -> None:
-        """Gives the example's function to a slot."""
-        name = f"{example.name} {slot}"
-        super().__init__(
-            example.function,
-            example.gains,
-            example.parameters,
-            name,
-            of_position=example.of_position,
-        )
-        self.spheres = spheres
-        self.slot = slot
+    spheres: PerceivedSpheres
+    number: int
 
     def parameters_at(
         self, t: float, obstacles: Array | None
@@ -150,19 +146,17 @@ class PerceivedBarrier(ChangingBarrier):
         Raises:
             ValueError: obstacles has another shape than (size,).
         """
-        if obstacles is None or obstacles.shape != (self.spheres.size,):
+        size, each = self.spheres.size, self.spheres.slot_size
+        if obstacles is None or obstacles.shape != (size,):
             raise ValueError(
-                f"obstacles: expected shape ({self.spheres.size},), got"
+                f"obstacles: expected shape ({size},), got"
                 f" {None if obstacles is None else obstacles.shape}"
             )
-        spheres, k = self.spheres, self.spheres.dimensions
-        start = self.slot * spheres.slot_size
-        *motion, radius, valid = obstacles[start : start + spheres.slot_size].tolist()
+        start = self.number * each
+        *motion, radius, valid = obstacles[start : start + each].tolist()
         if valid == 0.0:
             return None
-        center, velocity = motion[:k], motion[k:]
-        at_start = [c - v * t for c, v in zip(center, velocity, strict=True)]
-        parameters = (*at_start, *velocity, radius + spheres.margin)
+        parameters = (radius + self.spheres.margin, t, *motion)
         if valid == 1.0 and radius >= 0.0 and all(map(math.isfinite, parameters)):
             return parameters
         return (math.nan,) * len(parameters)

@@ -17,7 +17,7 @@ from vcbf_drake.barriers.barrier import (
     arithmetic,
     is_arithmetic,
 )
-from vcbf_drake.barriers.followed import TrajectoryBarrier, carried
+from vcbf_drake.barriers.followed import Followed, carried
 from vcbf_drake.checks import Array, finite_vector, require
 from vcbf_drake.model.compiled import Expressions
 from vcbf_drake.model.position import Position, PositionFunction
@@ -115,11 +115,7 @@ class SmoothShape(Shape):
     ) -> Barrier:
         """Returns the barrier h >= 0 of the shape; arguments as for `barriers`."""
         size, formula, parameters = self.formula()
-        name = name or self.kind
-        if position is None:
-            return Barrier(formula, gains, parameters, name, of_position=size)
-        h = _of_state(formula, position, size, name)
-        return Barrier(h, gains, parameters, name)
+        return _barrier(formula, size, gains, parameters, position, name or self.kind)
 
     @typed
     def barrier_along(
@@ -128,7 +124,7 @@ class SmoothShape(Shape):
         gains: Sequence[float] | Array,
         position: Position | None = None,
         name: str | None = None,
-    ) -> TrajectoryBarrier:
+    ) -> Barrier:
         """Returns the barrier of the shape, carried along a Drake `Trajectory`.
 
         The trajectory's value is added to the shape's own place. Between ticks its rows
@@ -153,24 +149,33 @@ class SmoothShape(Shape):
         require(shape == (size, 1), f"{name}: shape of the trajectory", shape, rule)
         known = trajectory.has_derivative()
         require(known, f"{name}: trajectory", trajectory, "one that has derivatives")
-        h, of_position = carried(formula, size, len(gains) + 1), None
-        if position is None:
-            of_position = size
-        else:
-            h = _of_state(h, position, size, name)
-        return TrajectoryBarrier(h, gains, parameters, trajectory, name, of_position)
+        order = len(gains) + 1
+        changes = Followed(trajectory, order, tuple(parameters))
+        h, example = carried(formula, size, order), changes.parameters_at(0.0, None)
+        barrier = _barrier(h, size, gains, example, position, name)
+        barrier.changes = changes
+        return barrier
 
 
-def _of_state(
-    formula: ShapeFunction, position: Position, size: int, name: str
-) -> BarrierFunction:
-    """Returns a formula of the position as a barrier's function, of the state."""
+def _barrier(
+    formula: ShapeFunction,
+    size: int,
+    gains: Sequence[float] | Array,
+    parameters: Sequence[float],
+    position: Position | None,
+    name: str,
+) -> Barrier:
+    """The barrier of a formula of the position: the plant's, or one that is given."""
+    if position is None:
+        return Barrier(formula, gains, parameters, name, of_position=size)
     at = position_function(position, size, name)
 
     def h(x: Expressions, t: Expression, p: Expressions) -> Expression:
         return formula(at(x), t, p)
 
-    return arithmetic(h) if is_arithmetic(formula) and not callable(position) else h
+    if is_arithmetic(formula) and not callable(position):
+        arithmetic(h)
+    return Barrier(h, gains, parameters, name)
 
 
 def position_function(position: Position, size: int, name: str) -> PositionFunction:

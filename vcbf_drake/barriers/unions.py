@@ -80,7 +80,7 @@ def _combined(
         require(isinstance(each, Barrier), f"{name}: barriers", each, rule)
     first = barriers[0]
     for each in barriers:
-        fixed = type(each) is Barrier and each.early_disturbance is None
+        fixed = each.changes is None and each.early_disturbance is None
         rule = "a Barrier as its shape makes it, of fixed parameters"
         require(fixed and each.class_k is None, f"{name}: barrier", each.name, rule)
         rule = f"{first.gains.tolist()}, those of '{first.name}'"

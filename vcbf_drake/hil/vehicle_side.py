@@ -247,7 +247,7 @@ class VehicleEnd(LeafSystem):
             message.radius.append(obstacle.safety_distance)
             message.valid.append(True)
             message.position.extend(obstacle.center_at(message.time))
-            message.velocity.extend(obstacle.moving_center.velocity)
+            message.velocity.extend(obstacle.motion[1])
         message.num_obstacles = len(message.radius)
         message.num_coordinates = len(message.position)
         self._bus.send(obstacles_format().channel, message)

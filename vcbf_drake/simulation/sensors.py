@@ -172,9 +172,8 @@ class ObstaclesInSight(LeafSystem):
             sight: The distance from which a surface is seen [m].
         """
         super().__init__()
-        motions = [each.moving_center for each in obstacles]
-        self._centers = np.array([each.start for each in motions])
-        self._velocities = np.array([each.velocity for each in motions])
+        motions = np.array([each.motion for each in obstacles])
+        self._centers, self._velocities = motions[:, 0], motions[:, 1]
         self._surfaces = np.array([each.radius for each in obstacles])
         self._radii = np.array([each.safety_distance for each in obstacles])
         self._spheres, self._positions, self._sight = spheres, positions, sight

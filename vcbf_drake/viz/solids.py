@@ -221,7 +221,7 @@ def _pieces(obstacle: Thing, margin: float, height: float) -> list[Piece]:
     """An obstacle and what is nearer to it than a margin."""
     if isinstance(obstacle, PolygonObstacle):
         return [_pillar(piece, margin, height) for piece in obstacle.pieces]
-    plane = obstacle.moving_center.size == 2
+    plane = obstacle.dimensions == 2
     lift = [0.0, 0.0, 0.5 * height if plane else 0.0]
     place = in_space(obstacle.center_at(0.0))
     if isinstance(obstacle, SphereObstacle):
