@@ -363,8 +363,9 @@ def test_an_interrupt_at_any_moment_is_one_line(command, number, moment) -> None
 
 
 def test_a_missing_server_is_named() -> None:
-    with pytest.raises(BusError, match=r"no LCM server answers at localhost:9 "):
-        check_bus("tcpq://localhost:9")
+    words = "tcpq://localhost:9 carries no messages: no LCM server answers there"
+    with pytest.raises(BusError, match=words):
+        check_bus("tcpq://localhost:9", patience=0.1)
 
 
 def test_a_name_that_makes_no_channel_is_wrong_usage(start) -> None:
@@ -372,8 +373,8 @@ def test_a_name_that_makes_no_channel_is_wrong_usage(start) -> None:
     _, err = plant.communicate(timeout=60.0)
     assert plant.returncode == 2
     assert err == (
-        "vcbf-drake: Invalid value: name 'a/b': a vehicle's name has at most 48"
-        " letters, digits, _ and -\n"
+        "vcbf-drake: Invalid value: name: 'a/b'; it must be at most 48 letters,"
+        " digits, _ and -\n"
     )
 
 
@@ -384,9 +385,9 @@ def test_what_is_wrong_with_a_bus_is_one_line_and_status_1() -> None:
         [*COMMAND, *arguments], capture_output=True, text=True, check=False
     )
     assert done.returncode == 1
-    assert done.stderr == (
-        "vcbf-drake: memq:// is no bus between processes; udpm:// and tcpq:// are\n"
-    )
+    assert len(done.stderr.splitlines()) == 1
+    words = "vcbf-drake: memq:// carries no messages: a bus between processes is tcpq:"
+    assert done.stderr.startswith(words)
 
 
 @needs_bus
@@ -398,29 +399,17 @@ def test_a_vehicle_without_a_name_says_so(start) -> None:
     assert err.splitlines()[0] == first
 
 
-def test_a_unicast_address_is_named() -> None:
-    with pytest.raises(BusError, match=r"127\.0\.0\.1 is no multicast address"):
-        check_bus("udpm://127.0.0.1:7667?ttl=0", patience=0.1)
-
-
 @pytest.mark.parametrize(
-    ("url", "words"),
+    "url",
     [
-        ("udpm://239.255.76.67", r"needs a port, 1 to 65535, as in udpm:"),
-        ("udpm://239.255.76.67:0", r"needs a port, 1 to 65535"),
-        ("udpm://239.255.76.67:99999?ttl=0", r"Port out of range 0-65535"),
-        ("udpm://239.255.76.67:abc", r"Port could not be cast to integer value"),
-        ("tcpq://localhost:abc", r"Port could not be cast to integer value"),
-        ("tcpq://[::1", r"Invalid IPv6 URL"),
-        ("udpm://239.255.76.67:7667?ttl=far", r"ttl must be 0 to 255"),
-        ("udpm://239.255.76.67:7667?ttl=256", r"ttl must be 0 to 255"),
-        ("udpm://239.255.76.67:7667?tll=1", r"no option tll; there are ttl and"),
+        *("udpm://127.0.0.1:7667?ttl=0", "udpm://239.255.76.67", "memq://"),
+        *("udpm://239.255.76.67:0", "udpm://239.255.76.67:abc", "nonsense://"),
     ],
 )
-def test_a_url_that_lcm_would_take_for_another_is_refused(url, words) -> None:
-    with pytest.raises(BusError, match=words) as caught:
-        check_bus(url)
-    assert str(caught.value).startswith(f"{url}: ")
+def test_a_url_of_no_bus_between_processes_is_refused(url) -> None:
+    words = re.escape(f"{url} carries no messages: a bus between processes is tcpq:")
+    with pytest.raises(BusError, match=words):
+        check_bus(url, patience=0.1)
 
 
 # The bus itself --------------------------------------------------------------------
@@ -456,12 +445,6 @@ def test_without_a_route_the_check_fails_and_says_how_to_mend_it() -> None:
         last = done.stderr.strip().splitlines()[-1]
         assert last.startswith(f"vcbf-drake: {DEFAULT_URL} carries no messages: ")
         assert "sudo ip route add 224.0.0.0/4 dev lo" in last
-
-
-@pytest.mark.parametrize("url", ["memq://", "nonsense://"])
-def test_a_url_that_is_no_bus_between_processes_is_refused(url: str) -> None:
-    with pytest.raises(BusError, match=f"{url} is no bus between processes"):
-        check_bus(url)
 
 
 def test_a_default_stays_on_this_computer() -> None:

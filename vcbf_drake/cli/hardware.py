@@ -8,7 +8,7 @@ import math
 import os
 from pathlib import Path
 import sys
-from typing import TYPE_CHECKING, Annotated, NamedTuple, TextIO
+from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
@@ -131,7 +131,7 @@ def plant(
     """
     _die_quietly()
     chosen = _load(scenario, override, None, duration, rate)
-    bus = _open_bus(chosen, lcm_url, name, LinkOptions(drop, delay, jitter, fault_seed))
+    bus = _open_bus(chosen, lcm_url, name, (drop, delay, jitter, fault_seed))
     from vcbf_drake.hil import PlantProcess
 
     with _telling() as tell, _logging(bus, chosen, log, force, tell):
@@ -172,7 +172,7 @@ def controller(
     chosen = _load(scenario, override, method, duration, rate)
     if predict is not None:
         chosen.hardware.predict = predict
-    bus = _open_bus(chosen, lcm_url, name, LinkOptions(drop, delay, jitter, fault_seed))
+    bus = _open_bus(chosen, lcm_url, name, (drop, delay, jitter, fault_seed))
     from vcbf_drake.hil import controller_of
 
     with _telling() as tell, _logging(bus, chosen, log, force, tell):
@@ -209,48 +209,22 @@ def _load(
     return chosen
 
 
-class LinkOptions(NamedTuple):
-    """The faults that are injected into what arrives."""
-
-    drop: float
-    delay: float
-    jitter: float
-    seed: int
-
-
 def _open_bus(
-    scenario: Scenario, url: str | None, name: str | None, options: LinkOptions
+    scenario: Scenario,
+    url: str | None,
+    name: str | None,
+    faults: tuple[float, float, float, int],
 ) -> Bus:
-    from pydrake.lcm import DrakeLcm
-
-    from vcbf_drake.hil import (
-        DEFAULT_URL,
-        Bus,
-        BusError,
-        LinkFaults,
-        check_bus,
-        read_key,
-        vehicle_name,
-    )
-    from vcbf_drake.hil.bus import check_name
+    from vcbf_drake.errors import InvalidValueError
+    from vcbf_drake.hil import DEFAULT_URL, BusError, LinkFaults, open_bus
 
     try:
-        faults = LinkFaults(*options)
-    except ValueError as error:
+        return open_bus(scenario, url or DEFAULT_URL, name, LinkFaults(*faults))
+    except InvalidValueError as error:
         raise typer.BadParameter(str(error)) from None
-    chosen = vehicle_name(scenario.name) if name is None else name
-    try:
-        check_name(chosen)
-    except BusError as error:
-        raise typer.BadParameter(str(error)) from None
-    key_file = scenario.hardware.key_file
-    try:
-        key = read_key(key_file) if key_file else b""
-        check_bus(url or DEFAULT_URL)
     except BusError as error:
         complain(str(error))
         raise typer.Exit(1) from None
-    return Bus(DrakeLcm(url or DEFAULT_URL), faults=faults, name=chosen, key=key)
 
 
 @contextmanager

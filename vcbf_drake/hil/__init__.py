@@ -13,6 +13,7 @@ from vcbf_drake.hil.bus import (
     SimulatedClock,
     WallClock,
     check_bus,
+    open_bus,
     read_key,
     vehicle_name,
 )
@@ -94,6 +95,7 @@ __all__ = [
     "make_hardware_loop",
     "make_vehicle",
     "obstacles_format",
+    "open_bus",
     "read_event_log",
     "read_key",
     "replay_log",

@@ -4,25 +4,23 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 import heapq
 import hmac
-import ipaddress
 import math
 import os
 from pathlib import Path
 import re
-import socket
 import time
-from typing import Any, Protocol
-from urllib.parse import SplitResult, parse_qsl, urlsplit
+from typing import Any, TypeAlias
 
 import numpy as np
 from pydrake.lcm import DrakeLcm
 
 from vcbf_drake.checks import check_parameter
 from vcbf_drake.errors import InvalidValueError, VcbfError
+from vcbf_drake.simulation.scenario import Scenario
 
 # Multicast, as LCM's own default; a time to live of 0 keeps it on this computer.
 DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
@@ -38,20 +36,20 @@ Tap = Callable[[int, str, bytes], None]
 _LEAST_KEY, _MOST_KEY = 16, 65_536  # Bytes.
 _LONGEST_NAME = 48  # LCM's channels have at most 63 characters.
 _MOST_DRAINED = 100
-# What LCM knows of a multicast URL, and the greatest value of each.
-_UDPM_OPTIONS = {"ttl": 255, "recv_buf_size": 2**31 - 1}
-_CHECK_CHANNEL, _CHECK_PATIENCE = "VCBF_BUS_CHECK", 1.0  # [s]
+_CHECK_CHANNEL = "VCBF_BUS_CHECK"
+_NO_SERVER = (
+    "no LCM server answers there; start one, for example lcm-tcpq-server or"
+    " java -cp lcm.jar lcm.lcm.TCPService"
+)
+_NO_WAY = (
+    f"a bus between processes is tcpq://HOST:PORT or, as {DEFAULT_URL}, a multicast"
+    " address with its port, to which there must be a route. On Linux: sudo ip link"
+    " set lo up; sudo ip route add 224.0.0.0/4 dev lo"
+)
 
 
 class BusError(VcbfError):
     """The bus does not carry messages; the text says how to mend it."""
-
-
-class Clock(Protocol):
-    """Tells the time in microseconds since 1970."""
-
-    def utime(self) -> int:
-        """Returns the time [us]."""
 
 
 class WallClock:
@@ -78,6 +76,9 @@ class SimulatedClock:
     def utime(self) -> int:
         """Returns the time [us]."""
         return self.now
+
+
+Clock: TypeAlias = WallClock | SimulatedClock
 
 
 @dataclass(frozen=True)
@@ -280,13 +281,11 @@ def check_name(name: str) -> None:
     """Checks that a vehicle's name may end a channel's.
 
     Raises:
-        BusError: It may not.
+        InvalidValueError: It may not.
     """
     if not re.fullmatch(rf"[A-Za-z0-9_-]{{0,{_LONGEST_NAME}}}", name):
-        raise BusError(
-            f"name {name!r}: a vehicle's name has at most {_LONGEST_NAME} letters,"
-            " digits, _ and -"
-        )
+        must = f"it must be at most {_LONGEST_NAME} letters, digits, _ and -"
+        raise InvalidValueError("name", f"{name!r}; {must}")
 
 
 def vehicle_name(scenario_name: str) -> str:
@@ -314,85 +313,56 @@ def read_key(path: str | Path) -> bytes:
     return key
 
 
-def check_bus(url: str, patience: float = _CHECK_PATIENCE) -> None:
+def open_bus(
+    scenario: Scenario,
+    url: str = DEFAULT_URL,
+    name: str | None = None,
+    faults: LinkFaults | None = None,
+) -> Bus:
+    """Returns the bus of a scenario's vehicle or controller, once it carries messages.
+
+    Args:
+        scenario: Says where the key is, and what the vehicle is called by default.
+        url: LCM's URL of the bus.
+        name: The vehicle's.
+        faults: Injected into what arrives; none by default.
+
+    Raises:
+        InvalidValueError: The name may not end a channel's.
+        BusError: There is no key, or the bus carries no messages.
+    """
+    name = vehicle_name(scenario.name) if name is None else name
+    check_name(name)
+    key_file = scenario.hardware.key_file
+    key = read_key(key_file) if key_file else b""
+    check_bus(url)
+    return Bus(DrakeLcm(url), faults=faults, name=name, key=key)
+
+
+def check_bus(url: str, patience: float = 1.0) -> None:
     """Checks that what one end publishes reaches another.
 
-    Without a route for multicast LCM raises nothing; messages just never arrive.
+    Without a route for multicast, or a server, LCM raises nothing; messages just never
+    arrive.
 
     Args:
         url: LCM's URL of the bus.
         patience: How long to try [s].
 
     Raises:
-        BusError: Nothing arrived, or the URL is not one of a bus between processes, or
-            not one at all.
+        BusError: Nothing arrived.
     """
-    address = _parsed(url)
-    if address.scheme == "tcpq":
-        _check_server(url, address)
-    sender, receiver = DrakeLcm(url), DrakeLcm(url)
-    token = f"{os.getpid()} {time.monotonic_ns()}".encode()
     arrived: list[bytes] = []
-    receiver.Subscribe(_CHECK_CHANNEL, arrived.append)
+    token = f"{os.getpid()} {time.monotonic_ns()}".encode()
     deadline = time.monotonic() + patience
-    while token not in arrived:
-        if time.monotonic() > deadline:
-            raise BusError(f"{url} carries no messages: {_probable_cause(address)}")
-        sender.Publish(_CHECK_CHANNEL, token)
-        receiver.HandleSubscriptions(20)
-
-
-def _parsed(url: str) -> SplitResult:
-    """Returns the parts of a bus's URL: LCM takes what it does not understand for 0.
-
-    Raises:
-        BusError: It is no URL, or a port or an option makes no sense.
-    """
-    if not url.startswith(("udpm://", "tcpq://")):
-        raise BusError(f"{url} is no bus between processes; udpm:// and tcpq:// are")
-    try:
-        address = urlsplit(url)
-        port = address.port
-    except ValueError as error:
-        raise BusError(f"{url}: {error}") from None
-    is_multicast = address.scheme == "udpm"
-    if port == 0 or (is_multicast and address.hostname and port is None):
-        raise BusError(f"{url}: needs a port, 1 to 65535, as in {DEFAULT_URL}")
-    options = parse_qsl(address.query, keep_blank_values=True) if is_multicast else ()
-    for option, value in options:
-        most = _UDPM_OPTIONS.get(option, -1)
-        if most < 0:
-            known = " and ".join(_UDPM_OPTIONS)
-            raise BusError(f"{url}: no option {option}; there are {known}")
-        if not (value.isascii() and value.isdigit() and int(value) <= most):
-            raise BusError(f"{url}: {option} must be 0 to {most}")
-    return address
-
-
-def _check_server(url: str, address: SplitResult) -> None:
-    place = address.hostname or "localhost", address.port or 7700
-    try:
-        socket.create_connection(place, timeout=_CHECK_PATIENCE).close()
-    except OSError as error:
+    with suppress(RuntimeError):  # LCM's own test has failed.
+        sender, receiver = DrakeLcm(url), DrakeLcm(url)
+        receiver.Subscribe(_CHECK_CHANNEL, arrived.append)
+        while token not in arrived and time.monotonic() < deadline:
+            sender.Publish(_CHECK_CHANNEL, token)
+            receiver.HandleSubscriptions(20)
+    if token not in arrived:
+        is_tcp = url.startswith("tcpq://")
         raise BusError(
-            f"{url}: no LCM server answers at {place[0]}:{place[1]}"
-            f" ({error.strerror or error}); start one there, for example"
-            " lcm-tcpq-server or java -cp lcm.jar lcm.lcm.TCPService"
-        ) from None
-
-
-def _probable_cause(address: SplitResult) -> str:
-    if address.scheme == "tcpq":
-        return "what answers there is probably no LCM server"
-    host = address.hostname or ""
-    try:
-        is_multicast = ipaddress.ip_address(host).is_multicast
-    except ValueError:
-        is_multicast = False
-    if not is_multicast:
-        allowed = "224.0.0.0 to 239.255.255.255"
-        return f"{host} is no multicast address; udpm needs one, {allowed}"
-    return (
-        "there is probably no route for multicast. On Linux: sudo ip link set lo up;"
-        " sudo ip route add 224.0.0.0/4 dev lo"
-    )
+            f"{url} carries no messages: {_NO_SERVER if is_tcp else _NO_WAY}"
+        )

@@ -36,8 +36,6 @@ _NEEDED = {
     "state_receiver": "a VehicleLink adds it",
     "command_sender": "VehicleLink.answer adds it, before the diagram is built",
 }
-# How long every row must be satisfied before that is told [us].
-_TO_RECOVER = 1_000_000
 
 
 def warm_up(num_inputs: int) -> None:
@@ -154,7 +152,7 @@ class ControllerProcess(HardwareProcess):
         self.tick_taps: list[Callable[[Context], None]] = []
         self.takes_over = False
         self._record = _Record()
-        self._sent_at = self._troubled_at = self._starved = 0
+        self._sent_at = self._starved = 0
         self._session, self._began = 0, 0.0
 
     @property
@@ -179,9 +177,10 @@ class ControllerProcess(HardwareProcess):
             return
         while not (self._stopping or self._is_over()):
             self._go_on()
+        status = self._sender.last_status
         if self._stopping:
             self.ending = "stopped"
-        elif self._is_infeasible():
+        elif status and status.filter_status == FilterStatus.INFEASIBLE:
             self.ending = "infeasible"
 
     def _say_farewell(self) -> None:
@@ -242,7 +241,6 @@ class ControllerProcess(HardwareProcess):
             self._starved += periods - sent
         else:
             self._session, self._began = int(newest.session), newest.time
-            receiver.inbox.forget_the_start()
         for tap in self.tick_taps:
             tap(self.context)
         self.context.SetDiscreteState(
@@ -271,11 +269,6 @@ class ControllerProcess(HardwareProcess):
             self.ending = "duration"
         return bool(self.ending)
 
-    def _is_infeasible(self) -> bool:
-        """Whether the last tick had no feasible input."""
-        status = self._sender.last_status
-        return status is not None and status.filter_status == FilterStatus.INFEASIBLE
-
     def _say(self) -> None:
         status, inbox = self._sender.last_status, self._receiver.inbox
         if status is None:
@@ -291,7 +284,9 @@ class ControllerProcess(HardwareProcess):
         notice = self._receiver.notice() if is_ticking else ""
         self._tell_change("notice", notice, f"{when}{notice or 'followed again'}")
         if status.mode == CommandMode.APPLY:
-            self._say_trouble(status, when)
+            trouble = trouble_of_filter(status.filter_status, status.conflicts)
+            line = f"{when}{trouble or 'every row is satisfied again'}"
+            self._tell_change("filter", "in trouble" if trouble else "", line)
         for finding in status.findings:
             self._tell_change(finding, finding, f"{when}refuted: {finding}")
         if status.refused_intervals:
@@ -311,13 +306,3 @@ class ControllerProcess(HardwareProcess):
             ours=self._sender.deadlines_missed,
             theirs=self._starved,
         )
-
-    def _say_trouble(self, status: vcbf_status, when: str) -> None:
-        """Tells what the filter could not do, if it could for a second before."""
-        now = self.bus.clock.utime()
-        trouble = trouble_of_filter(status.filter_status, status.conflicts)
-        if trouble:
-            self._troubled_at = now
-            self._tell_change("filter", "in trouble", f"{when}{trouble}")
-        elif now - self._troubled_at > _TO_RECOVER:
-            self._tell_change("filter", "", f"{when}every row is satisfied again")

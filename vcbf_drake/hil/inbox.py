@@ -234,12 +234,14 @@ class Inbox:
     Attributes:
         newest: The newest message, None before the first.
         received_at: When it arrived [us].
+        followed_since: Since when its sender is followed [us].
         accepted: How many were accepted.
         lost: How many sequence numbers never came.
         rejections: How many were rejected, by reason.
         last_rejection: Why the last one was, in words; empty if none was.
         last_rejected_at: When [us]; 0 if none was.
-        round_trips: How long the last 65 536 of them took [ms]; see `add_round_trip`.
+        round_trips: How long the last 65 536 messages of ours that the sender tells of
+            were on their way, and what tells of them [ms].
     """
 
     def __init__(
@@ -255,8 +257,9 @@ class Inbox:
         refusal: Callable[[Any], Reason | None] = lambda message: None,
     ) -> None:
         self.newest: Any = None
-        self.received_at = 0
+        self.received_at = self.followed_since = 0
         self.round_trips: deque[float] = deque(maxlen=65_536)
+        self._echoed_at = 0
         self._format = message_format
         self._max_age = round(1e6 * max_age)
         self._silence = round(1e6 * (max_age if silence is None else silence))
@@ -292,11 +295,6 @@ class Inbox:
         clock = self.peer_clock
         return peer_utime if clock is None else peer_utime - clock.offset
 
-    def add_round_trip(self, duration: int) -> None:
-        """Adds a duration [us], unless it makes no sense: stamps may be forged."""
-        if 0 <= duration < LONGEST_ROUND_TRIP:
-            self.round_trips.append(1e-3 * duration)
-
     def has_same_sender(self, message: Any) -> bool:
         """Returns whether our newest message and this one are of one session."""
         both = self.newest is not None and message is not None
@@ -309,21 +307,14 @@ class Inbox:
         self._followed = None
         self._start_counting()
 
-    def forget_the_start(self) -> None:
-        """Forgets what was lost or late so far: nobody acted on it yet."""
-        self.lost = 0
-        for reason in _LATE:
-            del self.rejections[reason]
-
-    def complaint(self, now: int, within: float = 1.0) -> str:
-        """Returns what was wrong with what came lately; empty for nothing.
+    def complaint(self, now: int) -> str:
+        """Returns what was wrong with what came in the last second; empty for nothing.
 
         Args:
             now: The time [us].
-            within: How far back to look [s].
         """
         count = self.rejections.total()
-        if not count or now - self.last_rejected_at > 1e6 * within:
+        if not count or now - self.last_rejected_at > 1_000_000:
             return ""
         return f"{count} rejected, the last: {self.last_rejection}"
 
@@ -349,6 +340,7 @@ class Inbox:
             return
         self.newest, self.received_at = message, now
         self.accepted += 1
+        self._add_round_trip(message, now)
         if self._on_accept is not None:
             self._on_accept(message, now)
 
@@ -364,7 +356,7 @@ class Inbox:
             if self._followed is sender:
                 self.lost = max(0, self.lost + sender.skipped)
         if fault is None:
-            self._follow(sender)
+            self._follow(sender, now)
         return fault
 
     def _meet(self, sender: Sender, message: Any, now: int) -> Rejection | None:
@@ -388,12 +380,21 @@ class Inbox:
             return None
         return Rejection(Reason.SESSION)
 
-    def _follow(self, sender: Sender) -> None:
-        self._followed = sender
+    def _follow(self, sender: Sender, now: int) -> None:
+        if sender is not self._followed:
+            self._followed, self.followed_since = sender, now
         self._senders[sender.session] = sender
         self._senders.move_to_end(sender.session)
         while len(self._senders) > _MOST_SENDERS:
             self._senders.popitem(last=False)
+
+    def _add_round_trip(self, message: Any, now: int) -> None:
+        """Adds one when a message of ours is first told of, if it makes sense."""
+        sent, age = self._echo(message) or (0, 0)
+        if sent > self._echoed_at:
+            self._echoed_at, away = sent, now - sent - age
+            if 0 <= away < LONGEST_ROUND_TRIP:
+                self.round_trips.append(1e-3 * away)
 
     def _refuse(self, rejection: Rejection, now: int) -> None:
         self.rejections[rejection.reason] += 1

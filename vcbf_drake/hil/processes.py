@@ -100,6 +100,7 @@ class HardwareProcess:
         self.progress: Callable[[str], None] = lambda line: None
         self._peer, self._channel, self._stopping = peer, channel, False
         self._told: dict[str, str] = {}
+        self._troubled_at = Counter[str]()
         self._neighbours: set[str] = set()
         self._progress_at, self._missed = 0, Counter[str]()
 
@@ -163,7 +164,15 @@ class HardwareProcess:
         inbox.begin_anew()
 
     def _tell_change(self, subject: str, text: str, line: str) -> None:
-        """Tells a line if the subject's text is another one than before."""
+        """Tells a line if the subject's text is another one than before.
+
+        No text means that all is well again, which is told when it was for a second.
+        """
+        now = self.bus.clock.utime()
+        if text:
+            self._troubled_at[subject] = now
+        elif now - self._troubled_at[subject] < _SECOND:
+            return
         if self._told.get(subject, "") != text:
             self._told[subject] = text
             self.tell(line)

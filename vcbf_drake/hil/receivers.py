@@ -91,8 +91,7 @@ class StateReceiver(LeafSystem):
             another one of its name is controlled in its place.
 
     Attributes:
-        inbox: What arrived. Its round trips are from sending a command to learning that
-            it came.
+        inbox: What arrived.
     """
 
     def __init__(
@@ -104,13 +103,10 @@ class StateReceiver(LeafSystem):
     ) -> None:
         super().__init__()
         self._bus, self._settings = bus, (settings := settings or Hardware())
-        self._last_command = -1
-        self._heard, self._heard_since = 0, 0
         self.inbox = Inbox(
             bus,
             state_format(num_states, num_inputs),
             settings.max_state_age,
-            self._take_times,
             silence=settings.max_state_age + settings.hold_time,
             max_clock_offset=settings.max_clock_offset,
             echo=self._echo,
@@ -157,7 +153,7 @@ class StateReceiver(LeafSystem):
     def notice(self) -> str:
         """Returns why nobody follows, or who else speaks; empty if all is well."""
         newest, now = self.inbox.newest, self._bus.clock.utime()
-        is_settled = now - self._heard_since > _TO_SETTLE
+        is_settled = now - self.inbox.followed_since > _TO_SETTLE
         if newest is not None and is_settled and not self.is_followed:
             if newest.command_session <= 0:
                 return "the vehicle tells of no command that it has accepted"
@@ -221,16 +217,6 @@ class StateReceiver(LeafSystem):
         state_delay = self.inbox.received_at - ours(state.utime_measured)
         command_delay = ours(state.utime - state.command_age) - state.command_utime
         return 1e-6 * np.array([state_delay, command_delay])
-
-    def _take_times(self, message: Any, now: int) -> None:
-        """Notes the round trip of a command that the vehicle mentions first now."""
-        if message.session != self._heard:
-            self._heard, self._heard_since = message.session, now
-        is_ours = message.command_session == self._bus.session
-        if is_ours and message.command_sequence > self._last_command:
-            self._last_command = message.command_sequence
-            away = now - message.command_utime - message.command_age
-            self.inbox.add_round_trip(away)
 
 
 # Obstacles -------------------------------------------------------------------------

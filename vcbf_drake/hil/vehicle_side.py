@@ -115,8 +115,7 @@ class VehicleEnd(LeafSystem):
         model: The vehicle's f, g, E.
 
     Attributes:
-        inbox: The commands. Its round trips are from sending a state to the command
-            that answers it.
+        inbox: The commands.
         ending: Whether the vehicle is about to end.
     """
 
@@ -132,7 +131,7 @@ class VehicleEnd(LeafSystem):
             bus,
             command_format(m),
             self._settings.command_timeout,
-            self._receive,
+            lambda command, now: self._waiting.append(_Received(command, now)),
             max_clock_offset=self._settings.max_clock_offset,
             echo=lambda command: (command.state_utime, command.state_age),
             # What answers another vehicle was not made for this one.
@@ -172,12 +171,6 @@ class VehicleEnd(LeafSystem):
     def mode(self, context: Context) -> VehicleMode:
         """Returns what the vehicle does."""
         return VehicleMode(int(context.get_discrete_state(self._mode)[0]))
-
-    def _receive(self, command: Any, now: int) -> None:
-        self._waiting.append(_Received(command, now))
-        is_answer = command.state_session == self._bus.session
-        if is_answer and command.mode == CommandMode.APPLY:
-            self.inbox.add_round_trip(now - command.state_utime)
 
     def _take_over(self, context: Context, state: State) -> EventStatus:
         self._bus.poll()
