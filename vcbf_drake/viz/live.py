@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from io import BufferedIOBase
 import json
-from threading import Condition, Thread
+from threading import Event, Thread
 import time
 from typing import Any
 from urllib.error import HTTPError
@@ -23,11 +25,11 @@ from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.safety import FilterStatus
 from vcbf_drake.simulation.result import Result
 from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.viz import runs
 from vcbf_drake.viz.replay import stage_data, stage_words
 from vcbf_drake.viz.replay.page import series_data, whole_page
 from vcbf_drake.viz.replay.recording import filter_values
 from vcbf_drake.viz.replay.scene import draw_stage, private_meshcat
-from vcbf_drake.viz.runs import Event
 from vcbf_drake.viz.solids import in_space
 from vcbf_drake.viz.stage import Stage, body_path, set_stage
 
@@ -38,6 +40,7 @@ _NOTHING_YET = {
     "collided_at": None,
     "reached_at": None,
 }
+_LOOK_AGAIN = 0.02  # For what a browser has to be told [s].
 _DEAD = 0.08  # What a stick at rest may be off its middle.
 _KEYS = ("ArrowLeft", "ArrowRight"), ("ArrowDown", "ArrowUp")
 
@@ -111,7 +114,7 @@ class LiveView:
         page = page.replace("url = location.toString()", f'url = "{address}/"')
         page = whole_page(page, data, **stage_words(stage))
         self._tell(self._stream.serve(page.encode(), address))
-        self._stream.wait_for_a_browser()
+        self._stream.opened.wait()
         self._lead = time.monotonic()
 
     def _point(self, index: int, log: dict[str, Array]) -> dict[str, Any]:
@@ -128,7 +131,7 @@ class LiveView:
         ):
             if holds and (index, kind) not in self._known:
                 self._known.add((index, kind))
-                found.append(Event(now, kind, f"{kind} {words} {now:.1f} s"))
+                found.append(runs.Event(now, kind, f"{kind} {words} {now:.1f} s"))
         present = replace(run, events=found, time=log["time"], log=log)
         return series_data(present, in_space(place))
 
@@ -203,9 +206,9 @@ class _Stream:
     """A page, and what has to be added to it as the run goes on."""
 
     def __init__(self) -> None:
-        self._sent: list[bytes] = []
-        self._changed = Condition()
-        self._browsers, self._paused, self._over = 0, False, False
+        self._news: list[bytes] = []
+        self._over, self._going, self.opened = Event(), Event(), Event()
+        self._going.set()
         self._server: ThreadingHTTPServer | None = None
 
     def serve(self, page: bytes, meshcat: str) -> str:
@@ -219,27 +222,26 @@ class _Stream:
 
         class Handler(BaseHTTPRequestHandler):
             def do_GET(self) -> None:
-                is_stream, content = self.path == "/stream", page
-                kind = "text/event-stream" if is_stream else "text/html"
-                if self.path not in ("/", "/stream"):
+                kind, content = "text/html", page
+                if self.path == "/stream":
+                    kind, content = "text/event-stream", b""
+                elif self.path != "/":
                     try:
                         with urlopen(meshcat + self.path) as answer:
-                            kind, content = (
-                                answer.headers.get_content_type(),
-                                answer.read(),
-                            )
+                            kind = answer.headers.get_content_type()
+                            content = answer.read()
                     except HTTPError as error:
                         return self.send_error(error.code)
                 self.send_response(200)
                 self.send_header("Content-Type", f"{kind}; charset=utf-8")
                 self.end_headers()
-                if is_stream:
-                    stream.write_to(self.wfile.write)
-                else:
+                with suppress(OSError):  # When the browser leaves.
                     self.wfile.write(content)
+                    if self.path == "/stream":
+                        stream._write_to(self.wfile)
 
             def do_POST(self) -> None:
-                stream.pause(self.path == "/pause")
+                (stream._going.clear if self.path == "/pause" else stream._going.set)()
                 self.send_response(204)
                 self.end_headers()
 
@@ -253,51 +255,26 @@ class _Stream:
 
     def send(self, news: Sequence[Mapping[str, Any]]) -> None:
         """Adds to every page that is open, or will be."""
-        with self._changed:
-            self._sent.append(json.dumps(news, allow_nan=False).encode())
-            self._changed.notify_all()
+        self._news.append(json.dumps(news, allow_nan=False).encode())
 
-    def write_to(self, write: Callable[[bytes], Any]) -> None:
+    def _write_to(self, file: BufferedIOBase) -> None:
         """Writes everything, and what comes, until the run is over."""
-        with self._changed:
-            self._browsers += 1
-            self._changed.notify_all()
+        self.opened.set()
         count, over = 0, False
         while not over:
-            with self._changed:
-                while len(self._sent) == count and not self._over:
-                    self._changed.wait()
-                news, over = self._sent[count:], self._over
-            count += len(news)
-            try:
-                for each in news:
-                    write(b"data: " + each + b"\n\n")
-                if over:
-                    write(b"event: over\ndata:\n\n")
-            except OSError:
-                return  # The browser has left.
-
-    def pause(self, paused: bool) -> None:
-        """Holds the run up, or lets it go on."""
-        with self._changed:
-            self._paused = paused
-            self._changed.notify_all()
-
-    def wait_for_a_browser(self) -> None:
-        """Returns when the first one has opened the page."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._browsers > 0)
+            over = self._over.wait(_LOOK_AGAIN)
+            for each in self._news[count:]:
+                file.write(b"data: " + each + b"\n\n")
+                count += 1
+        file.write(b"event: over\ndata:\n\n")
 
     def wait_while_paused(self) -> None:
         """Returns when the run may go on."""
-        with self._changed:
-            self._changed.wait_for(lambda: not self._paused)
+        self._going.wait()
 
     def close(self) -> None:
         """Tells the browsers that the run is over, and closes."""
-        with self._changed:
-            self._over = True
-            self._changed.notify_all()
+        self._over.set()
         if self._server is not None:
             self._server.shutdown()
             self._server.server_close()
