@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -37,23 +37,6 @@ _SERIES = (
     *("barriers", "volume", "slack", "reference", "input", "polytope_A"),
     *("polytope_b", "ellipsoid_shape", "ellipsoid_center"),
 )
-
-
-@dataclass(frozen=True)
-class _Motion:
-    """What happened.
-
-    Attributes:
-        frames: The frames' times, from 0 [s].
-        log: The arrays of the filter's ports, as a `Result` has them; or nothing.
-        time: The log's times [s].
-        events: How it ended, if it ended early.
-    """
-
-    frames: Array
-    log: Mapping[str, Array]
-    time: Array
-    events: Sequence[Event] = ()
 
 
 def write_diagram_replay(
@@ -104,31 +87,72 @@ def write_diagram_replay(
     if not poses:
         raise ValueError("SceneGraph: nothing in it has the illustration role")
     now = diagram.CreateDefaultContext() if context is None else context.Clone()
-
-    def look() -> None:
-        port = scene_graph.get_query_output_port()
-        query = port.Eval(scene_graph.GetMyContextFromRoot(now))
-        for frame in poses:
-            # Drake's own goes on changing.
-            poses[frame].append(RigidTransform(query.GetPoseInWorld(frame)))
-
     safety_filter = _first(diagram, SafetyFilter)
+    arrays = None
     if log is None and duration is not None:
         check_parameter("duration", duration)
-        motion = _simulated(diagram, now, duration, safety_filter, look)
+        steps = _simulated(diagram, now, duration)
     elif log is not None and duration is None:
-        motion = _logged(diagram, now, log, plant, look)
+        arrays = _arrays(log)
+        steps = _replayed(diagram, now, arrays, plant)
     else:
         raise ValueError("duration, log: one of the two says what to replay")
-    duration = max(float(motion.frames[-1]), 1e-3)  # It may end at once.
-    times = np.linspace(0.0, duration, len(motion.frames))
+    frames, rows = list[float](), list[dict[str, Any]]()
+    for time in steps:
+        frames.append(time)
+        port = scene_graph.get_query_output_port()
+        query = port.Eval(scene_graph.GetMyContextFromRoot(now))
+        for frame, way in poses.items():  # Drake's own poses go on changing.
+            way.append(RigidTransform(query.GetPoseInWorld(frame)))
+        if arrays is None and safety_filter is not None:
+            rows.append(filter_values(safety_filter, now))
+    end = max(frames[-1], 1e-3)  # It may end at once.
+    times = np.linspace(0.0, end, len(frames))
     bodies = [
-        Moving(f"frames/{number}", parts[frame], times, each)
-        for number, (frame, each) in enumerate(poses.items())
+        Moving(f"frames/{number}", parts[frame], times, way)
+        for number, (frame, way) in enumerate(poses.items())
     ]
     sources = [inspector.GetOwningSourceName(frame) for frame in poses]
+    *trails, farthest = _ways(bodies, sources)
     title = title or diagram.get_name() or "Replay"
-    return _write(path, title, bodies, sources, motion, safety_filter)
+    shown = Drawn(title, BLUE, (), False, (), np.array(frames), {}, (), None)
+    if duration is not None and frames[-1] < duration - 1e-9:
+        ended = Event(frames[-1], "infeasible", f"ended at {frames[-1]:.2f} s")
+        shown = replace(shown, events=[ended])
+    if rows:
+        series = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+        shown = replace(shown, log=series)
+    elif arrays is not None and all(name in arrays for name in _SERIES):
+        since = arrays["time"] - arrays["time"][0]
+        shown = replace(shown, log=arrays, time=since)
+    if safety_filter is not None and shown.log:
+        shown = _filtered(shown, safety_filter)
+    view, meshcat = _view(bodies), private_meshcat()
+    draw_room(meshcat, view)
+    for body in bodies:
+        draw_body(meshcat, body)
+    page = record(meshcat, max(len(frames) - 1, 1) / end, bodies)
+    data = page_data([(shown, farthest)], view, end, "", trails=trails)
+    return write_page(path, whole_page(page, data, title))
+
+
+def _filtered(shown: Drawn, safety_filter: SafetyFilter) -> Drawn:
+    """What is shown, with the name and the inputs of its filter."""
+    inputs = [f"input {k}" for k in range(safety_filter.model.num_inputs)]
+    box = safety_filter.input_set
+    ends = box.center - box.scale, box.center + box.scale
+    limits = InputLimits(*(each.tolist() for each in ends))
+    return replace(shown, label=safety_filter.get_name(), inputs=inputs, limits=limits)
+
+
+def _ways(bodies: Sequence[Moving], sources: Sequence[str]) -> list[Array]:
+    """Of every source the way of the body that moves; the farthest one last."""
+    ways = [np.array([pose.translation() for pose in b.poses]) for b in bodies]
+    travel = [float(np.ptp(each, axis=0).sum()) for each in ways]
+    *ranked, last = sorted(range(len(bodies)), key=travel.__getitem__)
+    farthest = {sources[index]: index for index in ranked if travel[index] > 1e-6}
+    farthest.pop(sources[last], None)
+    return [ways[index] for index in [*farthest.values(), last]]
 
 
 def _first(diagram: Diagram, kind: type) -> Any:
@@ -162,42 +186,19 @@ def _times(duration: float) -> Array:
     return np.linspace(0.0, duration, count + 1)
 
 
-def _simulated(
-    diagram: Diagram,
-    context: Context,
-    duration: float,
-    safety_filter: SafetyFilter | None,
-    look: Callable[[], None],
-) -> _Motion:
-    """Simulates, and looks at every frame."""
+def _simulated(diagram: Diagram, context: Context, duration: float) -> Iterator[float]:
+    """Simulates from frame to frame; yields the time since the start at each [s]."""
     simulator, begin = Simulator(diagram, context), context.get_time()
-    frames, rows = list[float](), list[dict[str, Any]]()
-    events = []
     for time in _times(duration):
         with naming_user_code(context.get_time):
             status = simulator.AdvanceTo(begin + time)
-        look()
-        frames.append(context.get_time() - begin)
-        if safety_filter is not None:
-            rows.append(filter_values(safety_filter, context))
+        yield context.get_time() - begin
         if status.reason() != SimulatorStatus.ReturnReason.kReachedBoundaryTime:
-            words = f"ended at {frames[-1]:.2f} s"
-            events.append(Event(frames[-1], "infeasible", words))
-            break
-    log = {
-        name: np.array([row[name] for row in rows]) for row in rows[:1] for name in row
-    }
-    return _Motion(np.array(frames), log, np.array(frames), events)
+            return
 
 
-def _logged(
-    diagram: Diagram,
-    context: Context,
-    log: Log,
-    plant: System | None,
-    look: Callable[[], None],
-) -> _Motion:
-    """Puts the state of a log into the context, and looks, at every frame."""
+def _arrays(log: Log) -> dict[str, Array]:
+    """The arrays of a log, after checking the times and the states."""
     if isinstance(log, VectorLog):
         log = {"time": log.sample_times(), "state": log.data().T}
     require(isinstance(log, Mapping), "log", log, "a VectorLog, or arrays by name")
@@ -213,18 +214,23 @@ def _logged(
     (back,) = np.nonzero(np.diff(time) < 0.0)
     rule = "of times that do not go back"
     require(not len(back), ("log", "time"), time[back[:1] + 1], rule)
+    return arrays | {"state": state}
+
+
+def _replayed(
+    diagram: Diagram, context: Context, log: Mapping[str, Array], plant: System | None
+) -> Iterator[float]:
+    """Puts a log's state into the context at every frame; yields as `_simulated`."""
+    time, state = log["time"], log["state"]
     holder = _holder(diagram, context, state.shape[1], plant)
     own = holder.GetMyMutableContextFromRoot(context)
     is_continuous = own.num_continuous_states() == state.shape[1]
     put = own.SetContinuousState if is_continuous else own.SetDiscreteState
-    frames = _times(max(float(time[-1] - time[0]), 1e-3))
-    for at in time[0] + frames:
+    for since in _times(max(float(time[-1] - time[0]), 1e-3)):
+        at = time[0] + since
         context.SetTime(at)
         put(np.array([np.interp(at, time, each) for each in state.T]))
-        look()
-    if all(name in arrays for name in _SERIES):
-        return _Motion(frames, arrays, time - time[0])
-    return _Motion(frames, {}, frames)
+        yield since
 
 
 def _holder(
@@ -279,40 +285,6 @@ def filter_values(safety_filter: SafetyFilter, root: Context) -> dict[str, Any]:
         "ellipsoid_shape": found.shape[0],
         "ellipsoid_center": found.center[0],
     }
-
-
-def _write(
-    path: Path,
-    title: str,
-    bodies: Sequence[Moving],
-    sources: Sequence[str],
-    motion: _Motion,
-    safety_filter: SafetyFilter | None,
-) -> Path:
-    """Writes the page of bodies, of which each source's farthest leaves a trail."""
-    view, meshcat = _view(bodies), private_meshcat()
-    draw_room(meshcat, view)
-    for body in bodies:
-        draw_body(meshcat, body)
-    ways = [np.array([pose.translation() for pose in b.poses]) for b in bodies]
-    travel = [float(np.ptp(each, axis=0).sum()) for each in ways]
-    ranked = sorted(range(len(bodies)), key=travel.__getitem__)
-    farthest = {sources[index]: index for index in ranked}
-    *others, first = sorted(farthest.values(), key=travel.__getitem__)
-    trails = [ways[index] for index in others if travel[index] > 1e-6]
-    duration = max(float(motion.frames[-1]), 1e-3)
-    page = record(meshcat, max(len(motion.frames) - 1, 1) / duration, bodies)
-    label, inputs, limits = title, list[str](), None
-    if safety_filter is not None and motion.log:
-        label, input_set = safety_filter.get_name(), safety_filter.input_set
-        inputs = [f"input {k}" for k in range(safety_filter.model.num_inputs)]
-        ends = input_set.center - input_set.scale, input_set.center + input_set.scale
-        limits = InputLimits(*(each.tolist() for each in ends))
-    shown = Drawn(
-        label, BLUE, (), False, motion.events, motion.time, motion.log, inputs, limits
-    )
-    data = page_data([(shown, ways[first])], view, duration, "", trails=trails)
-    return write_page(path, whole_page(page, data, title))
 
 
 def _view(bodies: Sequence[Moving]) -> View:
