@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import zip_longest
 import logging
 from pathlib import Path
 import shutil
@@ -19,7 +20,6 @@ _NO_GRAPHVIZ = (
 )
 _FONT = f"{RC_PARAMS['font.family']},Verdana,sans-serif"
 _LINES = "#3d4754"
-_JOINED: dict[str, Any] = {"headclip": "false"}
 _BUNDLE = 4  # So many wires between two blocks, or more, are drawn as one.
 
 
@@ -70,9 +70,7 @@ class Block:
         inputs: The input ports' names.
         outputs: The output ports' names.
         notes: Lines between the head and the ports.
-        ink: The head's text colour.
         fill: The head's background.
-        framed: Whether head and border are drawn; without them only ports are.
     """
 
     name: str
@@ -80,9 +78,7 @@ class Block:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     notes: tuple[str, ...] = ()
-    ink: str = INK
     fill: str = GRID
-    framed: bool = True
 
 
 def graph_dot(
@@ -91,8 +87,7 @@ def graph_dot(
     """The DOT text of blocks and wires, from left to right, the same for the same.
 
     Many wires between two blocks' ports of the same names are one thick line. Wires
-    that lead back to a block on the way do not move it. A block all of whose wires lead
-    back stands below the way, mirrored: its outputs are on its left.
+    that lead back to a block on the way do not move it.
 
     Args:
         blocks: The blocks, the first ones of the way first.
@@ -114,9 +109,9 @@ def graph_dot(
         for name, value in (font | {"fontsize": 12}).items():
             graph.set(name, value)
     backward = _backward(blocks, wires)
-    below = _below(blocks, wires, backward)
+    wired = {pin for wire in wires for pin in wire[:2]}
     for block in blocks:
-        graph.add_node(_node(block, block.name in below, wires))
+        graph.add_node(Node(_quoted(block.name), label=_table(block, wired)))
     bundles = _bundles(blocks, [w for w in wires if w not in backward])
     for (source, sink), bundle in bundles.items():
         text = _quoted(f" {len(bundle)} signals ")
@@ -127,7 +122,7 @@ def graph_dot(
     for wire in (each for each in wires if each not in bundled):
         nets.setdefault(wire.source, []).append(wire)
     for number, net in enumerate(nets.values()):
-        for part in _net(number, net, backward, below):
+        for part in _net(f"net_{number}", net, backward):
             (graph.add_node if isinstance(part, Node) else graph.add_edge)(part)
     return str(graph.to_string())
 
@@ -190,111 +185,63 @@ def _backward(blocks: Sequence[Block], wires: Sequence[Wire]) -> set[Wire]:
     return backward
 
 
-def _below(
-    blocks: Sequence[Block], wires: Sequence[Wire], backward: Collection[Wire]
-) -> list[str]:
-    """The names of blocks with inputs all of whose outputs' wires lead back."""
-    names = []
-    for block in blocks:
-        leaving = [wire for wire in wires if wire.source.block == block.name]
-        if leaving and block is not blocks[-1] and all(w in backward for w in leaving):
-            names.append(block.name)
-    return names
-
-
-def _net(
-    number: int, net: Sequence[Wire], backward: Collection[Wire], below: Collection[str]
-) -> Iterator[Any]:
+def _net(name: str, net: Sequence[Wire], backward: Collection[Wire]) -> Iterator[Any]:
     """The points and edges of all wires from one output.
 
     For Graphviz every edge leads to the right, or the layout is a tangle. A wire that
     leads back therefore runs, unheaded, from a point on the right of its source to a
     point on the left of its sink, laid out from left to right, drawn as one line.
     """
-    from pydot import Edge
+    from pydot import Edge, Node
 
-    source = net[0].source
-    returning = [w for w in net if w in backward or w.sink.block in below]
+    source = f"{net[0].source}:e"
+    point: dict[str, Any] = dict(shape="point", width=0.04, color=_quoted(_LINES))
+    returning = [wire for wire in net if wire in backward]
     for wire in net:
         if wire not in returning:
-            yield Edge(f"{source}:e", f"{wire.sink}:w", weight=4, **_size(wire))
-    if not returning:
-        return
-    trunk = f"{source}:w"
-    if source.block not in below:
-        trunk = f"net_{number}"
-        yield _point(trunk)
-        yield Edge(f"{source}:e", trunk, dir="none", tailclip="true", **_JOINED)
+            yield Edge(source, f"{wire.sink}:w", weight=4, **_size(wire))
+    trunk = name
+    if returning:
+        yield Node(trunk, **point)
+        yield Edge(source, trunk, dir="none", tailclip="true", headclip="false")
     for k, wire in enumerate(reversed(returning)):
-        if wire.sink.block in below:
-            yield Edge(f"{wire.sink}:e", trunk, dir="back", **_size(wire), **_JOINED)
-            continue
-        corner = f"net_{number}_{k}"
-        yield _point(corner)
-        yield Edge(corner, trunk, dir="none", minlen=0, **_JOINED)
+        corner = f"{name}_{k}"
+        yield Node(corner, **point)
+        yield Edge(corner, trunk, dir="none", minlen=0, headclip="false")
         yield Edge(corner, f"{wire.sink}:w", **_size(wire), tailclip="false")
         trunk = corner
-
-
-def _point(name: str) -> Any:
-    from pydot import Node
-
-    return Node(name, shape="point", width=0.04, color=_quoted(_LINES))
 
 
 def _size(wire: Wire) -> dict[str, Any]:
     return {"label": _quoted(f" {wire.size} ")} if wire.size else {}
 
 
-def _node(block: Block, mirrored: bool, wires: Sequence[Wire]) -> Any:
-    from pydot import Node
-
-    return Node(_quoted(block.name), label=_table(block, mirrored, wires))
-
-
-def _table(block: Block, mirrored: bool, wires: Sequence[Wire]) -> str:
-    """The HTML-like label: head, notes, and a row for every pair of ports.
-
-    Inputs that all come from one block are in the order of its outputs, so that no
-    wires cross; others are in their own.
-    """
-    wired = {pin for wire in wires for pin in wire[:2]}
-    sources = {w.sink: w.source for w in wires if w.sink.block == block.name}
-    rows = [f"<TR>{cell}</TR>" for cell in _head(block)]
-    pins = [
-        [Pin(block.name, False, k) for k in range(len(block.inputs))],
-        [Pin(block.name, True, k) for k in range(len(block.outputs))],
+def _table(block: Block, wired: Collection[Pin]) -> str:
+    """The HTML-like label: head, notes, and a row for every pair of ports."""
+    head = f'<FONT POINT-SIZE="11"><B>{escape(block.name)}</B></FONT>'
+    head += f"<BR/>{escape(block.kind)}" if block.kind else ""
+    style = f'COLSPAN="2" CELLPADDING="5" BGCOLOR="{block.fill}"'
+    red, green, blue = bytes.fromhex(block.fill.removeprefix("#"))
+    ink = INK if 0.3 * red + 0.6 * green + 0.1 * blue > 140 else "#ffffff"
+    rows = [f'<TD {style}><FONT COLOR="{ink}">{head}</FONT></TD>']
+    rows += [f'<TD COLSPAN="2" ALIGN="LEFT">{escape(n)}</TD>' for n in block.notes]
+    inputs = [
+        _cell(block.name, False, *each, wired) for each in enumerate(block.inputs)
     ]
-    if len({source.block for source in sources.values()}) == 1:
-        pins[0].sort(key=lambda pin: (pin not in sources, sources.get(pin, pin)))
-    left, right = pins[::-1] if mirrored else pins
-    for k in range(max(len(left), len(right))):
-        cells = _cell(block, left[k : k + 1], "LEFT", wired)
-        cells += _cell(block, right[k : k + 1], "RIGHT", wired)
-        rows.append(f"<TR>{cells}</TR>")
-    style = f'BORDER="{int(block.framed)}" COLOR="{MUTED}"'
-    style += ' CELLBORDER="0" CELLSPACING="0" CELLPADDING="3"'
-    return f"<<TABLE {style}>{''.join(rows)}</TABLE>>"
+    outputs = [
+        _cell(block.name, True, *each, wired) for each in enumerate(block.outputs)
+    ]
+    rows += map("".join, zip_longest(inputs, outputs, fillvalue="<TD></TD>"))
+    style = f'BORDER="1" COLOR="{MUTED}" CELLBORDER="0" CELLSPACING="0" CELLPADDING="3"'
+    return f"<<TABLE {style}>{''.join(f'<TR>{row}</TR>' for row in rows)}</TABLE>>"
 
 
-def _head(block: Block) -> Iterator[str]:
-    if block.framed:
-        text = f'<FONT POINT-SIZE="11"><B>{escape(block.name)}</B></FONT>'
-        text += f"<BR/>{escape(block.kind)}" if block.kind else ""
-        style = f'COLSPAN="2" CELLPADDING="5" BGCOLOR="{block.fill}"'
-        yield f'<TD {style}><FONT COLOR="{block.ink}">{text}</FONT></TD>'
-    for note in block.notes:
-        yield f'<TD COLSPAN="2" ALIGN="LEFT">{escape(note)}</TD>'
-
-
-def _cell(block: Block, pins: Sequence[Pin], align: str, wired: Collection[Pin]) -> str:
-    """The cell of one port, or of none; a port without a wire is paler."""
-    for pin in pins:
-        name = (block.outputs if pin.is_output else block.inputs)[pin.number]
-        color = INK if pin in wired else MUTED
-        text = f'<FONT COLOR="{color}">{escape(name) or "&#160;"}</FONT>'
-        return f'<TD ALIGN="{align}" PORT="{pin.identifier}">{text}</TD>'
-    return "<TD></TD>"
+def _cell(block: str, output: bool, k: int, name: str, wired: Collection[Pin]) -> str:
+    """The cell of a port, which is paler without a wire."""
+    pin = Pin(block, output, k)
+    color, align = INK if pin in wired else MUTED, "RIGHT" if output else "LEFT"
+    text = f'<FONT COLOR="{color}">{escape(name) or "&#160;"}</FONT>'
+    return f'<TD ALIGN="{align}" PORT="{pin.identifier}">{text}</TD>'
 
 
 def _quoted(text: str) -> str:

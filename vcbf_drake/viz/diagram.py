@@ -7,11 +7,10 @@ blocks are a reading aid, with the labels that the equations have in docs/theory
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 import re
-from typing import NamedTuple
 
 from pydrake.systems.framework import (
     CacheEntry,
@@ -24,14 +23,13 @@ from pydrake.systems.primitives import VectorLogSink
 
 from vcbf_drake.safety import METHODS, SafetyFilter
 from vcbf_drake.viz.block_graph import Block, Pin, Wire, graph_dot, write_dot
-from vcbf_drake.viz.style import INK, METHOD_STYLES
+from vcbf_drake.viz.style import METHOD_STYLES
 
 # What only looks on, at everything.
 _NOT_DRAWN = VectorLogSink
 
 _SCALAR = "_\N{MATHEMATICAL BOLD SCRIPT CAPITAL T}"  # Begins a template's arguments.
 _ADDRESS = re.compile(r"@[0-9a-f]{8,}$")
-_INPUTS, _OUTPUTS = "inputs", "outputs"
 
 
 def write_diagram(
@@ -75,7 +73,7 @@ def _in_order(systems: Mapping[str, System], wires: Sequence[Wire]) -> list[str]
         wire.source.block
         for wire in wires
         if isinstance(systems[wire.sink.block], SafetyFilter)
-        and wire.sink.number == _reference_index(systems[wire.sink.block])
+        and _port_name(systems[wire.sink.block], wire.sink.number) == "reference"
     ]
     fed = {wire.sink.block for wire in wires}
     filters = [n for n, system in systems.items() if isinstance(system, SafetyFilter)]
@@ -83,29 +81,21 @@ def _in_order(systems: Mapping[str, System], wires: Sequence[Wire]) -> list[str]
     return list(dict.fromkeys([*references, *filters, *sources, *systems]))
 
 
-def _reference_index(safety_filter: System) -> int:
-    return int(safety_filter.GetInputPort("reference").get_index())
-
-
 def system_block(name: str, system: System) -> Block:
     """The block that stands for a system; a safety filter is in colour."""
-    kind = _kind(system)
-    inputs = map(system.get_input_port, range(system.num_input_ports()))
+    inputs = [_port_name(system, i) for i in range(system.num_input_ports())]
     outputs = map(system.get_output_port, range(system.num_output_ports()))
-    input_names, output_names = (
-        tuple(port.get_name() for port in ports) for ports in (inputs, outputs)
-    )
-    block = Block(name, kind, input_names, output_names)
+    names = tuple(port.get_name() for port in outputs)
+    block = Block(name, _kind(system), tuple(inputs), names)
     if isinstance(system, SafetyFilter):
         method = next(n for n, each in METHODS.items() if each == system.method)
-        fill = METHOD_STYLES[method].color
-        return replace(block, kind=f"{kind}, {method}", ink=_ink_on(fill), fill=fill)
+        kind, fill = f"{block.kind}, {method}", METHOD_STYLES[method].color
+        return replace(block, kind=kind, fill=fill)
     return block
 
 
-def _ink_on(fill: str) -> str:
-    red, green, blue = bytes.fromhex(fill.removeprefix("#"))
-    return INK if 0.3 * red + 0.6 * green + 0.1 * blue > 140 else "#ffffff"
+def _port_name(system: System, number: int) -> str:
+    return str(system.get_input_port(number).get_name())
 
 
 def _wires(diagram: Diagram, systems: dict[str, System]) -> tuple[Wire, ...]:
@@ -142,53 +132,38 @@ def _unique(names: list[str]) -> list[str]:
     ]
 
 
-class _Supply(NamedTuple):
-    """What a dependency ticket stands for.
-
-    Attributes:
-        source: Where it comes from on the sheet.
-        name: What it is called where it goes to.
-        size: The vector's length; 0 for what is no vector.
-    """
-
-    source: Pin
-    name: str
-    size: int
-
-
 def filter_dot(safety_filter: SafetyFilter) -> str:
     """The picture of a filter's inside as DOT, the same in every process."""
     name: str = safety_filter.get_name()
-    whole = system_block(name, safety_filter)
-    entries = _needed_entries(safety_filter)
-    supplies = _input_supplies(safety_filter, entries)
-    names = tuple(supply.name for supply in supplies.values())
-    blocks = [Block(_INPUTS, "", (), names, framed=False)]
+    whole, entries = system_block(name, safety_filter), _needed_entries(safety_filter)
+    given = _given(safety_filter, entries)
+    blocks = [Block("inputs", "", (), tuple(text for _, text, _ in given))]
     wires: list[Wire] = []
+    # By ticket: where what it stands for comes from, how that is called, its size.
+    sources = {
+        ticket: (Pin("inputs", True, i), text, size)
+        for i, (ticket, text, size) in enumerate(given)
+    }
     for entry in entries:
-        needs = [supply for t, supply in supplies.items() if t in _prerequisites(entry)]
-        block = _entry_block(safety_filter, entry, needs)
-        blocks.append(block)
-        wires += [
-            Wire(need.source, Pin(block.name, False, i), need.size)
-            for i, need in enumerate(needs)
-        ]
-        supplies[int(entry.ticket())] = _Supply(Pin(block.name, True, 0), block.name, 0)
-    blocks.append(Block(_OUTPUTS, "", whole.outputs, (), framed=False))
-    wires += _output_wires(safety_filter, supplies)
+        block: str = entry.description()
+        needs = [sources[ticket] for ticket in sources if ticket in _tickets(entry)]
+        inputs = tuple(text for _, text, _ in needs)
+        notes = _steps(safety_filter).get(block, ())
+        blocks.append(Block(block, "cache entry", inputs, ("",), notes))
+        for i, (pin, _, size) in enumerate(needs):
+            wires.append(Wire(pin, Pin(block, False, i), size))
+        sources[int(entry.ticket())] = Pin(block, True, 0), block, 0
+    blocks.append(Block("outputs", "", whole.outputs, ()))
+    for i in range(safety_filter.num_output_ports()):
+        port = safety_filter.get_output_port(i)
+        for ticket in _tickets(port.cache_entry()):
+            sink = Pin("outputs", False, i)
+            wires.append(Wire(sources[ticket][0], sink, port.size()))
     return graph_dot(blocks, wires, name, heading=f"{name}: {whole.kind}")
 
 
-def _output_wires(
-    safety_filter: SafetyFilter, supplies: Mapping[int, _Supply]
-) -> Iterator[Wire]:
-    for i in range(safety_filter.num_output_ports()):
-        port = safety_filter.get_output_port(i)
-        for ticket in _prerequisites(port.cache_entry()):
-            yield Wire(supplies[ticket].source, Pin(_OUTPUTS, False, i), port.size())
-
-
-def _prerequisites(entry: CacheEntry) -> list[int]:
+def _tickets(entry: CacheEntry) -> list[int]:
+    """The tickets of an entry's prerequisites."""
     return sorted(map(int, entry.prerequisites()))
 
 
@@ -201,34 +176,23 @@ def _needed_entries(safety_filter: SafetyFilter) -> list[CacheEntry]:
     needed: set[int] = set()
     found = ends
     while found:
-        tickets = {t for entry in found for t in _prerequisites(entry)} - needed
+        tickets = {t for entry in found for t in _tickets(entry)} - needed
         needed |= tickets
         found = [entries[ticket] for ticket in tickets if ticket in entries]
     return [entry for ticket, entry in sorted(entries.items()) if ticket in needed]
 
 
-def _input_supplies(
+def _given(
     safety_filter: SafetyFilter, entries: Sequence[CacheEntry]
-) -> dict[int, _Supply]:
-    """The input ports, and the time, that entries need, by their tickets."""
-    needed = {ticket for entry in entries for ticket in _prerequisites(entry)}
-    named: dict[int, tuple[str, int]] = {}
-    for i in map(InputPortIndex, range(safety_filter.num_input_ports())):
+) -> list[tuple[int, str, int]]:
+    """The ticket, the name and the size of every input that entries need, and time."""
+    needed = {ticket for entry in entries for ticket in _tickets(entry)}
+    found = [(int(safety_filter.time_ticket()), "time", 1)]
+    for i in reversed(range(safety_filter.num_input_ports())):
         port = safety_filter.get_input_port(i)
-        named[int(safety_filter.input_port_ticket(i))] = port.get_name(), port.size()
-    named[int(safety_filter.time_ticket())] = ("time", 1)
-    return {
-        ticket: _Supply(Pin(_INPUTS, True, i), *named[ticket])
-        for i, ticket in enumerate(t for t in named if t in needed)
-    }
-
-
-def _entry_block(
-    safety_filter: SafetyFilter, entry: CacheEntry, needs: Sequence[_Supply]
-) -> Block:
-    name: str = entry.description()
-    inputs, notes = tuple(need.name for need in needs), _steps(safety_filter).get(name)
-    return Block(name, "cache entry", inputs, ("",), notes or ())
+        ticket = int(safety_filter.input_port_ticket(InputPortIndex(i)))
+        found.insert(0, (ticket, port.get_name(), port.size()))
+    return [each for each in found if each[0] in needed]
 
 
 def _steps(safety_filter: SafetyFilter) -> dict[str, tuple[str, ...]]:
