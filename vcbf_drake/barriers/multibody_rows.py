@@ -5,11 +5,11 @@ coordinates of bodies' points. h is small and is differentiated in formulas; how
 outputs move is Drake's kinematics and dynamics, in numbers. Where one of the outputs is
 a velocity, the inputs are in their first derivatives,
 
-    (E14, rows of outputs)  dz/dt = a + b u + c d,
+    (E14, rates of outputs)  dz/dt = a + b u + c d,
 
 and where all are positions, whose rates no input moves at once, in their second:
 
-    (E15, rows of their rates)  d²z/dt² = a + b u + c d.
+    (E15, accelerations of outputs)  d²z/dt² = a + b u + c d.
 
 So to a barrier the plant is a chain of integrators (`Dynamics` of z, or of z and dz/dt)
 whose a, b and c are numbers of the state.

@@ -37,7 +37,7 @@ class ObserverSettings(Checked):
             bounds require (E32, the gain conditions), at least 6.
         gamma: Gain of the filtered error [1/s].
         uncertified: Whether gains that fail (E32) are accepted, with the error bound 2
-            delta1 (E37, without a proof).
+            delta1 (E37, the worst-case error bound).
         step: Discretisation of the observer: implicit (E24), saturated (E26) or
             explicit (E27, the explicit step's chatter).
         period: Time between the observer's steps [s], at most the control period; 0 for
