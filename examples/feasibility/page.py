@@ -24,28 +24,29 @@ from .study import (
 Pair = tuple[int, int]
 
 _HEAD = """\
-# Feasibility: which method keeps an input
+# Feasibility of every method
 
-Made whole by `python -m examples.feasibility`; with `--page
-docs/results/feasibility.md` it is written of the records that there are. Which method
-to take when is in [the guide](../guide/feasibility.md), the mathematics in
+Produced by `python -m examples.feasibility`; with `--page docs/results/feasibility.md`
+the page is written from the records that exist. [The guide](../guide/feasibility.md)
+says which method to choose; the mathematics is in
 [theory.md](../theory.md#71-a-wider-set).
 
-**Populations that nobody selected.** *Blimp*: random courses of
-`examples/paper/blimp_courses.py`, 4 to 9 spheres, reverse thrust a tenth to a half of
-forward thrust, gusts. *Car*: those of `car_courses.py`, a gate of two discs and up to
-two more, each with the five approach gains 0.2 to 1.0. *Cruise*: adaptive cruise
-control (relative degree 1, published constants), starts from which full braking keeps
-the headway, each with the barrier gains 1, 2 and 5. Course numbers begin at 20 000:
-whatever was chosen was chosen on courses below 1000.
+**Populations without selection.** *Blimp*: random courses of
+`examples/paper/blimp_courses.py`, with 4 to 9 spheres, reverse thrust of a tenth to a
+half of forward thrust, and gusts. *Car*: random courses of `car_courses.py`, a gate of
+two discs and up to two more discs, each course with the five approach gains 0.2 to 1.0.
+*Cruise*: adaptive cruise control (relative degree 1, published constants), random
+starts from which full braking keeps the headway, each with the barrier gains 1, 2 and
+5. Course numbers begin at 20 000; all settings were chosen on courses below 1000.
 
-**What is run.** First `dob-cbf-qp` on every pair of a course and a gain, until it
-arrives, for 40 s at most; then every other method on all pairs that it loses and on a
-random sample of those that it does not. *Lost*: a tick without an input, a failed
-tick or a collision before the target; with `infeasible: decay` a tick without an
-input counts where no decay rate helps. *Kept*: not lost. Brackets are Wilson's 95 %
-intervals. The pairs of one course are not independent: for the car, read them as too
-narrow. A method without a line has not been run there yet.
+**Runs.** First `dob-cbf-qp` runs on every pair of a course and a gain, until it arrives
+or for 40 s; then every other method runs on all pairs that it loses and on a random
+sample of the others. A run is *lost* if it has an infeasible or failed tick or a
+collision before it arrives (with `infeasible: decay` an infeasible tick counts only if
+no decay rate helps), and *kept* otherwise. The fourth column counts the lost pairs that
+the paper's form keeps. Brackets are Wilson's 95 % intervals. The pairs of one course
+are not independent, so for the car the true intervals are wider. Methods that have not
+been run on a population are missing there.
 """
 
 
@@ -170,7 +171,7 @@ def table(
     heads = ["method", "runs", "kept", "lost, kept by the paper's form"]
     if population.arrives:
         heads += [f"arrive in {DURATION:g} s", f"in {SOON:g} s", "median arrival"]
-    heads += ["touch", "least h", "CPU of a tick"]
+    heads += ["collisions", "least h", "CPU of a tick"]
     yield f"| {' | '.join(heads)} |"
     yield "| --- |" + " ---: |" * (len(heads) - 1)
     for name, of in found.items():

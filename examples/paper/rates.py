@@ -36,35 +36,36 @@ _COLUMNS = {
 }
 
 _PAGE = """\
-# From 20 Hz to 1 kHz
+# Between ticks, from 20 Hz to 1 kHz
 
-Made by `python -m examples.paper.rates`.
+Produced by `python -m examples.paper.rates`.
 
-The rows of the filter hold at the ticks; the input is held in between. Each case runs
-at every rate twice: with `between_ticks: none`, and with `between_ticks: certified`,
-which asks for inputs under which the rows hold until the next tick (E88). All runs have
-the method dob-vcbf-qp, and the input of least violation where no input is safe.
+The filter enforces its rows at the ticks, and the input is held in between. Each case
+runs at every rate twice: with `between_ticks: none`, and with `between_ticks:
+certified`, which chooses inputs under which the rows hold until the next tick (E88).
+All runs use the method dob-vcbf-qp and, at infeasible ticks, the input of least
+violation.
 
-*Least h seen* is over steps of 1 ms at most. *Certified* is what h was nowhere below,
-no instant left out, whatever the disturbance did within what was known of it at the
-ticks (E87). The labels are those of [theory.md](../theory.md).
+*Least h seen* is the least value at steps of 1 ms at most. *Certified* is a lower bound
+of h at every instant, for every disturbance that agrees with the knowledge at the ticks
+(E87). The labels are those of [theory.md](../theory.md).
 """
 
 _ABOUT = {
     MOVING_WALL: """\
-A car is pressed, with all it has, against a wall that moves to and fro, 0.5 m to
-either side at 2 rad/s; h is its distance [m]. The row is active at every tick, and its
-right-hand side moves on as soon as the tick is over. The observer has to find a
-constant push of 0.2 m/s^2; as it does not change, the hold's margin (E28) is 0 and
-hides nothing. *Median h* is what the margin costs: the distance that the car keeps.""",
+The reference presses a car with full force against a wall that moves to and fro, 0.5 m
+to either side at 2 rad/s; h is its distance [m]. The row is active at every tick, and
+its right-hand side changes during the hold. The observer has to estimate a constant
+disturbance of 0.2 m/s^2; since it is constant, the hold margin (E28) is 0 and hides
+nothing. *Median h* is the distance that the car keeps, the price of the margin.""",
     "car-avoidance": """\
-The shipped scenario, its car a point; h in m^2. Its obstacle is round and stands still,
-and a car that goes straight on moves away from it: little is lost between ticks, little
-is asked.""",
+The shipped scenario, with a car that is a point; h in m^2. The obstacle is round and
+static, and a car that drives straight on moves away from it, so that both the loss
+between ticks and the margin are small.""",
     "blimp-single-obstacle": """\
-The shipped scenario; h in m. The wind, which reverses, presses the blimp onto a sphere.
-At 20 Hz its yaw and speed change much within a period, and h is kept larger; from 50 Hz
-on the margin costs a millimetre, from 100 Hz on nothing that could be seen.""",
+The shipped scenario; h in m. A reversing wind presses the blimp against a sphere. At
+20 Hz its yaw and speed change considerably within a period, and h is kept larger; from
+50 Hz on the margin costs a millimetre, from 100 Hz on nothing that is visible.""",
 }
 
 Record = dict[str, Any]

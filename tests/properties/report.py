@@ -9,38 +9,39 @@ from tests.properties.decision_check import FEASIBILITY, OPTIMALITY, UNSOLVED
 from vcbf_drake.safety import FilterStatus
 
 _PROMISES = {
-    RAISED: "an answer, whatever is asked",
-    "finite": "input and slack are numbers",
+    RAISED: "an answer for all data",
+    "finite": "input and slack are finite",
     "inside": f"the input is inside the input set, to {FEASIBILITY:g}",
-    "status": "FAILED where state, rows or reference are not numbers",
-    "fallback": "then, and with the policy `hold`, the input nearest to the held one",
-    "rows": f"REFERENCE, FILTERED, RELAXED: every row is met, to {FEASIBILITY:g}",
+    "status": "FAILED if state, rows or reference are not finite",
+    "fallback": "FAILED, and policy `hold`: the input nearest to the held one",
+    "rows": f"REFERENCE, FILTERED, RELAXED: every row holds, to {FEASIBILITY:g}",
     "reference": "REFERENCE: the reference itself",
-    "volume row": "not RELAXED: the volume rows are met too",
-    "slack": "the slack is that of the input, and below 0 when RELAXED alone",
-    "least slack": "RELAXED: no input gives way by less, row by row",
-    "optimal": "no input that meets the rows is nearer to the reference",
-    "conflict": "INFEASIBLE: the rows named have no common input, any fewer a point",
-    "least violation": "INFEASIBLE: no input violates the rows by less",
-    "decay": "decay rates grow where they may, by the least that a nearest input asks",
+    "volume row": "REFERENCE, FILTERED: the volume rows hold too",
+    "slack": "the slack is that of the input, and negative only when RELAXED",
+    "least slack": "RELAXED: no input has less slack, row by row",
+    "optimal": "no input that satisfies the rows is nearer to the reference",
+    "conflict": "INFEASIBLE: the named rows exclude each other, no proper subset does",
+    "least violation": "INFEASIBLE: no input violates the rows less",
+    "decay": "only admissible decay rates grow, as little as the nearest input needs",
 }
 
 _INTRODUCTION = f"""\
-Random ticks of the filter: rows in general position, through one point, given twice,
-opposite, nearly parallel, with zeros for coefficients; sets that are empty, nearly so,
-as small as 1e-9 or as far as 1e8; boxes and polytopes of 1 to 4 inputs, 0 to 8 rows, in
-units from 1e-8 to 1e8; references up to 1e12 input ranges away; nan and infinities
-anywhere; every policy that asks for nothing but the rows, both slacks, up to two
+Random ticks of the filter: rows in general position, through one point, duplicated,
+opposite, nearly parallel, with zero coefficients; sets that are empty, nearly empty, as
+small as 1e-9 or as far away as 1e8; boxes and polytopes of 1 to 4 inputs, 0 to 8 rows,
+in units from 1e-8 to 1e8; references up to 1e12 input ranges away; nan and infinities
+anywhere; every policy that depends on the rows alone, both kinds of slack, up to two
 volume rows; and the filters of a blimp and a car at random states, under every method.
 
-Every answer is checked by arithmetic that shares no code with the filter and asks no
-solver: a point proves that there is one, multipliers prove that none is better or that
-there is none (in rational numbers where floats leave it open). Distances are in
-normalised inputs; *better* means by more than {OPTIMALITY:g} of the cost's terms."""
+Every answer is checked by arithmetic that shares no code with the filter and uses no
+solver: a point proves that a set is nonempty, multipliers prove that no point is better
+or that the set is empty (in rational numbers where floating point is undecided).
+Distances are in normalised inputs; *better* means by more than {OPTIMALITY:g} of
+the cost's terms."""
 
 _UNSOLVED = """\
-The filter may also say that no solver's answer was verified, or that the volume row
-could not be computed (FAILED): that is no broken promise, but no answer either."""
+The filter may also report that no solver's answer was verified, or that the volume row
+could not be computed (FAILED): this breaks no promise, but is no answer either."""
 
 
 def property_headline(counts: PropertyCounts) -> list[str]:
@@ -64,9 +65,9 @@ def property_markdown(counts: PropertyCounts, seed: int, command: str) -> str:
         command: The command that makes this page.
     """
     lines = [
-        "# What the filter promises, on hostile ticks",
+        "# The filter's promises on hostile ticks",
         "",
-        f"Made by `{command}` (seed {seed}).",
+        f"Produced by `{command}` (seed {seed}).",
         "",
         _INTRODUCTION,
         "",
@@ -74,7 +75,7 @@ def property_markdown(counts: PropertyCounts, seed: int, command: str) -> str:
         "",
         _UNSOLVED,
         "",
-        "| promise | what is meant | broken |",
+        "| promise | meaning | broken |",
         "| --- | --- | ---: |",
         *(
             f"| {name} | {text} | {_times(counts, name)} |"
@@ -98,7 +99,7 @@ def _times(counts: PropertyCounts, promise: str) -> int:
 
 def _table(counts: PropertyCounts) -> Iterator[str]:
     statuses = [status.name for status in FilterStatus]
-    titles = ["ticks", *statuses, "of them finite", "promises broken"]
+    titles = ["ticks", *statuses, "of them with finite data", "promises broken"]
     yield f"| {' | '.join(titles)} |"
     yield f"| --- |{' ---: |' * (len(titles) - 1)}"
     for kind in ALL_KINDS:

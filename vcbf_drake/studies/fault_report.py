@@ -12,17 +12,17 @@ Kind = tuple[str, str, str, str]
 
 _HOW = """\
 All kinds share their draws.
-Where no input is safe the input of least violation is applied, so that a run goes on
-until it collides or its time is over; it *recovered* when its last tick was a good one
-and it did not collide."""
+At infeasible ticks the input of least violation is applied, so that a run continues
+until it collides or its time is over. A run has *recovered* if its last tick was
+neither infeasible nor failed and it did not collide."""
 
 _MEANING = """\
-A run is *guaranteed* when every hypothesis of `vcbf-drake check` held and the audit,
-which knows the truth of the simulation, found every promise below kept at every tick.
-It is *inside the assumptions* when the hypotheses held and with them what the theorems
-ask of a run as it goes; the other promises are then theirs. The labels are those of
-[theory.md](theory.md). What the filter alone promises, on random hostile data, is in
-[properties.md](properties.md)."""
+A run is *guaranteed* if every hypothesis of `vcbf-drake check` held and the audit,
+which knows the true state and disturbance, found every promise below kept at every
+tick. It is *inside the assumptions* if the hypotheses held and, during the run, the
+conditions of the theorems (*condition* below); the theorems then promise the rest. The
+labels are those of [theory.md](../theory.md). [properties.md](properties.md) has the
+filter's promises on random hostile data."""
 
 _COLUMNS = {
     "reached": "reached",
@@ -72,18 +72,18 @@ def campaign_markdown(
     lines = [
         "# Faults in the loop",
         "",
-        f"Made by `{command}`: {trials} trials of each fault, method and fidelity, from"
-        f" random starts (seed {seed}). {_HOW}",
+        f"Produced by `{command}`: {trials} trials of each fault, method and fidelity,"
+        f" from random starts (seed {seed}). {_HOW}",
         "",
         *(f"* {sentence}" for sentence in headline(summaries)),
         "",
         _MEANING,
         "",
-        "| watched at every tick | what is meant | |",
+        "| checked at every tick | meaning | role |",
         "| --- | --- | --- |",
         *(_row([name, text, _role(name)]) for name, text in PROMISES.items()),
         "",
-        "| fault | what is wrong |",
+        "| fault | description |",
         "| --- | --- |",
         *(_row([fault.name, fault.description]) for fault in FAULTS),
     ]
@@ -102,7 +102,7 @@ def _table(summaries: Mapping[Kind, Mapping[str, Any]]) -> Iterator[str]:
 
 
 def _role(promise: str) -> str:
-    return "asked for" if promise in CONDITIONS else "promised"
+    return "condition" if promise in CONDITIONS else "promised"
 
 
 def _row(cells: Sequence[str]) -> str:
