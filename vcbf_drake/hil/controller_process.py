@@ -31,12 +31,6 @@ from vcbf_drake.safety import (
 )
 from vcbf_drake.safety.projection import nearest_point
 
-# What a hardware loop consists of, and what adds it.
-_NEEDED = {
-    "state_receiver": "a VehicleLink adds it",
-    "command_sender": "VehicleLink.answer adds it, before the diagram is built",
-}
-
 
 def warm_up(num_inputs: int) -> None:
     """Solves one problem of every kind that a filter solves.
@@ -136,10 +130,10 @@ class ControllerProcess(HardwareProcess):
     def __init__(self, diagram: Diagram, bus: Bus, duration: float = math.inf) -> None:
         super().__init__(bus, "vehicle", "VCBF_STATE")
         self.diagram, self.duration = diagram, duration
-        named = self.diagram.GetSubsystemByName
-        for name, remedy in _NEEDED.items():
-            if not diagram.HasSubsystemNamed(name):
-                raise ModelError(f"the diagram has no {name}: {remedy}")
+        if not diagram.HasSubsystemNamed("command_sender"):
+            remedy = "VehicleLink.answer adds it, before the diagram is built"
+            raise ModelError(f"the diagram has no command_sender: {remedy}")
+        named = diagram.GetSubsystemByName
         self._receiver: StateReceiver = named("state_receiver")
         self._sender: CommandSender = named("command_sender")
         self._period = round(1e6 * self._sender.period)  # [us]

@@ -13,11 +13,9 @@ The format is that of ``lcm-logger``; every number in it is big-endian:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from io import FileIO
 import itertools
-import mmap
-import os
 from pathlib import Path
 import struct
 from typing import NamedTuple
@@ -177,32 +175,37 @@ def read_event_log(path: str | Path) -> EventLog:
         EventLogError: The file cannot be read, or holds no event.
     """
     try:
-        with open(path, "rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            if not size:
-                raise EventLogError(f"{path}: not an LCM log: it is empty")
-            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                found = list(_events(data))
+        data = Path(path).read_bytes()
     except OSError as error:
         raise EventLogError(f"{path}: {error.strerror}") from None
-    if not found:
-        raise EventLogError(f"{path}: not an LCM log: no event in its {size} bytes")
-    return EventLog([event for _, event in found], _damage(path, found, size))
-
-
-def _events(data: mmap.mmap) -> Iterator[tuple[int, Event]]:
-    """Yields the events, each after the place where it begins."""
-    place = data.find(_SYNC)
+    events: list[Event] = []
+    damaged: list[tuple[int, int]] = []  # Where there are no events, and how long.
+    end, place = 0, data.find(_SYNC)
     while place >= 0:
         event = _event_at(data, place)
         if event is None:
             place = data.find(_SYNC, place + 1)
-        else:
-            yield place, event
-            place = data.find(_SYNC, place + _length(event))
+            continue
+        if place > end:
+            damaged.append((end, place - end))
+        events.append(event)
+        end = place + _HEADER.size + len(event.channel) + len(event.data)
+        place = data.find(_SYNC, end)
+    if not events:
+        words = f"no event in its {len(data)} bytes" if data else "it is empty"
+        raise EventLogError(f"{path}: not an LCM log: {words}")
+    if end < len(data):
+        damaged.append((end, len(data) - end))
+    if not damaged:
+        return EventLog(events, "")
+    damage = (
+        f"{path}: {sum(length for _, length in damaged)} of its {len(data)} bytes are"
+        f" no whole events and are left out, the first at byte {damaged[0][0]}"
+    )
+    return EventLog(events, damage)
 
 
-def _event_at(data: mmap.mmap, place: int) -> Event | None:
+def _event_at(data: bytes, place: int) -> Event | None:
     """Returns the event that begins at a synchronisation word, None if none does."""
     if place + _HEADER.size > len(data):
         return None
@@ -215,25 +218,6 @@ def _event_at(data: mmap.mmap, place: int) -> Event | None:
     if not name.isascii():
         return None
     return Event(utime, name.decode("ascii"), data[middle:end])
-
-
-def _length(event: Event) -> int:
-    return _HEADER.size + len(event.channel) + len(event.data)
-
-
-def _damage(path: str | Path, found: list[tuple[int, Event]], size: int) -> str:
-    lost = size - sum(_length(event) for _, event in found)
-    if not lost:
-        return ""
-    expected = 0  # Where the first damage is.
-    for place, event in found:
-        if place != expected:
-            break
-        expected += _length(event)
-    return (
-        f"{path}: {lost} of its {size} bytes are no whole events and are left out,"
-        f" the first at byte {expected}"
-    )
 
 
 # What of a log is a run's ----------------------------------------------------------

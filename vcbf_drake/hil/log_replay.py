@@ -32,7 +32,7 @@ from vcbf_drake.hil.inbox import (
     command_format,
     state_format,
 )
-from vcbf_drake.hil.messages import vcbf_command, vcbf_status
+from vcbf_drake.hil.messages import vcbf_command, vcbf_state, vcbf_status
 from vcbf_drake.hil.senders import Rejection
 from vcbf_drake.safety import Assumption, SafetyFilter
 from vcbf_drake.simulation.collision_monitor import TOUCH
@@ -56,11 +56,10 @@ class LoggedController:
     """Feeds what a vehicle said, as logged, to a controller, over ``memq://``.
 
     The clock is the log's. What the log's controller sent, a command or a status alone,
-    tells on which state it acted, and when: so does this one, and on every state if the
-    log has neither. A controller that started again in the log starts again here. So
-    the log of a controller makes the same commands again, bit for bit; the log of a
-    vehicle does so as far as all messages arrived. Where a controller was followed, one
-    that never was is left out.
+    tells on which state it acted, and when: so does this one, which starts again where
+    that did, and on every state if the log has neither. So the log of a controller
+    makes the same commands again, bit for bit; that of a vehicle as far as all messages
+    arrived. Where a controller was followed, one that never was is left out.
 
     Args:
         scenario: A validated scenario.
@@ -70,15 +69,15 @@ class LoggedController:
         controllers: The controllers, one after the other.
         logged: The log's commands by the state they answer first: session, sequence.
         sent: The commands that were made, likewise.
+        states: The states that were accepted.
         on_start: Called with every controller before it is driven.
-        on_state: Called with every state that is accepted.
     """
 
     def __init__(self, scenario: Scenario, events: Iterable[Event]) -> None:
         self.on_start: Callable[[ControllerProcess], None] = lambda controller: None
-        self.on_state: Callable[[Any], None] = lambda state: None
         self.controllers: list[ControllerProcess] = []
         self.sent: dict[_Key, vcbf_command] = {}
+        self.states: list[Any] = []
         self._scenario = scenario
         n, m = len(scenario.initial_state), len(scenario.input_set.lower)
         self._decoders = {
@@ -98,9 +97,9 @@ class LoggedController:
             if not is_first or state == _NO_STATE:
                 self._repeats.add((message.session, message.utime))
         self.logged = {
-            state: message
-            for state, message in self._answers.items()
-            if isinstance(message, vcbf_command)
+            state: each
+            for state, each in self._answers.items()
+            if isinstance(each, vcbf_command)
         }
 
     def run(self) -> None:
@@ -118,21 +117,25 @@ class LoggedController:
                 if (message.session, message.utime) in self._repeats:
                     self._act_at(message.utime)
 
-    def differences(self) -> list[float]:
-        """Returns how far off the commands made are; infinite where modes differ."""
-        return [
+    def report(self) -> dict[str, Any]:
+        """Returns the `period` and the `commands` of a `LogReplay`'s report."""
+        states = self._messages(vcbf_state)
+        answered = [s for s in states if not self.logged or _key(s) in self.logged]
+        gaps = np.diff([state.time for state in answered])
+        gaps = gaps[gaps > 0.0]
+        differences = [
             _difference(command, self.sent[state])
             for state, command in self.logged.items()
             if state in self.sent
         ]
-
-    def period(self) -> float | None:
-        """Returns the median time between the commands, by the vehicle's time [s]."""
-        states = self._messages(_STATES)
-        answered = [s for s in states if not self.logged or _key(s) in self.logged]
-        gaps = np.diff([state.time for state in answered])
-        gaps = gaps[gaps > 0.0]
-        return float(np.median(gaps)) if len(gaps) else None
+        return {
+            "period": float(np.median(gaps)) if len(gaps) else None,
+            "commands": {
+                "logged": len(self.logged),
+                "same": differences.count(0.0),
+                "largest_difference": max(differences, default=0.0),
+            },
+        }
 
     def _decoded(self, event: Event) -> Any:
         """Returns an event's message, None if it has none that is of use."""
@@ -140,17 +143,13 @@ class LoggedController:
         message = None if decode is None else decode(event.data)
         return None if isinstance(message, Rejection) else message
 
-    def _messages(self, channel: str) -> list[Any]:
-        return [
-            message
-            for event, message in self._log
-            if event.channel == channel and message is not None
-        ]
+    def _messages(self, kind: type) -> list[Any]:
+        return [message for _, message in self._log if isinstance(message, kind)]
 
     def _strangers(self) -> set[int]:
         """Those of several controllers whose commands the vehicle never took."""
-        sessions = {command.session for command in self._messages(_COMMANDS)}
-        followed = {state.command_session for state in self._messages(_STATES)}
+        sessions = {command.session for command in self._messages(vcbf_command)}
+        followed = {state.command_session for state in self._messages(vcbf_state)}
         return sessions - followed if sessions & followed else set()
 
     def _sent_in_log(self) -> Iterator[tuple[_Key, Any]]:
@@ -159,16 +158,15 @@ class LoggedController:
         Commands come first, then statuses without one: those of a controller that the
         vehicle did not follow, or that had no state yet.
         """
-        for command in self._messages(_COMMANDS):
-            yield (command.state_session, command.state_sequence), command
-        commanded = {(each.session, each.utime) for each in self._messages(_COMMANDS)}
+        commanded = set()
+        for command in self._messages(vcbf_command):
+            commanded.add((command.session, command.utime))
+            yield _answered(command), command
         sessions: dict[int, int] = {}  # The vehicle's, by a state's sequence.
-        for event, message in self._log:
-            if message is None:
-                continue
-            if event.channel == _STATES:
+        for _, message in self._log:
+            if isinstance(message, vcbf_state):
                 sessions[message.sequence] = message.session
-            elif event.channel == _STATUSES:
+            elif isinstance(message, vcbf_status):
                 if (message.session, message.utime) not in commanded:
                     sequence = message.state_sequence
                     yield (sessions.get(sequence, 0), sequence), message
@@ -189,12 +187,12 @@ class LoggedController:
         newest = self._inbox.newest
         if newest is before:
             return
-        self.on_state(newest)
+        self.states.append(newest)
         answer = self._answers.get(_key(newest))
-        if answer is not None and answer.session > self._bus.session:
-            self._start(answer.session)
-            self._hear(event)
         if answer is not None:
+            if answer.session > self._bus.session:
+                self._start(answer.session)
+                self._hear(event)
             self._act_at(answer.utime)
         elif not self._answers:
             self._act_at(event.utime)
@@ -211,8 +209,7 @@ class LoggedController:
     def _take_command(self, utime: int, channel: str, data: bytes) -> None:
         if channel == _COMMANDS:
             command = vcbf_command.decode(data)
-            state = command.state_session, command.state_sequence
-            self.sent.setdefault(state, command)
+            self.sent.setdefault(_answered(command), command)
 
 
 def _decoded_status(data: bytes) -> vcbf_status | None:
@@ -225,6 +222,10 @@ def _decoded_status(data: bytes) -> vcbf_status | None:
 
 def _key(message: Any) -> _Key:
     return message.session, message.sequence
+
+
+def _answered(command: vcbf_command) -> _Key:
+    return command.state_session, command.state_sequence
 
 
 def _difference(logged: vcbf_command, made: vcbf_command) -> float:
@@ -274,29 +275,32 @@ def replay_log(
     scenario = scenario or logged_scenario(path, events)
     logged = LoggedController(scenario, events)
     recorder = _Recorder(scenario)
-    logged.on_start, logged.on_state = recorder.add_controller, recorder.add_state
+    logged.on_start = recorder.add_controller
     logged.run()
     reports = [controller.report() for controller in logged.controllers]
-    arrived = _total([report["arrived"] for report in reports])
+    ways = [report["arrived"] for report in reports]
+    rejected = sum((Counter(way["rejected"]) for way in ways), Counter[str]())
     if not recorder.rows:
-        raise EventLogError(_no_states(path, scenario, arrived["rejected"]))
-    differences = logged.differences()
+        found = ", ".join(f"{count} {reason}" for reason, count in rejected.items())
+        n, m = len(scenario.initial_state), len(scenario.input_set.lower)
+        raise EventLogError(
+            f"{path}: no state of {scenario.name} on {_STATES}, with {n} numbers and"
+            f" {m} inputs ({found or 'nothing on that channel'})"
+        )
     about = {
         "scenario": scenario.name,
-        "period": logged.period(),
-        "arrived": arrived,
-        "changes": [change for report in reports for change in report["changes"]],
-        "commands": {
-            "logged": len(logged.logged),
-            "same": differences.count(0.0),
-            "largest_difference": max(differences, default=0.0),
+        "arrived": {
+            **{key: sum(w[key] for w in ways) for key in ("accepted", "lost", "late")},
+            "rejected": dict(rejected),
         },
+        "changes": [change for report in reports for change in report["changes"]],
+        **logged.report(),
     }
-    return LogReplay(recorder.result(), damage, about)
+    return LogReplay(recorder.result(logged.states), damage, about)
 
 
 class _Recorder:
-    """What a vehicle said, and what a hardware loop's ports said at every tick.
+    """What the ports of a hardware loop said at every tick.
 
     Of several ticks at one time, as while a vehicle waits, the last one is kept; when
     time goes back, because a vehicle has started again, everything before is dropped.
@@ -309,7 +313,6 @@ class _Recorder:
         self.rows: list[tuple[float, dict[str, Array]]] = []
         self._scenario = scenario
         self._assumptions: tuple[Assumption, ...] = ()
-        self._path: list[Any] = []
 
     def add_controller(self, controller: ControllerProcess) -> None:
         """Records a controller from now on, after those that were watched before."""
@@ -339,44 +342,38 @@ class _Recorder:
         }
         self.rows.append((now, row))
 
-    def add_state(self, state: Any) -> None:
-        """Records a state that was accepted."""
-        if self._path and state.session != self._path[-1].session:
-            self._path.clear()
-        is_last = state.mode == VehicleMode.ENDED and bool(self._path)
-        if is_last and state.time == self._path[-1].time:
-            return  # Its time stands still now, and the clock does not.
-        while self._path and self._path[-1].time >= state.time:
-            self._path.pop()
-        self._path.append(state)
+    def result(self, said: Sequence[Any]) -> Result:
+        """Returns the run, as `simulate` does, as far as a log tells it.
 
-    def result(self) -> Result:
-        """Returns the run, as `simulate` does, as far as a log tells it."""
+        Args:
+            said: The states that were accepted; the path is of the last session's.
+        """
         log = self._log()
-        times = np.array([state.time for state in self._path])
-        states = np.array([state.state for state in self._path])
+        motion: dict[float, Any] = {}
+        for state in said:
+            # At its end its time stands still, and the clock does not.
+            is_last_word = state.mode == VehicleMode.ENDED and state.time in motion
+            if state.session == said[-1].session and not is_last_word:
+                motion[state.time] = state
+        times = np.array([*motion])
+        states = np.array([state.state for state in motion.values()])
         heights = self._filter.barrier_set.values_along(states, times)
         least = np.fmin.reduce(heights, axis=1, initial=np.inf)
         path = {"time": times, "state": states, "least_height": least}
-        crossed = times[least < -TOUCH]
         ending = Ending(float(times[-1]), "")
-        if len(crossed):
-            ending = Ending(float(crossed[0]), COLLISION_MONITOR)
+        if np.any(crossed := least < -TOUCH):
+            ending = Ending(float(times[crossed][0]), COLLISION_MONITOR)
         summary = summarise(self._scenario, self._filter, log, path, ending)
         summary["assumptions"] = [vars(assumption) for assumption in self._assumptions]
         summary["step_cpu_ms"] = step_cpu_time(self._filter, log)
-        first, last = self._path[0], self._path[-1]
+        first, last = motion[times[0]], motion[times[-1]]
         elapsed = 1e-6 * (last.utime_measured - first.utime_measured)
         rate = (last.time - first.time) / elapsed if elapsed else np.nan
         summary["real_time_factor"] = rate
         return Result(self._scenario, summary, log)
 
     def _log(self) -> dict[str, Array]:
-        """The arrays of a `Result`, one row a tick.
-
-        Nobody tells what the disturbance was: `disturbance` is what the states tell
-        with hindsight, from the intervals before and after a tick.
-        """
+        """The arrays of a `Result`, one row a tick."""
         log = {
             name: np.array([row[name] for _, row in self.rows]) for name in self._ports
         }
@@ -386,7 +383,7 @@ class _Recorder:
         return finish_log(log, self._filter)
 
     def _disturbances(self, times: Array, states: Array, applied: Array) -> Array:
-        """The disturbance at the ticks, (T, q): between the means of d over intervals.
+        """The disturbance at the ticks with hindsight, (T, q).
 
         A mean (E29) is what d is in the middle of its interval, but for its curvature.
         """
@@ -401,20 +398,3 @@ class _Recorder:
         middles = (times[1:] + times[:-1]) / 2
         channels = np.transpose(means)
         return np.transpose([np.interp(times, middles, mean) for mean in channels])
-
-
-def _total(arrived: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """How the states arrived at one controller after the other."""
-    rejected = sum((Counter(each["rejected"]) for each in arrived), Counter())
-    keys = ("accepted", "lost", "late")
-    total: dict[str, Any] = {key: sum(each[key] for each in arrived) for key in keys}
-    return total | {"rejected": dict(rejected)}
-
-
-def _no_states(path: str | Path, scenario: Scenario, rejected: dict[str, int]) -> str:
-    n, m = len(scenario.initial_state), len(scenario.input_set.lower)
-    found = ", ".join(f"{count} {reason}" for reason, count in rejected.items())
-    return (
-        f"{path}: no state of {scenario.name} on {state_format(n, m).channel},"
-        f" with {n} numbers and {m} inputs ({found or 'nothing on that channel'})"
-    )
