@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from pydrake.lcm import DrakeLcm
@@ -20,10 +21,11 @@ from vcbf_drake.hil.controller_process import ControllerProcess
 from vcbf_drake.hil.prediction import LiveAudit, StatePredictor
 from vcbf_drake.hil.processes import PlantProcess
 from vcbf_drake.hil.receivers import (
+    ObstacleInbox,
     ObstacleReceiver,
-    ObstacleWatch,
     StateReceiver,
     Watchdog,
+    difference_from,
 )
 from vcbf_drake.hil.senders import check_timing
 from vcbf_drake.model import ControlAffineModel
@@ -173,17 +175,16 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
             "state_predictor",
             StatePredictor(model, scenario.period, settings.max_state_age),
         )
-    watchdogs: list[Watchdog] = []
     obstacles, states = None, link.receiver.inbox
     if settings.obstacles == "perceived":
         seeing = builder.AddNamedSystem(
             "obstacle_receiver",
             ObstacleReceiver(bus, perceived_spheres(scenario), states, settings),
         )
-        obstacles = seeing.get_output_port()
-        watchdogs.append(seeing.verdict)
+        obstacles, said = seeing.get_output_port(), seeing.inbox
     else:
-        watchdogs.append(ObstacleWatch(bus, scenario, states).verdict)
+        compare = partial(difference_from, scenario)
+        said = ObstacleInbox(bus, states, settings, compare, are_needed=False)
     observer = builder.AddNamedSystem(
         "filter_observer",
         make_observer(
@@ -211,7 +212,7 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
     link.answer(
         loop,
         controller.GetOutputPort("reference"),
-        watchdogs=watchdogs,
+        watchdogs=[said.verdict],
         noise=np.array(scenario.noise.std),
     )
     lose_answers(builder, scenario, loop)

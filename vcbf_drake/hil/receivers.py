@@ -221,75 +221,85 @@ class StateReceiver(LeafSystem):
 
 # Obstacles -------------------------------------------------------------------------
 
-_TOLERANCE, _MAX_AGE = 0.01, 1.0  # In m and s.
+_TOLERANCE = 0.01  # [m]
 
 
-def _obstacle_inbox(
-    bus: Bus,
-    max_age: float,
-    on_accept: Callable[[Any, int], None],
-    vehicle: Inbox,
-    settings: Hardware,
-) -> Inbox:
-    """Returns an inbox for what the vehicle of another inbox says."""
-
-    def refusal(message: Any) -> Reason | None:
-        is_another = vehicle.newest is not None and not vehicle.has_same_sender(message)
-        return Reason.SESSION if is_another else None
-
-    return Inbox(
-        bus,
-        obstacles_format(),
-        max_age,
-        on_accept,
-        silence=0.0,  # Whom to follow is decided by the states alone.
-        max_clock_offset=settings.max_clock_offset,
-        refusal=refusal,
-    )
-
-
-class ObstacleWatch:
-    """Compares the obstacles that a vehicle publishes with those of the scenario.
-
-    A vehicle that publishes none is not checked. Another number is a difference too.
+class ObstacleInbox(Inbox):
+    """What a vehicle says of obstacles, and what to ask of it therefore.
 
     Args:
-        bus: Where they come from.
-        scenario: What the controller knows.
-        vehicle: The states of the vehicle that publishes them.
+        bus: Where messages come from.
+        vehicle: The states of that vehicle; what another one says is refused.
+        settings: How old a message may be.
+        take: Takes an accepted message; returns what is wrong, empty for nothing.
+        are_needed: Whether the vehicle falls back while none come.
     """
 
-    def __init__(self, bus: Bus, scenario: Scenario, vehicle: Inbox) -> None:
-        self._known, self._vehicle = scenario.spheres, vehicle
-        self._shape = len(scenario.spheres), len(scenario.target)
-        self._difference = ""
-        settings = scenario.hardware
-        self._inbox = _obstacle_inbox(bus, _MAX_AGE, self._compare, vehicle, settings)
+    def __init__(
+        self,
+        bus: Bus,
+        vehicle: Inbox,
+        settings: Hardware,
+        take: Callable[[Any], str],
+        *,
+        are_needed: bool,
+    ) -> None:
+        self._bus, self._vehicle, self._take = bus, vehicle, take
+        self._are_needed, self._max_obstacle_age = are_needed, settings.max_obstacle_age
+        self._trouble = ""
+        super().__init__(
+            bus,
+            obstacles_format(),
+            settings.max_obstacle_age,
+            self._note_trouble,
+            silence=0.0,  # Whom to follow is decided by the states alone.
+            max_clock_offset=settings.max_clock_offset,
+            refusal=self._refusal_of_a_stranger,
+        )
 
     def verdict(self) -> Verdict:
         """Returns what to ask of the vehicle now."""
-        if self._difference and self._vehicle.has_same_sender(self._inbox.newest):
-            return Verdict(CommandMode.FALLBACK, self._difference)
-        return Verdict(CommandMode.APPLY)
+        now, trouble = self._bus.clock.utime(), self._trouble
+        age = 1e-6 * (now - self.received_at)
+        if not self._vehicle.has_same_sender(self.newest):
+            trouble = "no obstacles have been perceived yet" * self._are_needed
+        elif self._are_needed and age > self._max_obstacle_age:
+            trouble = f"no obstacles have been perceived for {age:.2f} s"
+        if not trouble:
+            return Verdict(CommandMode.APPLY)
+        words = filter(None, (trouble, self.complaint(now)))
+        return Verdict(CommandMode.FALLBACK, "; ".join(words))
 
-    def _compare(self, message: Any, now: int) -> None:
-        count, dimensions = self._shape
-        self._difference = ""
-        sizes = message.num_obstacles, message.num_coordinates
-        if sizes != (count, count * dimensions):
-            self._difference = f"the vehicle does not know of {count} obstacles"
-        elif count:
-            known = [each.center_at(message.time) for each in self._known]
-            there = np.reshape(message.position, self._shape)
-            away = np.linalg.norm(there - known, axis=1)
-            radii = [each.safety_distance for each in self._known]
-            larger = np.subtract(message.radius, radii)
-            first = int(np.argmax(is_off := away + np.abs(larger) > _TOLERANCE))
-            if is_off[first]:
-                self._difference = (
-                    f"the vehicle's obstacle {first + 1} is {away[first]:.3f} m away"
-                    f" from the scenario's and {larger[first]:+.3f} m larger"
-                )
+    def _refusal_of_a_stranger(self, message: Any) -> Reason | None:
+        vehicle = self._vehicle
+        is_another = vehicle.newest is not None and not vehicle.has_same_sender(message)
+        return Reason.SESSION if is_another else None
+
+    def _note_trouble(self, message: Any, now: int) -> None:
+        self._trouble = self._take(message)
+
+
+def difference_from(scenario: Scenario, message: Any) -> str:
+    """Returns what a vehicle's obstacles differ in from a scenario's; empty if nothing.
+
+    Args:
+        scenario: What the controller knows.
+        message: What the vehicle says; another number is a difference too.
+    """
+    spheres, dimensions = scenario.spheres, len(scenario.target)
+    sizes = message.num_obstacles, message.num_coordinates
+    if sizes != (len(spheres), len(spheres) * dimensions):
+        return f"the vehicle does not know of {len(spheres)} obstacles"
+    there = np.reshape(message.position, (-1, dimensions))
+    for number, (sphere, center) in enumerate(zip(spheres, there, strict=True), 1):
+        away = np.linalg.norm(center - sphere.center_at(message.time))
+        larger = message.radius[number - 1] - sphere.safety_distance
+        if away + abs(larger) > _TOLERANCE:
+            return (
+                f"the vehicle's obstacle {number} is {away:.3f} m away from the"
+                f" scenario's and {larger:+.3f} m larger"
+            )
+    return ""
 
 
 class ObstacleReceiver(LeafSystem):
@@ -310,6 +320,9 @@ class ObstacleReceiver(LeafSystem):
         spheres: What describes them; it has room for so many.
         vehicle: The states of the vehicle that perceives them.
         settings: How old they may be.
+
+    Attributes:
+        inbox: What arrived; its verdict is a `Watchdog`.
     """
 
     def __init__(
@@ -320,11 +333,8 @@ class ObstacleReceiver(LeafSystem):
         settings: Hardware | None = None,
     ) -> None:
         super().__init__()
-        settings = settings or Hardware()
-        self._bus, self._spheres, self._vehicle = bus, spheres, vehicle
-        self._max_age = settings.max_obstacle_age
-        self._inbox = _obstacle_inbox(bus, self._max_age, self._take, vehicle, settings)
-        self._trouble = ""
+        self._bus, self._spheres, settings = bus, spheres, settings or Hardware()
+        self.inbox = ObstacleInbox(bus, vehicle, settings, self._take, are_needed=True)
         self._packed = np.zeros(1 + spheres.size)
         # The vehicle's time of the message, then the slots.
         self.DeclareDiscreteState(self._packed)
@@ -332,31 +342,8 @@ class ObstacleReceiver(LeafSystem):
         self.DeclareForcedUnrestrictedUpdateEvent(self._take_over)
         self.DeclareVectorOutputPort("obstacles", spheres.size, self._calc)
 
-    def verdict(self) -> Verdict:
-        """Returns what to ask of the vehicle now."""
-        now = self._bus.clock.utime()
-        age, reason = 1e-6 * (now - self._inbox.received_at), self._trouble
-        if not self._vehicle.has_same_sender(self._inbox.newest):
-            reason = "no obstacles have been perceived yet"
-        elif age > self._max_age:
-            reason = f"no obstacles have been perceived for {age:.2f} s"
-        if not reason:
-            return Verdict(CommandMode.APPLY)
-        words = filter(None, (reason, self._inbox.complaint(now)))
-        return Verdict(CommandMode.FALLBACK, "; ".join(words))
-
-    def _take(self, message: Any, now: int) -> None:
-        self._trouble = self._trouble_with(message)
-        if self._trouble:
-            return
-        seen, k = np.array(message.valid, dtype=bool), self._spheres.dimensions
-        vectors = (message.position, message.velocity)
-        centers, velocities = (np.reshape(each, (-1, k))[seen] for each in vectors)
-        slots = self._spheres.pack(centers, velocities, np.array(message.radius)[seen])
-        self._packed = np.append(message.time, slots)
-
-    def _trouble_with(self, message: Any) -> str:
-        """Returns why what is perceived cannot be taken; empty if it can."""
+    def _take(self, message: Any) -> str:
+        """Takes what is perceived, or returns why it cannot be taken."""
         k, seen = self._spheres.dimensions, np.array(message.valid, dtype=bool)
         if message.num_coordinates != k * message.num_obstacles:
             have = f"have {message.num_coordinates} coordinates; it must be {k} each"
@@ -365,8 +352,13 @@ class ObstacleReceiver(LeafSystem):
             room = f"there is room for {self._spheres.capacity}"
             words = f"{seen.sum()} obstacles are perceived, and {room}"
             return f"{words} (hardware.most_obstacles)"
-        if np.any(np.array(message.radius)[seen] < 0.0):
+        radii = np.array(message.radius)[seen]
+        if np.any(radii < 0.0):
             return "an obstacle that is perceived has a negative radius"
+        vectors = (message.position, message.velocity)
+        centers, velocities = (np.reshape(each, (-1, k))[seen] for each in vectors)
+        slots = self._spheres.pack(centers, velocities, radii)
+        self._packed = np.append(message.time, slots)
         return ""
 
     def _take_over(self, context: Context, state: State) -> EventStatus:
