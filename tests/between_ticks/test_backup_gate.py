@@ -201,10 +201,14 @@ def test_the_manoeuvre_alone_keeps_what_it_was_certified_for(kind):
             assert abs(x[2]) <= 0.2 * max(1.0, world.period / 0.02)
 
 
+def car_rate_of_2_kg(x, u, d):
+    return car_rate(x, u, d, 2.0)
+
+
 def car_before_a_disc(distance, speed, delta=0.1, force=1.0):
     return World(
         Car(CarParameters(2.0)),
-        lambda x, u, d: car_rate(x, u, d, 2.0),
+        car_rate_of_2_kg,
         [((distance + 0.5, 0.0), 0.5)],
         [force, 1.0],
         delta,
@@ -230,6 +234,50 @@ def test_an_input_gives_way_only_as_far_as_it_must():
     assert near.is_certified and 0.0 < near.backup <= 1.0
     assert near.input[1] == pytest.approx(0.7)  # The brakes alone are enough.
     assert near.input[0] < 1.0
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_it_steers_round_a_disc_rather_than_brakes_before_it(side):
+    """The disc is a little to one side of the line on which the brakes would stop."""
+    world = World(
+        Car(), car_rate_of_2_kg, [((3.0, 0.35 * side), 0.5)], [1.0, 1.0], 0.1, 0.02
+    )
+    x, target = np.array([0.0, 0.0, 0.9, 0.0]), np.array([1.0, 0.0])
+    turned = 0.0
+    for k in range(400):
+        decision = world.decide(x, 0.02 * k, target)
+        assert decision.is_certified
+        # Away from the disc, with less force at times and never with the brakes.
+        assert -side * decision.input[1] >= 0.0
+        assert decision.input[0] > 0.0
+        assert (decision.backup > 0.0) is bool(np.any(decision.input != target))
+        turned = max(turned, abs(decision.input[1]))
+        x, least = world.advanced(x, decision.input, lambda x: np.array([0.1]))
+        assert least >= 0.0
+    assert 0.0 < turned <= 1.0 and x[0] > 4.0
+
+
+def test_an_input_goes_aside_no_farther_than_the_rows_that_limit_it():
+    world = World(Car(), car_rate_of_2_kg, [((1.9, 0.35), 0.5)], [1.0, 1.0], 0.1, 0.02)
+    disc = SphereObstacle((1.9, 0.35), 0.5).barrier([4.0, 3.0])
+    # |omega| <= 0.2 rad/s, as the steering may have it.
+    limits = [
+        StateInputLimit(lambda x, t, p, s=s: ([0.0, s], 0.2)) for s in (-1.0, 1.0)
+    ]
+    barriers = BarrierSet(world.model, [disc, *limits])
+    gate = BackupGate(world.model, barriers, world.inputs, 0.02, 0.1)
+    known, acted = DisturbanceKnowledge.constant(1, 0.0), 0
+    x = np.array([0.0, 0.0, 0.6, 0.0])
+    for k in range(200):
+        tick = Tick(barriers.rows(x, 0.02 * k), x, 0.02 * k, known)
+        wanted = FilterDecision(np.array([1.0, 0.0]), FilterStatus.FILTERED)
+        decision = gate.decide(tick, wanted)
+        assert decision.is_certified
+        assert abs(decision.input[1]) <= 0.2 + 1e-9
+        acted += decision.input[1] < -0.05
+        x, least = world.advanced(x, decision.input, lambda x: np.array([0.1]))
+        assert least >= 0.0
+    assert acted > 0
 
 
 def test_no_certificate_where_the_observer_refutes_the_bound():

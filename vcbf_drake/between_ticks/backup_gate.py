@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 import math
@@ -77,8 +78,9 @@ class BackupGate:
     def decide(self, tick: Tick, decision: FilterDecision) -> FilterDecision:
         """Returns a decision with a certified plan; where there is none, one without.
 
-        The input gives way to a manoeuvre's by as little as a certified plan takes: at
-        first only those inputs that the manoeuvre names, then all.
+        The input gives way to a manoeuvre's by as little as a certified plan takes:
+        only those inputs that the manoeuvre names, while another may go to its limit;
+        where that is not enough, all.
 
         Args:
             tick: Where it is made.
@@ -105,13 +107,10 @@ class BackupGate:
         for each, backup in laws:
             if not check.passes(each, backup):
                 continue
-            partly = u.copy()
-            partly[list(each.first)] = backup[list(each.first)]
-            end = partly if check.passes(each, partly) else backup
-            share = check.least_share(each, u, end)
+            u, share = check.nearest(each, u, backup)
             return replace(
                 decision,
-                input=self._input_set.project(u + share * (end - u)),
+                input=u,
                 backup=share,
                 is_certified=True,
                 qp=None,
@@ -175,16 +174,54 @@ class _Check:
             return False
         return all(_is_clear(each, plan, 0, cells) for each in self._functions)
 
-    def least_share(self, manoeuvre: Manoeuvre, u: Array, end: Array) -> float:
-        """Returns how far an input has to give way, at least: nearly; from 0 to 1."""
-        low, high = 0.0, 1.0
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            if self.passes(manoeuvre, u + middle * (end - u)):
-                high = middle
-            else:
-                low = middle
-        return high
+    def nearest(
+        self, manoeuvre: Manoeuvre, u: Array, end: Array
+    ) -> tuple[Array, float]:
+        """Returns a certified input that gives way by little, and by which share.
+
+        Args:
+            manoeuvre: Whose plans are looked at.
+            u: An input without a certified plan.
+            end: The manoeuvre's input, which has one.
+        """
+
+        def certified(v: Array) -> Array | None:
+            v = self._input_set.project(v)  # Rounding may have taken it outside.
+            return v if self.passes(manoeuvre, v) else None
+
+        # To steer round what is in the way costs less than to brake before it ...
+        partly = u.copy()
+        partly[list(manoeuvre.first)] = end[list(manoeuvre.first)]
+        ways = [u, *self._aside(u, manoeuvre.first)]
+
+        def beside(share: float) -> Array | None:
+            found = (certified(v + share * (partly - u)) for v in ways)
+            return next((v for v in found if v is not None), None)
+
+        found = _least_share(beside)
+        if found is None:  # ... unless nothing but the manoeuvre itself is safe.
+            found = _least_share(lambda share: certified(u + share * (end - u)))
+            return found if found else (end, 1.0)
+        v, share = found
+        straight = u + share * (partly - u)
+        turned = _least_share(lambda part: certified(straight + part * (v - straight)))
+        v, part = turned or (v, 1.0)
+        return v, max(share, part)
+
+    def _aside(self, u: Array, first: tuple[int, ...]) -> list[Array]:
+        """An input with one of those at a limit that a manoeuvre does not name."""
+        A = np.vstack([self._input_set.A, self._tick.rows.A[self._limits]])
+        b = np.concatenate([self._input_set.b, self._tick.rows.b[self._limits]])
+        spare, inputs = np.maximum(b - A @ u, 0.0), []
+        for i in set(range(len(u))) - set(first):
+            for sign in (-1.0, 1.0):
+                slope, v = sign * A[:, i], u.copy()
+                ahead = slope > 0.0
+                most = float(np.min(spare[ahead] / slope[ahead], initial=math.inf))
+                if math.isfinite(most):
+                    v[i] += sign * most
+                    inputs.append(v)
+        return inputs
 
     def _cells_before_safety(self, plan: Plan) -> int | None:
         """How many cells come before one from which on nothing is in the way."""
@@ -206,6 +243,25 @@ class _Check:
         if box is None:
             return False
         return all(_value(each, box).low >= 0.0 for each in self._functions)
+
+
+def _least_share(
+    find: Callable[[float], Array | None],
+) -> tuple[Array, float] | None:
+    """Returns what is found at the least share, nearly, and that; from 0 to 1."""
+    low, high = 0.0, 1.0
+    best = find(high)
+    if best is None:
+        return None
+    if (found := find(low)) is not None:
+        return found, low
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        if (found := find(middle)) is not None:
+            best, high = found, middle
+        else:
+            low = middle
+    return best, high
 
 
 def _is_clear(function: RowFunctions, plan: Plan, first: int, last: int) -> bool:

@@ -43,8 +43,8 @@ class Manoeuvre(ABC):
 
     Attributes:
         horizon: For how long method backup follows the law [s]; 0 where it has none.
-        first: Which inputs give way first where a plan is not safe: the others keep
-            what the filter chose, if that helps.
+        first: Which inputs give way first where a plan is not safe. The others keep
+            what the filter chose, or one of them goes aside, if that helps.
     """
 
     first: tuple[int, ...]
