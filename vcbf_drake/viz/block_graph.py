@@ -12,13 +12,13 @@ import shutil
 import subprocess
 from typing import Any, NamedTuple
 
-from vcbf_drake.viz.style import GRID, INK, MUTED, RC_PARAMS
+from vcbf_drake.viz.style import FONT, GRID, INK, MUTED
 
 _NO_GRAPHVIZ = (
     "no SVG: Graphviz' program `dot` is not installed"
     " (apt-get install graphviz, or brew install graphviz)"
 )
-_FONT = f"{RC_PARAMS['font.family']},Verdana,sans-serif"
+_FONT = f"{FONT},Verdana,sans-serif"
 _LINES = "#3d4754"
 _BUNDLE = 4  # So many wires between two blocks, or more, are drawn as one.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 import dataclasses
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
@@ -177,49 +177,39 @@ def label_runs(results: Sequence[Result]) -> list[Run]:
     """
     if not results:
         raise ValueError("results: got none; at least one is needed")
-    names = [result.scenario.name for result in results]
-    hues = dict(zip(dict.fromkeys(names), cycle(VEHICLE_COLORS), strict=False))
-    runs = []
-    for index, name in enumerate(names):
-        own = [result for result in results if result.scenario.name == name]
-        run = _one_of(own, names[:index].count(name))
-        if len(hues) > 1:
-            run = _of_vehicle(run, name, hues[name], own)
-        runs.append(run)
-    return runs
+    names = dict.fromkeys(result.scenario.name for result in results)
+    hues = dict(zip(names, cycle(VEHICLE_COLORS), strict=False))
+    return [_run(results, number, hues) for number in range(len(results))]
 
 
-def _one_of(own: Sequence[Result], index: int) -> Run:
-    """One of the results of a vehicle as a run."""
-    methods = [result.scenario.method for result in own]
-    method = methods[index]
-    style = METHOD_STYLES[method]
-    same, rank = methods.count(method), methods[:index].count(method)
-    label = style.label
-    if same > 1:
-        label += f", {_differences([result.scenario for result in own])[index]}"
-    color = _tint(style.color, 0.6 * (1.0 - (rank + 1) / same))
-    result = own[index]
+def _run(results: Sequence[Result], number: int, hues: Mapping[str, str]) -> Run:
+    """One of several results as a run, among vehicles of these hues."""
+    scenarios = [result.scenario for result in results]
+    name, method = scenarios[number].name, scenarios[number].method
+    own = [k for k, each in enumerate(scenarios) if each.name == name]
+    same = [k for k in own if scenarios[k].method == method]
+    rank, ghost, style = same.index(number), number != own[-1], METHOD_STYLES[method]
+    label, dashes = style.label, style.dashes
+    color = _tint(style.color, 0.6 * (1.0 - (rank + 1) / len(same)))
+    if len(same) > 1:
+        label += f", {_differences([scenarios[k] for k in same])[rank]}"
+    if len(hues) > 1:
+        label, dashes = (f"{name}, {label}", dashes) if len(own) > 1 else (name, ())
+        color = _tint(hues[name], 0.5) if ghost else hues[name]
+    result = results[number]
     return Run(
         label,
         color,
-        style.dashes,
-        ghost=index + 1 < len(own),
+        dashes,
+        ghost,
         events=sorted(_events(result.summary), key=lambda event: event.time),
         time=np.asarray(result.log["time"], dtype=float),
         log=result.log,
         inputs=channels_of(result.scenario.vehicle.make_plant()).input_labels,
         limits=result.scenario.input_set,
         result=result,
+        name=name if len(hues) > 1 else "",
     )
-
-
-def _of_vehicle(run: Run, name: str, hue: str, own: Sequence[Result]) -> Run:
-    """The run with its vehicle's name and hue, which is paler for a ghost."""
-    if len(own) == 1:
-        return replace(run, label=name, color=hue, dashes=(), name=name)
-    color = _tint(hue, 0.5) if run.ghost else hue
-    return replace(run, label=f"{name}, {run.label}", color=color, name=name)
 
 
 def _events(summary: Mapping[str, Any]) -> Iterator[Event]:
@@ -239,32 +229,25 @@ def _events(summary: Mapping[str, Any]) -> Iterator[Event]:
 def _differences(scenarios: Sequence[Any]) -> list[str]:
     """What tells each scenario from the others, such as ``k_p = 0.4``."""
     entries = [dict(_entries(scenario)) for scenario in scenarios]
-    keys = dict.fromkeys(key for entry in entries for key in entry)
-    ignored = {"method", "name", "description"}
-    varying = [
-        key
+    keys = dict.fromkeys(key for each in entries for key in each)
+    words = [
+        [f"{key.split('.')[-1]} = {each.get(key)}" for each in entries]
         for key in keys
-        if key not in ignored and len({str(entry.get(key)) for entry in entries}) > 1
+        if key != "description" and len({str(each.get(key)) for each in entries}) > 1
     ]
-    if not varying:
-        return [f"run {index + 1}" for index in range(len(entries))]
-    return [
-        ", ".join(f"{key.split('.')[-1]} = {entry.get(key)}" for key in varying[:2])
-        for entry in entries
-    ]
+    numbers = [f"run {index + 1}" for index in range(len(entries))]
+    return [*map(", ".join, zip(*(words[:2] or [numbers]), strict=True))]
 
 
 def _entries(value: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
     """The leaves of nested dataclasses, as dotted names and values."""
     for field in dataclasses.fields(value):
         name, entry = prefix + field.name, getattr(value, field.name)
-        if dataclasses.is_dataclass(entry):
-            yield from _entries(entry, name + ".")
-        else:
-            yield name, entry
+        nested = dataclasses.is_dataclass(entry)
+        yield from _entries(entry, f"{name}.") if nested else [(name, entry)]
 
 
 def _tint(color: str, amount: float) -> str:
     """A hexadecimal colour mixed with white."""
-    channels = (int(color[i : i + 2], 16) for i in (1, 3, 5))
-    return "#" + "".join(f"{round(c + amount * (255 - c)):02x}" for c in channels)
+    channels = bytes.fromhex(color.removeprefix("#"))
+    return "#" + bytes(round(c + amount * (255 - c)) for c in channels).hex()

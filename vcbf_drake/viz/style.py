@@ -17,7 +17,7 @@ Style = dict[str, Any]  # The keyword arguments of something drawn.
 Figure: TypeAlias = Any
 Axes: TypeAlias = Any
 
-DPI = 160
+FONT = "DejaVu Sans"
 PAGE_WIDTH = 7.0  # Two columns of a paper [inch].
 
 INK = "#1f2733"
@@ -61,54 +61,14 @@ METHOD_STYLES = {
 # Of several vehicles in one scenario.
 VEHICLE_COLORS = BLUE, "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56606e"
 
-RC_PARAMS: dict[str, Any] = {
-    "axes.axisbelow": True,
-    "axes.edgecolor": MUTED,
-    "axes.grid": True,
-    "axes.labelcolor": INK,
-    "axes.labelsize": 9,
-    "axes.linewidth": 0.6,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "axes.titlesize": 9,
-    "figure.dpi": DPI,
-    "font.family": "DejaVu Sans",
-    "font.size": 9,
-    "grid.color": GRID,
-    "grid.linewidth": 0.6,
-    "hatch.linewidth": 0.5,
-    "legend.fontsize": 8,
-    "legend.frameon": False,
-    "legend.handlelength": 2.6,
-    "lines.linewidth": 1.5,
-    "lines.solid_capstyle": "round",
-    "mathtext.fontset": "dejavusans",
-    "savefig.bbox": "tight",
-    "savefig.dpi": DPI,
-    "savefig.pad_inches": 0.06,
-    "svg.fonttype": "path",
-    "svg.hashsalt": "vcbf_drake",
-    "text.color": INK,
-    "xtick.color": MUTED,
-    "xtick.labelcolor": INK,
-    "xtick.labelsize": 8,
-    "xtick.major.width": 0.6,
-    "ytick.color": MUTED,
-    "ytick.labelcolor": INK,
-    "ytick.labelsize": 8,
-    "ytick.major.width": 0.6,
-}
-
 
 @contextmanager
 def figure_style() -> Iterator[None]:
     """Draw what is inside with this package's look, whatever the user's settings."""
-    import matplotlib
+    from matplotlib import style
 
-    settings: Any = matplotlib.rcParams
-    with matplotlib.rc_context():
-        matplotlib.rcdefaults()
-        settings.update(RC_PARAMS)
+    sheet = Path(__file__).with_name("figures.mplstyle")
+    with style.context(sheet, after_reset=True):
         yield
 
 
