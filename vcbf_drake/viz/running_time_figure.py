@@ -11,7 +11,6 @@ from vcbf_drake.viz.style import (
     INK,
     METHOD_STYLES,
     PAGE_WIDTH,
-    Axes,
     Figure,
     Style,
     figure_style,
@@ -62,15 +61,31 @@ def running_time_figure(records: Sequence[Record], summary: Record) -> Figure:
     pairs, means = figure.subplots(1, 2, sharey=True, width_ratios=[8, 1])
     methods = list(summary["methods"])
     columns = _columns(records, methods)
-    every = math.ceil(len(columns) / _MOST_COLUMNS)
-    columns = columns[:: max(every, 1)]
+    every = max(math.ceil(len(columns) / _MOST_COLUMNS), 1)
+    columns, size = columns[::every], 5.0 if len(columns) <= _MANY else 3.0
     times = [[record["running_time"] for record in each.values()] for each in columns]
     lowest, highest = list(map(min, times)), list(map(max, times))
     pairs.vlines(range(len(columns)), lowest, highest, color=_PAIR, lw=0.5)
-    for method in methods:
-        _draw_method(pairs, method, columns)
+    seen = {record["outcome"] for record in records}
     for position, (method, numbers) in enumerate(summary["methods"].items()):
-        _draw_mean(means, position, method, numbers)
+        color, label = METHOD_STYLES[method].color, METHOD_STYLES[method].label
+        pairs.plot([], [], color=color, lw=4, label=label)
+        for outcome, marker in _MARKERS.items():
+            points = [
+                (k, each[method]["running_time"])
+                for k, each in enumerate(columns)
+                if method in each and each[method]["outcome"] == outcome
+            ]
+            if points:
+                look: Style = dict(ls="", marker=marker, ms=size, color=color)
+                pairs.plot(*zip(*points, strict=True), **look, clip_on=False)
+        if (mean := numbers["mean_running_time"]) is not None:
+            low, high = numbers["interval"] or (mean, mean)
+            means.vlines(position, low, high, color=color, lw=1.2)
+            means.plot([position], [mean], ls="", marker="D", ms=4, color=color)
+    for outcome in [each for each in _MARKERS if each in seen]:
+        grey: Style = dict(ls="", marker=_MARKERS[outcome], ms=5, color=INK)
+        pairs.plot([], [], **grey, label=outcome)
     pairs.set(
         xlabel=f"{'trials' if every <= 1 else f'one trial in {every}'},"
         f" in the order of {METHOD_STYLES[methods[0]].label}",
@@ -79,59 +94,21 @@ def running_time_figure(records: Sequence[Record], summary: Record) -> Figure:
     )
     pairs.set_ylim(bottom=0.0)
     means.set(xlabel="mean", xticks=[], xlim=(-0.6, len(methods) - 0.4))
-    figure.legend(*_legend(pairs, records), loc="outside upper left", ncols=4)
+    figure.legend(*pairs.get_legend_handles_labels(), loc="outside upper left", ncols=4)
     return figure
 
 
 def _columns(
     records: Sequence[Record], methods: Sequence[str]
 ) -> list[dict[str, Record]]:
-    """The records that ended, one dict by method for each draw."""
+    """The records that ended, one dict by method for each draw, by their times."""
     columns: dict[int, dict[str, Record]] = {}
-    for record in records:
+    for record in sorted(records, key=lambda each: each["index"]):
         if record["error"] is None:
             columns.setdefault(record["index"], {})[record["method"]] = record
-
-    def times(column: dict[str, Record]) -> list[float]:
-        # A trial that crashed has no place in the order: last.
-        ended = [column.get(method) for method in methods]
-        return [r["running_time"] if r else math.inf for r in ended]
-
-    return sorted((columns[index] for index in sorted(columns)), key=times)
-
-
-def _draw_method(
-    axes: Axes, method: str, columns: Sequence[Mapping[str, Record]]
-) -> None:
-    style, size = METHOD_STYLES[method], 5.0 if len(columns) <= _MANY else 3.0
-    axes.plot([], [], color=style.color, lw=4, label=style.label)
-    for outcome, marker in _MARKERS.items():
-        points = [
-            (position, column[method]["running_time"])
-            for position, column in enumerate(columns)
-            if method in column and column[method]["outcome"] == outcome
-        ]
-        if points:
-            look: Style = dict(ls="", marker=marker, ms=size, color=style.color)
-            axes.plot(*zip(*points, strict=True), **look, clip_on=False)
-
-
-def _draw_mean(axes: Axes, position: int, method: str, numbers: Record) -> None:
-    mean, color = numbers["mean_running_time"], METHOD_STYLES[method].color
-    if mean is None:
-        return
-    low, high = numbers["interval"] or (mean, mean)
-    axes.vlines(position, low, high, color=color, lw=1.2)
-    axes.plot([position], [mean], ls="", marker="D", ms=4, color=color)
-
-
-def _legend(axes: Axes, records: Sequence[Record]) -> tuple[list[Any], list[str]]:
-    """The methods' colours, and a grey marker for each outcome there is."""
-    from matplotlib.lines import Line2D
-
-    handles, labels = axes.get_legend_handles_labels()
-    for outcome, marker in _MARKERS.items():
-        if any(record["outcome"] == outcome for record in records):
-            handles.append(Line2D([], [], ls="", marker=marker, ms=5, color=INK))
-            labels.append(outcome)
-    return handles, labels
+    # A trial that crashed has no place in the order: last.
+    crashed = {"running_time": math.inf}
+    return sorted(
+        columns.values(),
+        key=lambda each: [each.get(m, crashed)["running_time"] for m in methods],
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,17 +29,17 @@ MOST_BARRIERS = 12  # More curves than this tell nothing.
 
 def barrier_figure(runs: Sequence[Run]) -> Figure:
     """Every barrier of the last run, and the least one of every run."""
-    return _over_time(2.7, lambda axes: draw_barriers(axes, runs, every=True))
+    return _over_time(2.7, partial(draw_barriers, every=True), runs)
 
 
 def volume_figure(runs: Sequence[Run]) -> Figure:
     """The volume barrier of every run."""
-    return _over_time(2.5, lambda axes: draw_volume(axes, runs))
+    return _over_time(2.5, draw_volume, runs)
 
 
 def slack_figure(runs: Sequence[Run]) -> Figure:
     """The slack of the volume row of every run."""
-    return _over_time(2.2, lambda axes: _draw_slack(axes, runs))
+    return _over_time(2.2, _draw_slack, runs)
 
 
 def disturbance_figure(runs: Sequence[Run]) -> Figure:
@@ -102,46 +103,29 @@ def input_figure(runs: Sequence[Run]) -> Figure:
 
 def draw_barriers(axes: Axes, runs: Sequence[Run], every: bool = False) -> None:
     """Draws the least barrier of every run, and thinly every barrier of the last."""
+    last, top = runs[-1], None
     if every:
-        style: Style = dict(color=runs[-1].color, lw=0.6, alpha=0.45)
-        axes.plot(runs[-1].time, _lowest(runs[-1].log["barriers"]), **style)
-    for run in runs:
-        axes.plot(run.time, run.least_barrier, **run.line(lw=2.0, label=run.caption))
-    _mark_failures(axes, runs, [run.least_barrier for run in runs])
-    if every:  # The far obstacles' barriers leave the picture.
-        highest = max(float(np.nanmax(run.least_barrier)) for run in runs)
-        axes.set_ylim(top=1.4 * highest)
-    _shade_below_zero(axes, "unsafe")
-    _time_axis(axes)
-    unit = barrier_unit(runs[-1].scenario)
-    axes.set(xlabel="time [s]", ylabel="barrier $h$" + f" [{unit}]" * bool(unit))
+        barriers = last.log["barriers"]
+        least = np.min(barriers, axis=0, initial=np.inf, where=np.isfinite(barriers))
+        lowest = np.sort(np.argsort(least, kind="stable")[:MOST_BARRIERS])
+        style: Style = dict(color=last.color, lw=0.6, alpha=0.45)
+        axes.plot(last.time, barriers[:, lowest], **style)
+        # The far obstacles' barriers leave the picture.
+        top = 1.4 * max(float(np.nanmax(run.least_barrier)) for run in runs)
+    unit = barrier_unit(last.scenario)
+    label = "barrier $h$" + f" [{unit}]" * bool(unit)
+    values = [run.least_barrier for run in runs]
+    _draw_series(axes, runs, values, label, "unsafe", top, lw=2.0)
 
 
-def _over_time(height: float, draw: Callable[[Axes], None]) -> Figure:
-    """A figure of one quantity, its legend above."""
-    figure = new_figure(PAGE_WIDTH, height)
-    axes = figure.subplots()
-    draw(axes)
-    legend_above(axes)
-    return figure
-
-
-def _draw_slack(axes: Axes, runs: Sequence[Run]) -> None:
-    series = [run.log["slack"] for run in runs]
-    for run, values in zip(runs, series, strict=True):
-        axes.plot(run.time, values, **run.line(label=run.caption))
-    if not any(np.any(values) for values in series):
-        axes.set_ylim(-0.25, 1.0)
-        axes.annotate("exactly 0", (0.7, 0.28), xycoords="axes fraction", color=MUTED)
-    _mark_failures(axes, runs, series)
-    axes.set(xlabel="time [s]", ylabel=r"slack $\delta$ [-]")
-    _time_axis(axes)
-
-
-def _lowest(barriers: Array) -> Array:
-    """The barriers that come lowest, as columns, in their order."""
-    least = np.min(barriers, axis=0, initial=np.inf, where=np.isfinite(barriers))
-    return barriers[:, np.sort(np.argsort(least, kind="stable")[:MOST_BARRIERS])]
+def draw_volume(axes: Axes, runs: Sequence[Run]) -> None:
+    """Draws the volume barrier of every run."""
+    labels = {run.scenario.volume.label for run in runs}
+    is_volume = labels == {"volume"}
+    name = "volume barrier" if is_volume else "; ".join(sorted(labels))
+    below = r"less volume than $\xi$" if is_volume else "too little"
+    values = [run.log["volume"] for run in runs]
+    _draw_series(axes, runs, values, f"{name} $V_v$ [-]", below)
 
 
 def draw_estimate_error(axes: Axes, run: Run) -> None:
@@ -160,50 +144,56 @@ def draw_estimate_error(axes: Axes, run: Run) -> None:
     axes.set(xlabel="time [s]", ylabel=r"$\Vert d - \hat d \Vert$, $\varepsilon$")
 
 
-def draw_volume(axes: Axes, runs: Sequence[Run]) -> None:
-    """Draws the volume barrier of every run."""
-    for run in runs:
-        axes.plot(run.time, run.log["volume"], **run.line(label=run.caption))
-    _mark_failures(axes, runs, [run.log["volume"] for run in runs])
-    labels = {run.scenario.volume.label for run in runs}
-    is_volume = labels == {"volume"}
-    _shade_below_zero(axes, r"less volume than $\xi$" if is_volume else "too little")
-    _time_axis(axes)
-    what = "volume barrier" if is_volume else "; ".join(sorted(labels))
-    axes.set(xlabel="time [s]", ylabel=f"{what} $V_v$ [-]")
+def _draw_slack(axes: Axes, runs: Sequence[Run]) -> None:
+    series = [run.log["slack"] for run in runs]
+    _draw_series(axes, runs, series, r"slack $\delta$ [-]")
+    if not any(np.any(values) for values in series):
+        axes.set_ylim(-0.25, 1.0)
+        axes.annotate("exactly 0", (0.7, 0.28), xycoords="axes fraction", color=MUTED)
 
 
-def _mark_failures(axes: Axes, runs: Sequence[Run], series: Sequence[Any]) -> None:
-    """A cross where a run failed, on the last value its curve has until then.
+def _over_time(
+    height: float, draw: Callable[[Axes, Sequence[Run]], None], runs: Sequence[Run]
+) -> Figure:
+    """A figure of one quantity, its legend above."""
+    figure = new_figure(PAGE_WIDTH, height)
+    axes = figure.subplots()
+    draw(axes, runs)
+    legend_above(axes)
+    return figure
 
-    When and how it failed stands in the legend, where no curve crosses the words.
+
+def _draw_series(
+    axes: Axes,
+    runs: Sequence[Run],
+    series: Sequence[Array],
+    label: str,
+    below: str = "",
+    top: float | None = None,
+    **line: Any,
+) -> None:
+    """Draws a quantity of every run, with a cross where a run failed.
+
+    When and how it failed stands in the legend, where no curve crosses the words. What
+    is below 0 is shaded if there is a word for it; nothing above `top` is shown.
     """
     for run, values in zip(runs, series, strict=True):
-        if run.failure is None:
-            continue
-        until = np.isfinite(values) & (run.time <= run.failure.time)
-        if until.any():
-            style: Style = dict(ms=8, mfc=run.color, mec="white", zorder=5)
-            axes.plot(run.failure.time, values[until][-1], "X", **style)
-
-
-def _shade_below_zero(axes: Axes, words: str) -> None:
-    low, high = axes.get_ylim()
-    low = min(low, -0.13 * (high - low))
-    axes.axhspan(low, 0.0, color=ALARM, alpha=0.07, lw=0)
-    axes.axhline(0.0, color=ALARM, lw=0.8)
-    axes.set_ylim(low, high)
-    axes.annotate(
-        words,
-        (0.995, 0.0),
-        xycoords=axes.get_yaxis_transform(),
-        xytext=(0, -2),
-        textcoords="offset points",
-        color=ALARM,
-        fontsize=7,
-        ha="right",
-        va="top",
-    )
+        axes.plot(run.time, values, **run.line(label=run.caption, **line))
+        if run.failure is not None:
+            until = np.isfinite(values) & (run.time <= run.failure.time)
+            style: Style = dict(marker="X", ms=8, mfc=run.color, mec="white", ls="none")
+            axes.plot(run.failure.time, values[until][-1:], **style, zorder=5)
+    axes.set_ylim(top=top)
+    if below:
+        low, high = axes.get_ylim()
+        axes.set_ylim(min(low, -0.13 * (high - low)), high)
+        axes.axhspan(axes.get_ylim()[0], 0.0, color=ALARM, alpha=0.07, lw=0)
+        axes.axhline(0.0, color=ALARM, lw=0.8)
+        place = dict(xycoords=axes.get_yaxis_transform(), textcoords="offset points")
+        style = dict(color=ALARM, fontsize=7, ha="right", va="top")
+        axes.annotate(below, (0.995, 0.0), (0, -2), **place, **style)
+    _time_axis(axes)
+    axes.set(xlabel="time [s]", ylabel=label)
 
 
 def _time_axis(axes: Axes) -> None:
