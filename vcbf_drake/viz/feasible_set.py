@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from vcbf_drake.viz.style import (
 if TYPE_CHECKING:
     from vcbf_drake.simulation.sections import InputLimits
 
+FORBIDDEN = "#b3bcc7"
 MARGIN = 0.35  # Room around the limits [share of their width].
 
 
@@ -89,17 +90,13 @@ def feasible_set_at(run: Run, time: float) -> FeasibleSet:
 
 def moment(runs: Sequence[Run], time: float) -> str:
     """A time for a title, with the run of which it is the last feasible tick."""
-    last = [run for run in runs if _is_last_feasible(run, time)]
     words = f"$t$ = {time:.2f} s"
-    return f"{words}, the last feasible\ntick of {last[0].label}" if last else words
-
-
-def _is_last_feasible(run: Run, time: float) -> bool:
-    failed_at = run.result.summary["infeasible_at"]
-    if failed_at is None:
-        return False
-    before = run.time[run.time < failed_at - 1e-9]
-    return len(before) > 0 and abs(before[-1] - time) < 1e-9
+    for run in runs:
+        failed_at = run.result.summary["infeasible_at"]
+        before = [] if failed_at is None else run.time[run.time < failed_at - 1e-9]
+        if len(before) and abs(before[-1] - time) < 1e-9:
+            return f"{words}, the last feasible\ntick of {run.label}"
+    return words
 
 
 def feasible_set_of_tick(
@@ -110,36 +107,31 @@ def feasible_set_of_tick(
     # At an obstacle's very centre its row is not finite; an infinite limit is none.
     finite = np.isfinite(A).all(axis=1) & np.isfinite(b)
     low, high = shown_inputs(log, limits)
-    found = FeasibleSet(
-        A=A[finite],
-        b=b[finite],
+    # A single input gets a second one that nothing depends on.
+    flat = max(2 - len(low), 0)
+    A, b = np.pad(A[finite], ((0, 0), (0, flat))), b[finite]
+    low, high = (
+        np.pad(e, (0, flat), constant_values=v) for e, v in ((low, -1.0), (high, 1.0))
+    )
+    shape = np.pad(log["ellipsoid_shape"][tick], (0, flat))
+    shape[len(shape) - flat :, len(shape) - flat :] = 1.0
+    center, reference, chosen = (
+        np.pad(log[name][tick], (0, flat))
+        for name in ("ellipsoid_center", "reference", "input")
+    )
+    return FeasibleSet(
+        A,
+        b,
         limits=int(finite[: 2 * len(limits.lower) + len(limits.b)].sum()),
         low=low,
         high=high,
-        shape=log["ellipsoid_shape"][tick],
-        center=log["ellipsoid_center"][tick],
-        reference=log["reference"][tick],
-        input=log["input"][tick],
-        corners=polytope_vertices(A[finite], b[finite], low, high),
+        shape=shape,
+        center=center,
+        reference=reference,
+        input=chosen,
+        corners=polytope_vertices(A, b, low, high),
         volume=float(log["volume"][tick]),
         decay=float(log["decay"][tick]) if "decay" in log else 1.0,
-    )
-    return found if len(low) > 1 else _as_band(found)
-
-
-def _as_band(one: FeasibleSet) -> FeasibleSet:
-    """The set of a single input, with a second one that nothing depends on."""
-    ends = [[u, v] for (u,) in one.corners.tolist() for v in (-0.5, 0.5)]
-    return replace(
-        one,
-        A=np.pad(one.A, ((0, 0), (0, 1))),
-        low=np.append(one.low, -1.0),
-        high=np.append(one.high, 1.0),
-        shape=np.diag([one.shape[0, 0], 0.5]),
-        center=np.append(one.center, 0.0),
-        reference=np.append(one.reference, 0.0),
-        input=np.append(one.input, 0.0),
-        corners=np.array(ends).reshape(-1, 2),
     )
 
 
@@ -177,9 +169,7 @@ def telling_times(runs: Sequence[Run]) -> list[float]:
 
     Where every run stays feasible: two seconds, the middle, and three quarters.
     """
-    failures = [
-        event.time for run in runs for event in run.events if event.kind == "infeasible"
-    ]
+    failures = [e.time for run in runs for e in run.events if e.kind == "infeasible"]
     if not failures:
         end = min(float(run.time[-1]) for run in runs)
         return [min(2.0, 0.25 * end), 0.5 * end, 0.75 * end]
@@ -211,9 +201,8 @@ def polytope_vertices(A: Array, b: Array, low: Array, high: Array) -> Array:
     rows, sides, box = A * scale, b - A @ middle, half / scale
     cuts = sides < np.abs(rows) @ box
     size = np.linalg.norm(rows, axis=1)
-    if np.any(sides[cuts & (size == 0.0)] < 0.0):
+    if np.any(size[cuts] == 0.0):  # It asks for 0 < 0.
         return np.empty((0, len(low)))
-    cuts &= size > 0.0
     axes = np.eye(len(low))
     rows = np.vstack([axes, -axes, rows[cuts] / size[cuts, None]])
     sides = np.concatenate([box, box, sides[cuts] / size[cuts]])
@@ -252,35 +241,37 @@ def feasible_set_figure(runs: Sequence[Run], times: Sequence[float]) -> Figure:
 
 def draw_feasible_set(axes: Axes, chosen: FeasibleSet, color: str) -> None:
     """Draws a feasible set and the choice in the plane of the first two inputs."""
-    from matplotlib.patches import Polygon
-
     low, high = chosen.low[:2], chosen.high[:2]
     room = MARGIN * np.where(high > low, high - low, 1.0)  # A fixed input has no range.
     view = np.stack([low - room, high + room])
     axes.set(xlim=view[:, 0], ylim=view[:, 1])
     axes.grid(False)
     limits: Style = dict(fill=False, ec=MUTED, lw=0.9, ls=(0, (4, 2)), zorder=2)
-    box = [low, (high[0], low[1]), high, (low[0], high[1])]
-    axes.add_patch(Polygon(np.array(box), **limits))
+    (x0, y0), (x1, y1) = low, high
+    axes.fill([x0, x1, x1, x0], [y0, y0, y1, y1], **limits)
     conflict = [] if chosen.has_choice else chosen.conflict
     for row in range(chosen.limits, len(chosen.b)):
         _draw_forbidden(axes, chosen, row, view, row in conflict)
     if chosen.empty:
-        words = dict(ha="center", va="center", color=ALARM, fontsize=12, weight="bold")
-        if chosen.has_choice:
-            words |= dict(color=MUTED, fontsize=8)
-        paper = dict(boxstyle="round,pad=0.25", fc="white", ec="none", alpha=0.85)
         middle, extent = view.mean(axis=0), view[1] - view[0]
         away = np.abs(chosen.reference[:2] - middle) / extent
         if away[0] < 0.25 and away[1] < 0.12:  # The ring would be on the word.
             middle = middle - [0.0, 0.2 * extent[1]]
-        told = "empty but for\nfaster decay" if chosen.has_choice else "empty"
-        axes.text(*middle, told, **words, bbox=paper, zorder=6)
+        words, style = "empty", dict(color=ALARM, fontsize=12)
+        if chosen.has_choice:
+            words, style = "empty but for\nfaster decay", dict(color=MUTED, fontsize=8)
+        style |= dict(ha="center", va="center", weight="bold", bbox=_PAPER, zorder=6)
+        axes.text(*middle, words, **style)
     else:
-        outline = hull(chosen.corners[:, :2])
-        axes.add_patch(Polygon(outline, fc=color, alpha=0.2, lw=0, zorder=2))
-        axes.add_patch(Polygon(outline, fill=False, ec=color, lw=1.5, zorder=3))
-        _draw_ellipse(axes, chosen, color)
+        outline = hull(chosen.corners[:, :2]).T
+        axes.fill(*outline, fc=color, alpha=0.2, lw=0, zorder=2)
+        axes.fill(*outline, fill=False, ec=color, lw=1.5, zorder=3)
+        if np.all(np.isfinite(chosen.shape)):
+            turn = np.linspace(0.0, 2.0 * np.pi, 121)
+            circle = np.stack([np.cos(turn), np.sin(turn)])
+            ring = chosen.center[:2, None] + shadow(chosen.shape) @ circle
+            axes.plot(*ring, color=color, lw=1.0, ls=(0, (2, 1.2)), zorder=3)
+            axes.plot(*chosen.center[:2], "+", color=color, ms=6, zorder=3)
     _draw_choice(axes, chosen, view, color)
 
 
@@ -301,8 +292,6 @@ def _draw_forbidden(
     axes: Axes, chosen: FeasibleSet, row: int, view: Array, conflicting: bool
 ) -> None:
     """What one barrier forbids, whatever the other inputs are; in red in a conflict."""
-    from matplotlib.patches import Polygon
-
     normal, others = chosen.A[row, :2], chosen.A[row, 2:]
     least = np.minimum(others * chosen.low[2:], others * chosen.high[2:]).sum()
     bound = chosen.b[row] - least
@@ -311,23 +300,10 @@ def _draw_forbidden(
     corners = polytope_vertices(-normal[None], np.array([-bound]), *view)
     if len(corners) < 3:
         return
-    color = ALARM if conflicting else "#b3bcc7"
-    style: Style = dict(
-        fc="none", ec=color, hatch="////" if conflicting else "///", lw=0.8
-    )
-    axes.add_patch(Polygon(hull(corners), **style, zorder=1.5 + conflicting))
-
-
-def _draw_ellipse(axes: Axes, chosen: FeasibleSet, color: str) -> None:
-    if not np.all(np.isfinite(chosen.shape)):
-        return
-    angle = np.linspace(0.0, 2.0 * np.pi, 121)
-    ring = chosen.center[:2, None] + shadow(chosen.shape) @ [
-        np.cos(angle),
-        np.sin(angle),
-    ]
-    axes.plot(*ring, color=color, lw=1.0, ls=(0, (2, 1.2)), zorder=3)
-    axes.plot(*chosen.center[:2], "+", color=color, ms=6, zorder=3)
+    style: Style = dict(ec=FORBIDDEN, hatch="///", lw=0.8, zorder=1.5)
+    if conflicting:
+        style |= dict(ec=ALARM, hatch="////", zorder=2.5)
+    axes.fill(*hull(corners).T, fc="none", **style)
 
 
 def _draw_choice(axes: Axes, chosen: FeasibleSet, view: Array, color: str) -> None:
@@ -351,7 +327,7 @@ def _legend_handles() -> list[Any]:
     dot: Style = dict(ls="none", marker="o")
     return [
         Line2D([], [], color=MUTED, lw=0.9, ls=(0, (4, 2)), label="input limits"),
-        Patch(fc="none", ec="#b3bcc7", hatch="////", label="forbidden by a barrier"),
+        Patch(fc="none", ec=FORBIDDEN, hatch="////", label="forbidden by a barrier"),
         Patch(fc="none", ec=ALARM, hatch="////", label="in conflict"),
         Line2D([], [], color=INK, lw=1.0, ls=(0, (2, 1.2)), label="largest ellipsoid"),
         Line2D([], [], **dot, mfc="white", mec=INK, label="reference"),
@@ -359,12 +335,7 @@ def _legend_handles() -> list[Any]:
     ]
 
 
-_CORNER = dict(
-    xycoords="axes fraction",
-    fontsize=8,
-    weight="bold",
-    va="top",
-    zorder=7,
-    bbox=dict(boxstyle="round,pad=0.15", fc="white", ec="none", alpha=0.9),
-)
-_LOWER_RIGHT = dict(ha="right", va="bottom", weight="normal", fontsize=7.5)
+_PAPER = dict(boxstyle="round,pad=0.2", fc="white", ec="none", alpha=0.9)
+_CORNER: Style = dict(xycoords="axes fraction", va="top", zorder=7, bbox=_PAPER)
+_CORNER |= dict(fontsize=8, weight="bold")
+_LOWER_RIGHT: Style = dict(ha="right", va="bottom", weight="normal", fontsize=7.5)
