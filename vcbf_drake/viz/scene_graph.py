@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from pydrake.common.value import AbstractValue
 from pydrake.geometry import (
@@ -36,14 +36,11 @@ def rgba(color: str) -> Rgba:
 class PosedGeometry(LeafSystem):
     """Registers rigid bodies with a SceneGraph and poses them.
 
-    .. pydrake_system::
-
-        name: PosedGeometry
-        output_ports:
-        - geometry_pose
-
     Every piece has the illustration and the perception role. A subclass implements
     `poses`; its input ports, if any, are its own.
+
+    Ports:
+        geometry_pose, output: the poses, a ``FramePoseVector``.
     """
 
     def __init__(
@@ -60,10 +57,13 @@ class PosedGeometry(LeafSystem):
         """
         super().__init__()
         self.source_id = scene_graph.RegisterSource()
-        self.frame_ids = [
-            _register(scene_graph, self.source_id, name, parts)
-            for name, parts in bodies.items()
-        ]
+        self.frame_ids = []
+        for name, parts in bodies.items():
+            frame = scene_graph.RegisterFrame(self.source_id, GeometryFrame(name))
+            self.frame_ids.append(frame)
+            for part in parts:
+                geometry = _geometry(f"{name}/{part.name}", part)
+                scene_graph.RegisterGeometry(self.source_id, frame, geometry)
         self.DeclareAbstractOutputPort(
             "geometry_pose",
             lambda: AbstractValue.Make(FramePoseVector()),
@@ -89,13 +89,9 @@ class PosedGeometry(LeafSystem):
 class VehicleGeometry(PosedGeometry):
     """Shows a vehicle where its state says that it is.
 
-    .. pydrake_system::
-
-        name: VehicleGeometry
-        input_ports:
-        - state
-        output_ports:
-        - geometry_pose
+    Ports:
+        state (n): the vehicle's state.
+        geometry_pose, output: as for every `PosedGeometry`.
     """
 
     def __init__(
@@ -111,9 +107,11 @@ class VehicleGeometry(PosedGeometry):
         """
         parts = vehicle.geometry(color)
         self._bodies = list(dict.fromkeys(part.body for part in parts))
-        frames = [f"{name}/{each}" if each else name for each in self._bodies]
-        pieces = [of_body(parts, each) for each in self._bodies]
-        super().__init__(scene_graph, dict(zip(frames, pieces, strict=True)))
+        frames = {
+            f"{name}/{each}" if each else name: of_body(parts, each)
+            for each in self._bodies
+        }
+        super().__init__(scene_graph, frames)
         size = state_port_of(vehicle.make_plant()).size()
         self._vehicle = vehicle
         self._state = self.DeclareVectorInputPort("state", size)
@@ -141,14 +139,7 @@ class VehicleGeometry(PosedGeometry):
 
 
 class ObstacleGeometry(PosedGeometry):
-    """Shows obstacles of any shape where they are at the context's time.
-
-    .. pydrake_system::
-
-        name: ObstacleGeometry
-        output_ports:
-        - geometry_pose
-    """
+    """Shows obstacles of any shape where they are at the context's time."""
 
     def __init__(
         self,
@@ -157,7 +148,7 @@ class ObstacleGeometry(PosedGeometry):
         name: str = "obstacle",
         color: str = OBSTACLE,
     ) -> None:
-        """Registers the obstacles, margins left out.
+        """Registers the obstacles, margins left out; in the plane they are pillars.
 
         Args:
             scene_graph: Where to.
@@ -165,8 +156,14 @@ class ObstacleGeometry(PosedGeometry):
             name: What the frames are called; a number is added.
             color: A hexadecimal colour.
         """
-        pieces = [list(_parts(obstacle, color)) for obstacle in obstacles]
-        bodies = {f"{name}_{i}": each for i, each in enumerate(pieces)}
+        bodies: dict[str, list[Part]] = {}
+        for number, obstacle in enumerate(obstacles):
+            to_frame = RigidTransform(-place_at(obstacle, 0.0))
+            pieces = [each.body for each in solids(obstacle, PILLAR_HEIGHT)]
+            bodies[f"{name}_{number}"] = [
+                Part(f"body_{i}" if i else "body", p.shape, color, to_frame @ p.pose)
+                for i, p in enumerate(pieces)
+            ]
         super().__init__(scene_graph, bodies)
         self._obstacles = tuple(obstacles)
 
@@ -190,26 +187,14 @@ class ObstacleGeometry(PosedGeometry):
         return geometry
 
 
-def _parts(obstacle: Shape, color: str) -> Iterator[Part]:
-    """The solids of an obstacle, in its frame; in the plane pillars on the ground."""
-    to_frame = RigidTransform(-place_at(obstacle, 0.0))
-    for i, solid in enumerate(solids(obstacle, PILLAR_HEIGHT)):
-        name, body = f"body_{i}" if i else "body", solid.body
-        yield Part(name, body.shape, color, to_frame @ body.pose)
-
-
-def _register(
-    scene_graph: SceneGraph, source: object, name: str, parts: Sequence[Part]
-) -> object:
-    frame = scene_graph.RegisterFrame(source, GeometryFrame(name))
-    for part in parts:
-        instance = GeometryInstance(part.pose, part.shape, f"{name}/{part.name}")
-        illustration, perception = IllustrationProperties(), PerceptionProperties()
-        if part.color is not None:
-            for properties in (illustration, perception):
-                properties.AddProperty("phong", "diffuse", rgba(part.color))
-        perception.AddProperty("label", "id", RenderLabel.kDontCare)
-        instance.set_illustration_properties(illustration)
-        instance.set_perception_properties(perception)
-        scene_graph.RegisterGeometry(source, frame, instance)
-    return frame
+def _geometry(name: str, part: Part) -> GeometryInstance:
+    """A piece for visualisers and for cameras."""
+    instance = GeometryInstance(part.pose, part.shape, name)
+    illustration, perception = IllustrationProperties(), PerceptionProperties()
+    if part.color is not None:
+        for properties in (illustration, perception):
+            properties.AddProperty("phong", "diffuse", rgba(part.color))
+    perception.AddProperty("label", "id", RenderLabel.kDontCare)
+    instance.set_illustration_properties(illustration)
+    instance.set_perception_properties(perception)
+    return instance

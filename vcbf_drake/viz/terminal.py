@@ -136,9 +136,17 @@ def print_hardware_report(side: str, report: Mapping[str, Any]) -> None:
     for finding, count in report.get("findings", {}).items():
         table.add_row("refuted", f"{finding} ({count} ticks)")
     if "commands" in report:
-        table.add_row("commands", _sameness(report["commands"]))
-    for index, line in enumerate(_changes(report["changes"])):
+        same, logged = report["commands"]["same"], report["commands"]["logged"]
+        words = f"{same} of {logged} logged ones came out again bit for bit; largest"
+        largest = number_text(report["commands"]["largest_difference"])
+        table.add_row("commands", f"{words} difference {largest}")
+    changes = report["changes"]
+    for index, change in enumerate(changes[:_MOST_CHANGES]):
+        line = f"{change['time']:.2f} s: {change['mode']}"
+        line += f", {change['reason']}" if change["reason"] else ""
         table.add_row("" if index else "mode", line)
+    if len(changes) > _MOST_CHANGES:
+        table.add_row("", f"and {len(changes) - _MOST_CHANGES} more changes")
     console.print(table)
 
 
@@ -259,22 +267,3 @@ def rounded_down(value: float) -> str:
     """Returns a bound from below in three digits that is still one."""
     three_digits = Context(prec=3, rounding=ROUND_FLOOR)
     return f"{float(three_digits.create_decimal_from_float(value)):.3g}"
-
-
-def _sameness(commands: Mapping[str, Any]) -> str:
-    difference = number_text(commands["largest_difference"])
-    return (
-        f"{commands['same']} of {commands['logged']} logged ones came out again bit for"
-        f" bit; largest difference {difference}"
-    )
-
-
-def _changes(changes: Sequence[Mapping[str, Any]]) -> list[str]:
-    lines = [
-        f"{change['time']:.2f} s: {change['mode']}"
-        + (f", {change['reason']}" if change["reason"] else "")
-        for change in changes[:_MOST_CHANGES]
-    ]
-    if len(changes) > _MOST_CHANGES:
-        lines.append(f"and {len(changes) - _MOST_CHANGES} more changes")
-    return lines
