@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from pydrake.systems.framework import Diagram
 from pydrake.systems.primitives import VectorLogSink
 
-from vcbf_drake.viz.block_graph import Block, Pin, Wire, graph_dot
+from vcbf_drake.viz.block_graph import Block, Wire, graph_dot
 
 if TYPE_CHECKING:
     from vcbf_drake.hil import Bus, InProcess
@@ -40,7 +40,7 @@ def hardware_dot(run: InProcess, title: str) -> str:
         )
     )
     wires = [
-        Wire(Pin(source.name, True, i), Pin(sink.name, False, j), 0)
+        Wire(source.name, i, sink.name, j, 0)
         for source, sink in (blocks, blocks[::-1])
         for i, channel in enumerate(source.outputs)
         for j, heard in enumerate(sink.inputs)

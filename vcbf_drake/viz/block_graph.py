@@ -23,40 +23,21 @@ _LINES = "#3d4754"
 _BUNDLE = 4  # So many wires between two blocks, or more, are drawn as one.
 
 
-class Pin(NamedTuple):
-    """One port of one block.
-
-    Attributes:
-        block: The block's name.
-        is_output: Whether it is an output port.
-        number: Its index among the block's inputs or outputs.
-    """
-
-    block: str
-    is_output: bool
-    number: int
-
-    def __str__(self) -> str:
-        """The port as DOT addresses it."""
-        return f"{_quoted(self.block)}:{self.identifier}"
-
-    @property
-    def identifier(self) -> str:
-        """The port's name in its block's table."""
-        return f"{'out' if self.is_output else 'in'}_{self.number}"
-
-
 class Wire(NamedTuple):
-    """A connection from an output to an input.
+    """A connection from an output port to an input port.
 
     Attributes:
-        source: The output.
-        sink: The input.
+        source: The block it comes from.
+        output: The index of the port there.
+        sink: The block it leads to.
+        input: The index of the port there.
         size: The length of the vector it carries; 0 when it carries no vector.
     """
 
-    source: Pin
-    sink: Pin
+    source: str
+    output: int
+    sink: str
+    input: int
     size: int
 
 
@@ -81,9 +62,7 @@ class Block:
     fill: str = GRID
 
 
-def graph_dot(
-    blocks: Sequence[Block], wires: Sequence[Wire], title: str, heading: str = ""
-) -> str:
+def graph_dot(blocks: Sequence[Block], wires: Sequence[Wire], title: str) -> str:
     """The DOT text of blocks and wires, from left to right, the same for the same.
 
     Many wires between two blocks' ports of the same names are one thick line. Wires
@@ -93,7 +72,6 @@ def graph_dot(
         blocks: The blocks, the first ones of the way first.
         wires: The connections between them.
         title: The graph's name.
-        heading: What stands above everything.
     """
     from pydot import Dot, Edge, Node
 
@@ -103,24 +81,18 @@ def graph_dot(
     font: dict[str, Any] = {"fontname": _quoted(_FONT), "fontcolor": _quoted(INK)}
     graph.set_node_defaults(shape="plain", fontsize=10, **font)
     graph.set_edge_defaults(color=_quoted(_LINES), arrowsize=0.7, fontsize=9, **font)
-    if heading:
-        graph.set("label", _quoted(heading))
-        graph.set("labelloc", "t")
-        for name, value in (font | {"fontsize": 12}).items():
-            graph.set(name, value)
     backward = _backward(blocks, wires)
-    wired = {pin for wire in wires for pin in wire[:2]}
     for block in blocks:
-        graph.add_node(Node(_quoted(block.name), label=_table(block, wired)))
+        graph.add_node(Node(_quoted(block.name), label=_table(block, wires)))
     bundles = _bundles(blocks, [w for w in wires if w not in backward])
     for (source, sink), bundle in bundles.items():
         text = _quoted(f" {len(bundle)} signals ")
         ends = f"{_quoted(source)}:e", f"{_quoted(sink)}:w"
         graph.add_edge(Edge(*ends, weight=4, penwidth=2.5, label=text))
     bundled = {wire for bundle in bundles.values() for wire in bundle}
-    nets: dict[Pin, list[Wire]] = {}
+    nets: dict[tuple[str, int], list[Wire]] = {}
     for wire in (each for each in wires if each not in bundled):
-        nets.setdefault(wire.source, []).append(wire)
+        nets.setdefault(wire[:2], []).append(wire)
     for number, net in enumerate(nets.values()):
         for part in _net(f"net_{number}", net, backward):
             (graph.add_node if isinstance(part, Node) else graph.add_edge)(part)
@@ -156,9 +128,9 @@ def _bundles(
     named = {block.name: block for block in blocks}
     found: dict[tuple[str, str], list[Wire]] = {}
     for wire in wires:
-        (source, _, i), (sink, _, j) = wire.source, wire.sink
-        if named[source].outputs[i] == named[sink].inputs[j]:
-            found.setdefault((source, sink), []).append(wire)
+        names = named[wire.source].outputs, named[wire.sink].inputs
+        if names[0][wire.output] == names[1][wire.input]:
+            found.setdefault((wire.source, wire.sink), []).append(wire)
     return {ends: each for ends, each in found.items() if len(each) >= _BUNDLE}
 
 
@@ -171,11 +143,11 @@ def _backward(blocks: Sequence[Block], wires: Sequence[Wire]) -> set[Wire]:
     def walk(name: str) -> None:
         on_the_way.append(name)
         for wire in wires:
-            if wire.source.block == name:
-                if wire.sink.block in on_the_way:
+            if wire.source == name:
+                if wire.sink in on_the_way:
                     backward.add(wire)
-                elif wire.sink.block not in done:
-                    walk(wire.sink.block)
+                elif wire.sink not in done:
+                    walk(wire.sink)
         on_the_way.pop()
         done.add(name)
 
@@ -194,12 +166,12 @@ def _net(name: str, net: Sequence[Wire], backward: Collection[Wire]) -> Iterator
     """
     from pydot import Edge, Node
 
-    source = f"{net[0].source}:e"
+    source = f"{_quoted(net[0].source)}:out_{net[0].output}:e"
     point: dict[str, Any] = dict(shape="point", width=0.04, color=_quoted(_LINES))
     returning = [wire for wire in net if wire in backward]
     for wire in net:
         if wire not in returning:
-            yield Edge(source, f"{wire.sink}:w", weight=4, **_size(wire))
+            yield Edge(source, _sink(wire), weight=4, **_size(wire))
     trunk = name
     if returning:
         yield Node(trunk, **point)
@@ -208,40 +180,45 @@ def _net(name: str, net: Sequence[Wire], backward: Collection[Wire]) -> Iterator
         corner = f"{name}_{k}"
         yield Node(corner, **point)
         yield Edge(corner, trunk, dir="none", minlen=0, headclip="false")
-        yield Edge(corner, f"{wire.sink}:w", **_size(wire), tailclip="false")
+        yield Edge(corner, _sink(wire), **_size(wire), tailclip="false")
         trunk = corner
+
+
+def _sink(wire: Wire) -> str:
+    return f"{_quoted(wire.sink)}:in_{wire.input}:w"
 
 
 def _size(wire: Wire) -> dict[str, Any]:
     return {"label": _quoted(f" {wire.size} ")} if wire.size else {}
 
 
-def _table(block: Block, wired: Collection[Pin]) -> str:
+def _table(block: Block, wires: Sequence[Wire]) -> str:
     """The HTML-like label: head, notes, and a row for every pair of ports."""
+    red, green, blue = bytes.fromhex(block.fill.removeprefix("#"))
+    ink = INK if 0.3 * red + 0.6 * green + 0.1 * blue > 140 else "#ffffff"
     head = f'<FONT POINT-SIZE="11"><B>{escape(block.name)}</B></FONT>'
     head += f"<BR/>{escape(block.kind)}" if block.kind else ""
     style = f'COLSPAN="2" CELLPADDING="5" BGCOLOR="{block.fill}"'
-    red, green, blue = bytes.fromhex(block.fill.removeprefix("#"))
-    ink = INK if 0.3 * red + 0.6 * green + 0.1 * blue > 140 else "#ffffff"
     rows = [f'<TD {style}><FONT COLOR="{ink}">{head}</FONT></TD>']
     rows += [f'<TD COLSPAN="2" ALIGN="LEFT">{escape(n)}</TD>' for n in block.notes]
-    inputs = [
-        _cell(block.name, False, *each, wired) for each in enumerate(block.inputs)
+    heard = {wire.input for wire in wires if wire.sink == block.name}
+    told = {wire.output for wire in wires if wire.source == block.name}
+    columns = [
+        [_cell(f"{end}_{k}", side, name, k in used) for k, name in enumerate(names)]
+        for end, side, names, used in (
+            ("in", "LEFT", block.inputs, heard),
+            ("out", "RIGHT", block.outputs, told),
+        )
     ]
-    outputs = [
-        _cell(block.name, True, *each, wired) for each in enumerate(block.outputs)
-    ]
-    rows += map("".join, zip_longest(inputs, outputs, fillvalue="<TD></TD>"))
+    rows += map("".join, zip_longest(*columns, fillvalue="<TD></TD>"))
     style = f'BORDER="1" COLOR="{MUTED}" CELLBORDER="0" CELLSPACING="0" CELLPADDING="3"'
     return f"<<TABLE {style}>{''.join(f'<TR>{row}</TR>' for row in rows)}</TABLE>>"
 
 
-def _cell(block: str, output: bool, k: int, name: str, wired: Collection[Pin]) -> str:
+def _cell(port: str, side: str, name: str, wired: bool) -> str:
     """The cell of a port, which is paler without a wire."""
-    pin = Pin(block, output, k)
-    color, align = INK if pin in wired else MUTED, "RIGHT" if output else "LEFT"
-    text = f'<FONT COLOR="{color}">{escape(name) or "&#160;"}</FONT>'
-    return f'<TD ALIGN="{align}" PORT="{pin.identifier}">{text}</TD>'
+    text = f'<FONT COLOR="{INK if wired else MUTED}">{escape(name) or "&#160;"}</FONT>'
+    return f'<TD ALIGN="{side}" PORT="{port}">{text}</TD>'
 
 
 def _quoted(text: str) -> str:

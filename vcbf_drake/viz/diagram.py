@@ -22,7 +22,7 @@ from pydrake.systems.framework import (
 from pydrake.systems.primitives import VectorLogSink
 
 from vcbf_drake.safety import METHODS, SafetyFilter
-from vcbf_drake.viz.block_graph import Block, Pin, Wire, graph_dot, write_dot
+from vcbf_drake.viz.block_graph import Block, Wire, graph_dot, write_dot
 from vcbf_drake.viz.style import METHOD_STYLES
 
 # What only looks on, at everything.
@@ -70,12 +70,12 @@ def _in_order(systems: Mapping[str, System], wires: Sequence[Wire]) -> list[str]
     systems without wired inputs.
     """
     references = [
-        wire.source.block
+        wire.source
         for wire in wires
-        if isinstance(systems[wire.sink.block], SafetyFilter)
-        and _port_name(systems[wire.sink.block], wire.sink.number) == "reference"
+        if isinstance(systems[wire.sink], SafetyFilter)
+        and _port_name(systems[wire.sink], wire.input) == "reference"
     ]
-    fed = {wire.sink.block for wire in wires}
+    fed = {wire.sink for wire in wires}
     filters = [n for n, system in systems.items() if isinstance(system, SafetyFilter)]
     sources = [] if filters else [name for name in systems if name not in fed]
     return list(dict.fromkeys([*references, *filters, *sources, *systems]))
@@ -98,19 +98,16 @@ def _port_name(system: System, number: int) -> str:
     return str(system.get_input_port(number).get_name())
 
 
-def _wires(diagram: Diagram, systems: dict[str, System]) -> tuple[Wire, ...]:
+def _wires(diagram: Diagram, systems: Mapping[str, System]) -> list[Wire]:
     names = {system: name for name, system in systems.items()}
     wires = [
-        Wire(
-            Pin(names[source], True, int(output)),
-            Pin(names[sink], False, int(input_)),
-            sink.get_input_port(input_).size(),
-        )
-        for (sink, input_), (source, output) in diagram.connection_map().items()
+        Wire(names[source], int(output), names[sink], int(number), port.size())
+        for (sink, number), (source, output) in diagram.connection_map().items()
         if sink in names and source in names
+        for port in [sink.get_input_port(number)]
     ]
-    number = {name: i for i, name in enumerate(systems)}
-    return tuple(sorted(wires, key=lambda w: (number[w.sink.block], w.sink.number)))
+    order = list(systems)
+    return sorted(wires, key=lambda wire: (order.index(wire.sink), wire.input))
 
 
 def _kind(system: System) -> str:
@@ -137,29 +134,25 @@ def filter_dot(safety_filter: SafetyFilter) -> str:
     name: str = safety_filter.get_name()
     whole, entries = system_block(name, safety_filter), _needed_entries(safety_filter)
     given = _given(safety_filter, entries)
-    blocks = [Block("inputs", "", (), tuple(text for _, text, _ in given))]
+    blocks = [Block("inputs", whole.kind, (), tuple(text for _, text, _ in given))]
     wires: list[Wire] = []
-    # By ticket: where what it stands for comes from, how that is called, its size.
-    sources = {
-        ticket: (Pin("inputs", True, i), text, size)
-        for i, (ticket, text, size) in enumerate(given)
-    }
+    # By ticket: the block and the output it stands for, how that is called, its size.
+    sources = {t: ("inputs", i, text, size) for i, (t, text, size) in enumerate(given)}
     for entry in entries:
         block: str = entry.description()
         needs = [sources[ticket] for ticket in sources if ticket in _tickets(entry)]
-        inputs = tuple(text for _, text, _ in needs)
+        inputs = tuple(text for _, _, text, _ in needs)
         notes = _steps(safety_filter).get(block, ())
         blocks.append(Block(block, "cache entry", inputs, ("",), notes))
-        for i, (pin, _, size) in enumerate(needs):
-            wires.append(Wire(pin, Pin(block, False, i), size))
-        sources[int(entry.ticket())] = Pin(block, True, 0), block, 0
-    blocks.append(Block("outputs", "", whole.outputs, ()))
+        for i, (source, k, _, size) in enumerate(needs):
+            wires.append(Wire(source, k, block, i, size))
+        sources[int(entry.ticket())] = block, 0, block, 0
+    blocks.append(Block("outputs", whole.kind, whole.outputs, ()))
     for i in range(safety_filter.num_output_ports()):
         port = safety_filter.get_output_port(i)
         for ticket in _tickets(port.cache_entry()):
-            sink = Pin("outputs", False, i)
-            wires.append(Wire(sources[ticket][0], sink, port.size()))
-    return graph_dot(blocks, wires, name, heading=f"{name}: {whole.kind}")
+            wires.append(Wire(*sources[ticket][:2], "outputs", i, port.size()))
+    return graph_dot(blocks, wires, name)
 
 
 def _tickets(entry: CacheEntry) -> list[int]:
