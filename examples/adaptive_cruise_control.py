@@ -1,8 +1,8 @@
-"""Adaptive cruise control: where the volume barrier decides, and how to choose it.
+"""Adaptive cruise control: a problem whose feasibility depends on the volume barrier.
 
-A car follows one that is slower, and has to keep 1.8 s of headway while brakes and
-engine give 0.3 g at most. The headway alone asks for more than that at last: the QP has
-no solution then. A volume barrier that feels its rows early brakes in time.
+A car follows a slower one and has to keep 1.8 s of headway with brakes and an engine of
+at most 0.3 g. The headway barrier alone finally demands more than that: the QP becomes
+infeasible. A widened volume barrier brakes in time.
 
     python examples/adaptive_cruise_control.py
     vcbf-drake run examples/adaptive_cruise_control.py

@@ -1,8 +1,8 @@
-"""A robot arm from a URDF file swings down beside a wall that its path goes through.
+"""A robot arm from a URDF file swings down beside a wall that its path crosses.
 
-A MultibodyPlant, Drake's own inverse dynamics controller, and the filter between the
-two. Where the hand is, and every derivative of that, comes from the plant: no forward
-kinematics, no Jacobian, no matrix of inertia is written down here.
+A MultibodyPlant, Drake's inverse dynamics controller, and the filter between the two.
+The position of the hand and its derivatives come from the plant: the program contains
+no forward kinematics, Jacobian or mass matrix.
 
     python examples/arm_beside_wall.py
 """

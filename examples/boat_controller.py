@@ -1,9 +1,9 @@
 """A robot of your own on the bus: a boat in C++, its controller and filter in Drake.
 
-The boat of own_plant.py again, but its vehicle side is a program of its own, in C++
-with stock LCM (`boat/boat.cpp`; built here by `boat/Makefile` where g++ and liblcm-dev
-are installed). `control` is all that a controller's process needs: the vehicle's link
-in the place of a plant, your controller, the filter, and what answers the vehicle.
+The boat of own_plant.py again, but its vehicle side is a C++ program with stock LCM
+(`boat/boat.cpp`; built here by `boat/Makefile` if g++ and liblcm-dev are installed).
+`control` has all parts of a controller's process: the link to the vehicle in place of a
+plant, your controller, the filter, and the sender of commands.
 
     python examples/boat_controller.py
 """

@@ -2,11 +2,11 @@
 
 Runs the commands that it prints, each run in real time:
 
-* good: nothing wrong;
-* lossy: one message in five lost, both ways;
-* late: every message 30 ms late, give or take 10 ms, both ways;
-* killed: the controller killed in mid-flight; half a second later another one, which
-  has been loaded already and knows nothing of the flight, takes over.
+* good: no faults;
+* lossy: one message in five is lost, both ways;
+* late: every message is 30 ms late, plus or minus 10 ms, both ways;
+* killed: the controller is killed in mid-flight; half a second later another one, which
+  is already loaded and has no information about the flight, takes over.
 
     python examples/hardware_faults.py
 """

@@ -1,7 +1,7 @@
-"""A barrier of your own: a car must stay in a ring that wanders and breathes.
+"""A barrier of your own: a car must stay in a ring that moves and changes its size.
 
-h(x, t, p) is a plain function written with numpy; its derivatives along the plant, in
-time too, are the library's business.
+h(x, t, p) is a function written with NumPy; the library derives its derivatives along
+the plant and in time.
 
     python examples/own_barrier.py
 """

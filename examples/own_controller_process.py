@@ -1,9 +1,9 @@
 """Your controller in a process of its own, in the place of ``vcbf-drake controller``.
 
-The vehicle is ``vcbf-drake plant car-avoidance``; replace it by your vehicle, if that
-speaks the same messages. This program is all there is on the other side. It knows
-nothing of Drake's systems: it takes states that passed every check, and answers each
-with a command. When it falls silent, the vehicle brakes by itself.
+The vehicle is ``vcbf-drake plant car-avoidance``; replace it by your own vehicle, if it
+speaks the same messages. This program is the complete other side. It uses no Drake
+systems: it receives states that passed every check, and answers each with a command. If
+it falls silent, the vehicle brakes by itself.
 
     python examples/own_controller_process.py
 """

@@ -1,7 +1,7 @@
-"""A plant of your own: a boat with quadratic drag, its own ports and port names.
+"""A plant of your own: a boat with quadratic drag and its own port names.
 
-The filter needs no more than this: a LeafSystem template, so that Drake can evaluate it
-with symbolic numbers, affine in the input and in the disturbance.
+The filter needs only a LeafSystem template, so that Drake can evaluate it with symbolic
+scalars, that is affine in the input and in the disturbance.
 
     python examples/own_plant.py
 """

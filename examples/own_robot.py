@@ -1,4 +1,4 @@
-"""One's own robot, from nothing to a replay: a puck on an air table, between posts.
+"""A robot of your own, from its dynamics to a replay: a puck on an air table.
 
 vcbf-drake run examples/own_robot.py                (docs/guide/own_robot.md)
 """

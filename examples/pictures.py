@@ -1,4 +1,4 @@
-"""What the examples' pictures share: paths, and below them the barriers in time."""
+"""Pictures of the examples: paths, and below them the barriers over time."""
 
 from pathlib import Path
 

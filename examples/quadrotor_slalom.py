@@ -1,11 +1,11 @@
-"""Drake's own quadrotor flies a slalom in the wind; nothing derived by hand.
+"""Drake's quadrotor flies a slalom in wind, without any derivation by hand.
 
-A quadrotor's position feels the total thrust in its second derivative, the moments in
-its fourth: a filter on the rotors could only push along the thrust, and not at all
-abeam of an obstacle. Two integrators in front of the thrust make the relative degree 4
-for both, so the quadrotor tilts to avoid. The wind reaches the position in the second
-derivative already, before any input: ``robust`` takes the worst of it off at every
-level of the barriers. The controller, Drake's LQR, knows nothing of wind or spheres.
+The total thrust enters the second derivative of a quadrotor's position, the moments
+enter the fourth: a filter on the rotors could only push along the thrust, and not at
+all abeam of an obstacle. Two integrators in front of the thrust make the relative
+degree 4 for both, so the quadrotor tilts to avoid. The wind enters the second
+derivative, before any input: ``robust`` makes every level of the barriers robust
+against it. The controller, Drake's LQR, takes no account of wind or spheres.
 
     vcbf-drake run examples/quadrotor_slalom.py
 """

@@ -1,8 +1,8 @@
-"""Reading a log: what a run leaves behind, plotted with NumPy and matplotlib alone.
+"""Reading a log: the saved arrays of a run, plotted with NumPy and matplotlib alone.
 
 `result.save(directory)` and `vcbf-drake run --out directory` write summary.json, the
-scenario and log.npz: named arrays with one row a control tick. Nothing below the first
-step needs this package.
+scenario and log.npz: named arrays with one row per control tick. After the first step
+the program does not use this package.
 
     python examples/read_a_log.py               # simulates first
     python examples/read_a_log.py DIRECTORY     # of a car's run that was saved before

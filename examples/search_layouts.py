@@ -1,8 +1,8 @@
-"""Which random courses can only be flown with the volume barrier, every time?
+"""A search for random courses that can be flown only with the volume barrier.
 
-Flies random courses without and with the volume barrier. Those on which only the
-second arrives, without slack, are flown again from the random starts of the paper's
-Table I and listed by how often the outcome stays the same. The shipped scenario
+Flies random courses without and with the volume barrier. The courses on which only the
+second one arrives, without slack, are flown again from the random starts of the paper's
+Table I and listed by how often the outcome is the same. The shipped scenario
 `blimp-multiple-obstacles` is course 5, the head of that list.
 
     python examples/search_layouts.py --layouts 600 --workers 2

@@ -1,8 +1,8 @@
 """A blimp among obstacles over a slow link, with and without prediction.
 
-Both halves run in one process on a simulated clock, and every message is late, both
-ways, by the delay give or take 10 ms. With ``predict`` the filter acts on the state at
-which its command will arrive.
+Both halves run in one process on a simulated clock, and every message is delayed, in
+both directions, by the given time plus or minus 10 ms. With ``predict`` the filter acts
+on the predicted state at which its command will arrive.
 
     python examples/slow_link.py
 """

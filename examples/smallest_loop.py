@@ -1,8 +1,7 @@
 """The smallest loop: a plant, a controller, and the safety filter in between.
 
-Everything here is a Drake system; put your own plant and your own controller in the
-place of these two. Nothing is derived by hand: the filter reads the plant's dynamics
-from the system itself.
+Everything here is a Drake system; replace plant and controller by your own. Nothing is
+derived by hand: the filter reads the plant's dynamics from the system itself.
 
     python examples/smallest_loop.py
 """

@@ -1,8 +1,7 @@
 """A person drives a car with two sliders; the filter keeps it off pillars and fence.
 
-The sliders are in the browser, beside the scene: throttle and steering, arrow keys or
-mouse. A scripted stick, which only knows full throttle, takes the person's place where
-there is none.
+The sliders for throttle and steering are in the browser, beside the scene, for arrow
+keys or mouse. Without a person, a script drives at full throttle.
 
     python examples/teleoperator.py             # drive; the Stop button ends it
     python examples/teleoperator.py --scripted  # the stick drives for 30 s

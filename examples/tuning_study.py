@@ -1,7 +1,8 @@
-"""How wide, and which gain: settings of the volume barrier on the same courses.
+"""A tuning study: widening and gain of the volume barrier on the same courses.
 
-Flies courses on which the filter without a volume barrier runs out of inputs, once for
-each setting of the barrier, and counts: feasible to the end, arrived, when, how close.
+Flies courses on which the filter without a volume barrier becomes infeasible, once for
+each setting of the barrier, and counts the runs that remain feasible and that arrive,
+with their times and distances.
 
     python examples/tuning_study.py
 

@@ -1,8 +1,8 @@
-"""Two blimps change places while a ball that they have to see first rises between them.
+"""Two blimps change places while a ball, unknown in advance, rises between them.
 
-One filter holds both: its plant is a diagram of two blimps, 16 states and 6 inputs, and
-that they keep apart is one more barrier. Nobody told the filter about the ball: what a
-sensor sees comes through its port `obstacles`.
+One filter serves both: its plant is a diagram of two blimps, with 16 states and 6
+inputs, and one barrier more keeps them apart. The filter does not know the ball: a
+sensor reports it through the port `obstacles`.
 
     python examples/two_blimps.py
 """
