@@ -39,7 +39,7 @@ def main() -> None:
     quick = parser.parse_args().quick
     chosen = instances(20 if quick else 200)
     print("# Where the time goes\n\nMade by `make bench`. CPU time of one thread.\n")
-    print(f"## Beside others, on {len(chosen)} ticks\n")
+    print(f"## Comparison with other packages, on {len(chosen)} ticks\n")
     costs = {}
     for task in TASKS:
         costs[task.title] = list(measure(task, chosen))

@@ -198,7 +198,7 @@ def markdown(task: Task, costs: Sequence[Cost | str]) -> Iterator[str]:
     """Yields the lines of a task's table; `costs` as `measure` yields them."""
     yield f"### {task.title}\n"
     error = f"worst error [{task.unit}]"
-    yield f"| route | median ms | p99 ms | x ours | {error} | infeasible, noticed |"
+    yield f"| package | median ms | p99 ms | x ours | {error} | infeasible, detected |"
     yield "| --- | ---: | ---: | ---: | ---: | ---: |"
     ours = next(cost.median for cost in costs if isinstance(cost, Cost))
     for cost in costs:
