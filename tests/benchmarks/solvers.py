@@ -22,7 +22,7 @@ from vcbf_drake.safety.programs import SOLVERS, NearestPointProgram, check_solve
 from vcbf_drake.safety.unit_rows import UnitRows
 
 _HOSTILE_TICKS = 4000
-Asked = tuple[Any, ...]
+Asked = tuple[UnitRows, Array, int]
 
 
 def main() -> None:
@@ -52,19 +52,19 @@ def usable_solvers() -> Iterator[str]:
 
 
 def asked_of_qp(run: Callable[[], object]) -> list[Asked]:
-    """Returns rows, right-hand sides, reference and firm rows of the QPs of a run.
+    """Returns rows, reference and the number of firm rows of the QPs of a run.
 
     Args:
         run: What solves them; those without a solution do not count.
     """
     asked = []
 
-    def remember(A: Any, b: Any, reference: Any, num_firm: int, solver: str) -> Any:
-        found = projection.nearest_point(A, b, reference, num_firm, solver)
-        asked.append((A, b, reference, num_firm))
+    def remember(rows: UnitRows, reference: Array, num_firm: int, solver: str) -> Any:
+        found = projection.nearest_in(rows, reference, num_firm, solver)
+        asked.append((rows, reference, num_firm))
         return found
 
-    with patch.object(tick_qp, "nearest_point", remember):
+    with patch.object(tick_qp, "nearest_in", remember):
         run()
     return asked
 
@@ -80,16 +80,14 @@ def measured(solver: str, *kinds: list[Asked]) -> Iterator[tuple[float, int]]:
     """
     for asked in kinds:
         spent, count = [], 0
-        for A, b, reference, num_firm in asked:
-            rows = UnitRows(A, b)
-            program = NearestPointProgram.of_size(*A.shape, solver)
+        for rows, reference, num_firm in asked:
+            program = NearestPointProgram.of_size(*rows.A.shape, solver)
             started = time.thread_time()
             program.solve(rows.A, rows.b, reference)
             spent.append(time.thread_time() - started)
-            opened = rows.b + projection.opening(rows, num_firm)
             count += any(
                 _is_enough(program, rows, right, reference)
-                for right in (rows.b, opened)
+                for right in (rows.b, projection.opened(rows, num_firm))
             )
         yield 1e6 * float(np.percentile(spent, 10.0)), count
 

@@ -3,7 +3,6 @@
 The oracle has its own closed forms of plants and rows, and its own integrator.
 """
 
-from dataclasses import replace
 from fractions import Fraction
 import math
 from pathlib import Path
@@ -196,7 +195,7 @@ def test_the_bound_is_sharp_for_short_holds(kind):
     generator = np.random.default_rng(1)
     for _ in range(10):
         model, barriers, x, t, u, known, *_ = random_case(generator, kind)
-        tick = Tick(barriers.rows(x, t), x, t, replace(known, bound=0.0))
+        tick = Tick(barriers.rows(x, t), x, t, known._replace(bound=0.0))
         lost = []
         for period in (1e-3, 1e-4, 1e-5):
             (least,) = HeldRows(model, barriers, period, 10.0).least(tick, u)

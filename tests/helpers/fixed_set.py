@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.checks import Array
 from vcbf_drake.safety import DisturbanceKnowledge, InputSet
-from vcbf_drake.safety.feasible_set import FeasibleSet, feasible_set
+from vcbf_drake.safety.feasible_set import FeasibleSet, RowCosts, feasible_set
 
 
 def fixed_set(
@@ -40,4 +41,9 @@ def fixed_set(
         gradients=lambda rows: np.zeros((len(rows), m + 2, 2)),
     )
     known = DisturbanceKnowledge.constant(1, 0.0)
-    return feasible_set(input_set, rows, known, None, penalties, linear_penalties)
+    costs = RowCosts.equal(n)
+    if penalties is not None:
+        costs = replace(costs, penalties=penalties)
+    if linear_penalties is not None:
+        costs = replace(costs, linear_penalties=linear_penalties)
+    return feasible_set(input_set, rows, known, costs)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 import json
 from pathlib import Path
@@ -22,7 +22,7 @@ from tests.properties.hostile_ticks import KINDS, random_input_set, random_tick
 from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.safety import DisturbanceKnowledge, FilterDecision, InputSet
-from vcbf_drake.safety.feasible_set import feasible_set
+from vcbf_drake.safety.feasible_set import RowCosts, feasible_set
 from vcbf_drake.safety.qp import choose_input
 from vcbf_drake.studies.worker_processes import new_pool
 
@@ -85,8 +85,9 @@ def decide(tick: Tick) -> FilterDecision:
         gradients=lambda rows: np.zeros((len(rows), m + 2, 2)),
     )
     known = DisturbanceKnowledge.constant(1, 0.0)
+    costs = replace(RowCosts.equal(n), weights=tick.weights)
     with np.errstate(over="ignore", invalid="ignore"):
-        feasible = feasible_set(tick.input_set, rows, known, tick.weights)
+        feasible = feasible_set(tick.input_set, rows, known, costs)
         return choose_input(
             feasible,
             tick.volume_row,

@@ -75,7 +75,7 @@ def random_decision(rng: Generator, plant: str) -> tuple[Tick, FilterDecision]:
         input_set=inputs,
         A=feasible.A[limits:],
         b=feasible.b[limits:],
-        weights=feasible.weights,
+        weights=feasible.costs.weights,
         volume_row=None,
         knows_volume=safety_filter.method.feasibility in ("none", "backup"),
         reference=signals["reference"],

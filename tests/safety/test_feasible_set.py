@@ -8,7 +8,7 @@ import pytest
 
 from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.safety import DisturbanceKnowledge, InputSet, disturbance_margin
-from vcbf_drake.safety.feasible_set import feasible_set
+from vcbf_drake.safety.feasible_set import RowCosts, feasible_set
 
 TRIANGLE = InputSet([[1.0, 1.0], [-1.0, 1.0], [0.0, -1.0]], [3.0, 1.0, 2.0])
 BOX = InputSet.box([-1.0, -0.2], [3.0, 0.6])
@@ -113,6 +113,6 @@ def test_numbers_that_are_not_finite_are_seen(where):
 def test_weights_are_ones_by_default():
     rows = random_rows(np.random.default_rng(5), 2)
     known = DisturbanceKnowledge.constant(3, 0.0)
-    assert feasible_set(BOX, rows, known).weights.tolist() == [1.0, 1.0]
-    weights = np.array([2.0, 3.0])
-    assert feasible_set(BOX, rows, known, weights).weights is weights
+    assert feasible_set(BOX, rows, known).costs.weights.tolist() == [1.0, 1.0]
+    costs = dataclasses.replace(RowCosts.equal(2), weights=np.array([2.0, 3.0]))
+    assert feasible_set(BOX, rows, known, costs).costs is costs

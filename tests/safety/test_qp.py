@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import linprog
@@ -12,8 +14,8 @@ from vcbf_drake.safety import (
     projection,
     tick_qp,
 )
-from vcbf_drake.safety.feasible_set import feasible_set
-from vcbf_drake.safety.projection import nearest_point
+from vcbf_drake.safety.feasible_set import RowCosts, feasible_set
+from vcbf_drake.safety.projection import nearest_in
 from vcbf_drake.safety.qp import choose_input, least_violation
 from vcbf_drake.safety.tick_qp import Frame, VolumeRow
 
@@ -34,7 +36,10 @@ def set_of(A, b, input_set=BOX, weights=None):
         num_states=2,
         gradients=lambda rows: np.zeros((len(rows), m + 2, 3)),
     )
-    return feasible_set(input_set, rows, DisturbanceKnowledge.constant(1, 0.0), weights)
+    costs = RowCosts.equal(n)
+    if weights is not None:
+        costs = replace(costs, weights=weights)
+    return feasible_set(input_set, rows, DisturbanceKnowledge.constant(1, 0.0), costs)
 
 
 def choose(feasible, reference, volume_row=None, **options):
@@ -196,9 +201,9 @@ def test_no_answer_at_all_is_a_failure(monkeypatch):
 
     def but_the_first(*arguments):
         attempts.append(arguments)
-        return nearest_point(*arguments) if len(attempts) > 1 else failing()
+        return nearest_in(*arguments) if len(attempts) > 1 else failing()
 
-    monkeypatch.setattr(tick_qp, "nearest_point", but_the_first)
+    monkeypatch.setattr(tick_qp, "nearest_in", but_the_first)
     feasible = set_of([[1.0, 0.0], [-1.0, 0.0]], [-0.5, 0.2])
     decision = choose(feasible, [0.0, 0.5])
     assert decision.status == FilterStatus.FAILED and decision.conflict == ()
@@ -217,13 +222,13 @@ def test_a_volume_row_that_holds_after_all_has_no_slack(monkeypatch):
     """The first attempt finds no point, by rounding alone; the second keeps all."""
     attempts = []
 
-    def at_the_second(A, b, *others):
+    def at_the_second(rows, *others):
         attempts.append(others)
         if len(attempts) == 1:
-            raise EmptySetError(A, b, -1e-9)
-        return nearest_point(A, b, *others)
+            raise EmptySetError(*rows.given, -1e-9)
+        return nearest_in(rows, *others)
 
-    monkeypatch.setattr(tick_qp, "nearest_point", at_the_second)
+    monkeypatch.setattr(tick_qp, "nearest_in", at_the_second)
     row = VolumeRow(a=np.array([1.0, 0.0]), c=-0.5, slack_penalty=1e3)
     decision = choose(set_of([0.0, 1.0], 1.0), [-0.8, 1.5], row)
     assert decision.status == FilterStatus.FILTERED and decision.slack == 0.0
@@ -231,7 +236,7 @@ def test_a_volume_row_that_holds_after_all_has_no_slack(monkeypatch):
 
 
 def test_without_any_solver_the_held_input_acts(monkeypatch):
-    monkeypatch.setattr(tick_qp, "nearest_point", failing)
+    monkeypatch.setattr(tick_qp, "nearest_in", failing)
     monkeypatch.setattr(tick_qp, "minimise_linear", failing)
     decision = choose(set_of([1.0, 1.0], -1.0), [2.0, 1.0], held_input=[-9.0, 0.5])
     assert decision.status == FilterStatus.FAILED

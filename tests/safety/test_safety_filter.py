@@ -218,7 +218,7 @@ def test_far_from_everything_the_volume_is_on_its_plateau(model):
 def test_the_weights_of_violations_reach_the_feasible_set(model):
     safety_filter = make_filter(model, violation_weights=[2.0, 5.0])
     feasible = safety_filter.feasible_set(fixed(safety_filter, CLOSE))
-    assert feasible.weights.tolist() == [2.0, 5.0]
+    assert feasible.costs.weights.tolist() == [2.0, 5.0]
 
 
 def test_rows_that_exclude_each_other_are_named(model):

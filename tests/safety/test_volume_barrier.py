@@ -1,6 +1,5 @@
 """V_v's derivatives: against differences, and along the closed loop."""
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -116,11 +115,11 @@ def test_every_partial_derivative_agrees_with_central_differences(blimp):
                 lambda h, e=e: (
                     state,  # noqa: B023
                     time,  # noqa: B023
-                    dataclasses.replace(known, estimate=known.estimate + h * e),  # noqa: B023
+                    known._replace(estimate=known.estimate + h * e),  # noqa: B023
                 )
                 for e in np.eye(3)
             ),
-            lambda h: (state, time, dataclasses.replace(known, bound=known.bound + h)),  # noqa: B023
+            lambda h: (state, time, known._replace(bound=known.bound + h)),  # noqa: B023
         ]
         scale = max(np.abs(analytic).max(), 0.1)
         for value, direction in zip(analytic, directions, strict=True):
@@ -273,8 +272,7 @@ def test_rows_that_the_disturbance_hardly_moves_are_differentiated_too():
         step = rng.normal(size=7)
 
         def moved(h, known=known, step=step, barriers=barriers):
-            known = dataclasses.replace(
-                known,
+            known = known._replace(
                 estimate=known.estimate + h * step[3:6],
                 bound=known.bound + h * step[6],
             )

@@ -1,6 +1,5 @@
 """V_v, widened too, and its derivatives, by routes that share nothing with them."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -129,8 +128,7 @@ def moved(situation, direction):
     return (
         state + direction[:n],
         time + direction[n],
-        dataclasses.replace(
-            known,
+        known._replace(
             estimate=known.estimate + direction[n + 1 : n + 1 + q],
             bound=known.bound + direction[-1],
         ),

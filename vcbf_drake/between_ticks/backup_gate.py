@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import pairwise
 import math
 
@@ -90,7 +89,7 @@ class BackupGate:
         # Where the observer refutes the bound of d, nothing that rests on it is sure.
         known, most = tick.known, self._disturbance_bound
         if np.linalg.norm(known.estimate) - known.bound > most * (1.0 + _TOLERANCE):
-            return replace(decision, is_certified=False)
+            return decision._replace(is_certified=False)
         return decision
 
     def _found(self, tick: Tick, decision: FilterDecision) -> FilterDecision:
@@ -103,21 +102,20 @@ class BackupGate:
         ]
         laws = [(each, backup) for each, backup in ways if check.allows(backup)]
         if any(check.passes(each, u) for each, _ in laws):
-            return replace(decision, is_certified=True)
+            return decision._replace(is_certified=True)
         for each, backup in laws:
             if not check.passes(each, backup):
                 continue
             u, share = check.nearest(each, u, backup)
-            return replace(
-                decision,
+            return decision._replace(
                 input=u,
                 backup=share,
                 is_certified=True,
                 qp=None,
             )
         if decision.status < FilterStatus.INFEASIBLE or not ways:
-            return replace(decision, is_certified=False)
-        return replace(decision, input=ways[0][1], backup=1.0, is_certified=False)
+            return decision._replace(is_certified=False)
+        return decision._replace(input=ways[0][1], backup=1.0, is_certified=False)
 
 
 def _input_of(manoeuvre: Manoeuvre, state: Array, input_set: InputSet) -> Array | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import contextlib
-from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -186,7 +185,7 @@ class HeldRows:
 
 
 def _judged(decision: FilterDecision, least: Array) -> FilterDecision:
-    return replace(decision, row_margin=float(np.min(least, initial=np.inf)))
+    return decision._replace(row_margin=float(np.min(least, initial=np.inf)))
 
 
 # Singular rows have infinite ends, which become nan here.

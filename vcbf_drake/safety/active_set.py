@@ -6,6 +6,7 @@ float is itself and nothing is rounded.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from fractions import Fraction
 from operator import mul
 from typing import Any, NamedTuple, TypeAlias
@@ -53,22 +54,10 @@ def nearest_by_active_set(
         reference: The point that is projected, shape (m,).
         near: Indices of the rows that are looked at; by default all.
     """
-    face, point, conflict = _Face(A, b, reference), reference, None
-    near = np.arange(len(b)) if near is None else near
-    A, b = A[near], b[near]
-    entries, sides = np.abs(A), np.abs(b)
-    for _ in range(_PATIENCE * len(b)):
-        excess = A @ point - b
-        beyond = excess - _TOLERANCE * (entries @ np.abs(point) + sides)
-        worst = int(beyond.argmax())
-        row = int(near[worst])
-        if beyond[worst] <= 0.0 or row in face.rows:
-            break
-        conflict = face.join(row, float(excess[worst]))
-        if conflict is not None:
-            break
-        point = np.array(face.point)
-    return face.solution(conflict)
+    face = _Face(A, b, reference)
+    if near is None:
+        return face.moved_onto(range(len(b)), A, b, _TOLERANCE)
+    return face.moved_onto(near.tolist(), A[near], b[near], _TOLERANCE)
 
 
 def nearest_in_rationals(A: Array, b: Array, reference: Array) -> Projection:
@@ -83,15 +72,7 @@ def nearest_in_rationals(A: Array, b: Array, reference: Array) -> Projection:
         reference: The point that is projected, shape (m,).
     """
     rows, sides, start = (_rational(each) for each in (A, b, reference))
-    face, point, conflict = _Face(rows, sides, start, 0), start, None
-    while conflict is None:
-        excess = rows @ point - sides
-        worst = int(excess.argmax()) if len(sides) else -1
-        if worst < 0 or excess[worst] <= 0:
-            break
-        conflict = face.join(worst, excess[worst])
-        point = np.array(face.point, dtype=object)
-    return face.solution(conflict)
+    return _Face(rows, sides, start, 0).moved_onto(range(len(b)), rows, sides, 0)
 
 
 def _rational(values: Array) -> NDArray[np.object_]:
@@ -145,12 +126,29 @@ class _Face:
         self.point = self._reference
         self.multipliers: _Vector = []
 
-    def solution(self, conflict: _Vector | None) -> Projection:
-        """Returns where the iterations ended.
+    def moved_onto(
+        self, near: Sequence[int], A: NDArray[Any], b: NDArray[Any], tolerance: _Number
+    ) -> Projection:
+        """Makes rows active until the point violates none of some; where that ends.
 
         Args:
-            conflict: What `join` returned last.
+            near: Which rows.
+            A: They themselves.
+            b: Their right-hand sides.
+            tolerance: By how much of the terms of a v - b they may be violated.
         """
+        conflict, joined = None, 0
+        while not (conflict or (tolerance and joined == _PATIENCE * len(near))):
+            excess, worst, most = (A @ self.point - b).tolist(), -1, 0
+            for i, each in enumerate(excess):
+                if each > most and tolerance:
+                    terms = map(abs, map(mul, A[i].tolist(), self.point))
+                    each -= tolerance * (sum(terms) + abs(self._b[near[i]]))
+                if each > most:
+                    worst, most = i, each
+            if worst < 0 or near[worst] in self.rows:
+                break
+            conflict, joined = self.join(near[worst], excess[worst]), joined + 1
         multipliers = np.zeros(len(self._b))
         multipliers[self.rows] = self.multipliers
         proof = None if conflict is None else np.array(conflict, dtype=float)

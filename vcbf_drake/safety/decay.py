@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import math
 from typing import Any
 
@@ -89,9 +89,8 @@ class DecayRates:
             qp: The QP at the barriers' own rates, without a volume row.
             feasible: The feasible set that it was stated of.
         """
-        barriers = feasible.cutting[qp.num_firm :] - feasible.num_input_rows
-        grows = np.flatnonzero(self.slopes[barriers] > 0.0)
-        barriers, count = barriers[grows], len(grows)
+        grows = np.flatnonzero(self.slopes[feasible.cut] > 0.0)
+        barriers, count = feasible.cut[grows], len(grows)
         m, n = len(qp.frame.scale), qp.num_hard
         unit = math.sqrt(self.penalty / qp.frame.cost_unit)
         slopes = np.zeros((len(qp.b), count))
@@ -102,8 +101,7 @@ class DecayRates:
         most = unit * (self.most[barriers] - 1.0)
         A = np.hstack([qp.A[:, :m], slopes, qp.A[:, m:]])
         names = [feasible.num_input_rows + i for i in barriers.tolist()]
-        return replace(
-            qp,
+        return qp._replace(
             A=np.vstack([A[:n], sides, A[n:]]),
             b=np.concatenate([qp.b[:n], most, np.zeros(count), qp.b[n:]]),
             reference=np.insert(qp.reference, m, np.zeros(count)),
@@ -120,7 +118,7 @@ class DecayRates:
             u: The input, shape (m,).
         """
         excess = feasible.rows.A @ u - feasible.bound
-        grows = (self.slopes > 0.0) & np.isinf(feasible.penalties)
+        grows = (self.slopes > 0.0) & np.isinf(feasible.costs.penalties)
         growth = float(np.max(excess[grows] / self.slopes[grows], initial=0.0))
         # Rounded up, so that the rows hold with it where their numbers are large.
         return (1.0 + growth) * (1.0 + _ROUNDING) if growth > 0.0 else 1.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -16,8 +16,7 @@ from vcbf_drake.safety.certified_ellipsoid import symmetric
 from vcbf_drake.safety.input_set import InputSet
 
 
-@dataclass(frozen=True)
-class DisturbanceKnowledge:
+class DisturbanceKnowledge(NamedTuple):
     """What is known of the disturbance d at one time: ``|d - estimate| <= bound``.
 
     Attributes:
@@ -63,38 +62,66 @@ class DisturbanceKnowledge:
 
 
 @dataclass(frozen=True)
-class FeasibleSet:
+class RowCosts:
+    """What it costs that barrier rows do not hold.
+
+    Attributes:
+        weights: How much a violation of each counts where not all can hold, shape (N,).
+        penalties: For soft rows the penalty of their squared slack, else infinity,
+            shape (N,).
+        linear_penalties: For soft rows the penalty of the slack itself, shape (N,).
+    """
+
+    weights: Array
+    penalties: Array
+    linear_penalties: Array
+
+    @staticmethod
+    def equal(num_rows: int) -> RowCosts:
+        """Returns the costs of hard rows that count alike.
+
+        Args:
+            num_rows: N.
+        """
+        ones = np.ones(num_rows)
+        return RowCosts(ones, np.full(num_rows, np.inf), 0.0 * ones)
+
+    @cached_property
+    def soft(self) -> list[int]:
+        """Indices of the soft rows."""
+        return np.flatnonzero(np.isfinite(self.penalties)).tolist()
+
+
+class FeasibleSet(NamedTuple):
     """The polytope ``{u : A u <= b}`` of (E46), with the barrier rows it came from.
 
     The first rows are the input set's, then follows one row per barrier. The same set
     in normalised inputs v, u = center + scale * v, is ``{v : A_v v <= b_v}``.
 
     Attributes:
-        A_v: The rows in normalised inputs, shape (k + N, m).
-        b_v: Their right-hand sides, the disturbance's margin included, shape (k + N,).
+        input_set: What limits the input whatever the state.
         rows: The barrier rows.
         bound: The right-hand side of each with its margin, b + Lambda, shape (N,).
         known: What they take as known of the disturbance.
-        weights: How much a violation of each barrier row counts, shape (N,).
-        input_set: What limits the input whatever the state.
-        penalties: For soft barrier rows the penalty of their squared slack, else
-            infinity, shape (N,). The set takes no notice of soft rows: on their right
-            there is infinity.
-        linear_penalties: For soft rows the penalty of the slack itself, shape (N,).
-        cutting: Indices of the rows that can matter: the input set's limits, and the
-            barrier rows that cut its bounding box. The others hold for every input.
+        costs: What it costs that they do not hold.
+        normals: The barrier rows in normalised inputs, shape (N, m).
+        distance: Their right-hand sides, shape (N,). The set takes no notice of soft
+            rows: there is infinity.
+        farthest: Their most on the inputs' bounding box, shape (N,).
+        cut: Indices of those that cut it; the others hold for every input.
+        is_finite: Whether every number in the rows is finite.
     """
 
-    A_v: Array
-    b_v: Array
+    input_set: InputSet
     rows: BarrierRows
     bound: Array
     known: DisturbanceKnowledge
-    weights: Array
-    input_set: InputSet
-    penalties: Array
-    linear_penalties: Array
-    cutting: NDArray[np.intp]
+    costs: RowCosts
+    normals: Array
+    distance: Array
+    farthest: Array
+    cut: NDArray[np.intp]
+    is_finite: bool
 
     @property
     def A(self) -> Array:
@@ -104,13 +131,28 @@ class FeasibleSet:
     @property
     def b(self) -> Array:
         """Their right-hand sides, shape (k + N,)."""
-        b = np.where(np.isinf(self.penalties), self.bound, np.inf)
+        b = np.where(np.isinf(self.costs.penalties), self.bound, np.inf)
         return np.concatenate([self.input_set.b, b])
+
+    @property
+    def A_v(self) -> Array:
+        """The rows in normalised inputs, shape (k + N, m)."""
+        return np.concatenate([self.input_set.A_normalised, self.normals])
+
+    @property
+    def b_v(self) -> Array:
+        """Their right-hand sides, shape (k + N,)."""
+        return np.concatenate([self.input_set.b_normalised, self.distance])
 
     @property
     def num_input_rows(self) -> int:
         """The number k of rows that limit the input whatever the state."""
         return len(self.input_set.b)
+
+    @property
+    def cutting(self) -> NDArray[np.intp]:
+        """Indices of the rows that matter: the limits, and barrier rows that cut."""
+        return np.concatenate([self.input_set.limits, self.num_input_rows + self.cut])
 
     def tightened(self, reserve: Array) -> FeasibleSet:
         """Returns the inputs of this set that leave every barrier row a reserve (E88).
@@ -118,34 +160,19 @@ class FeasibleSet:
         Args:
             reserve: Shape (N,), not negative.
         """
-        k = self.num_input_rows
-        b_v = self.b_v.copy()
-        b_v[k:] -= reserve
-        cutting = cutting_rows(self.input_set, self.A_v, b_v)
-        return replace(self, b_v=b_v, bound=self.bound - reserve, cutting=cutting)
+        return _of_bound(
+            self.input_set, self.rows, self.bound - reserve, self.known, self.costs
+        )
 
-    @cached_property
-    def is_finite(self) -> bool:
-        """Whether every number in the rows is finite."""
-        return bool(np.isfinite(self.A_v).all() and np.isfinite(self.bound).all())
-
-    def cutting_barriers(self, widening: float = 1.0) -> NDArray[np.intp]:
+    def cut_by(self, widening: float) -> NDArray[np.intp]:
         """Returns the barrier rows that cut the bounding box, taken so many times."""
-        k, bounds = self.num_input_rows, self.b_v
-        cutting = self.cutting
-        if widening != 1.0:
-            bounds = np.concatenate([bounds[:k], bounds[k:] / widening])
-            cutting = cutting_rows(self.input_set, self.A_v, bounds)
-        return cutting[len(self.input_set.limits) :] - k
+        if widening == 1.0:
+            return self.cut
+        return (self.distance / widening < self.farthest).nonzero()[0]
 
     def soft_slack(self, row: int, u: Array) -> float:
         """Returns how far a soft barrier row has to give way at an input; else > 0."""
         return float(self.bound[row]) - float(self.rows.A[row] @ u)
-
-    @cached_property
-    def soft(self) -> NDArray[np.intp]:
-        """Indices of the soft barrier rows, among the barriers'."""
-        return np.isfinite(self.penalties).nonzero()[0]
 
 
 def disturbance_margin(rows: BarrierRows, known: DisturbanceKnowledge) -> Array:
@@ -158,9 +185,7 @@ def feasible_set(
     input_set: InputSet,
     rows: BarrierRows,
     known: DisturbanceKnowledge,
-    weights: Array | None = None,
-    penalties: Array | None = None,
-    linear_penalties: Array | None = None,
+    costs: RowCosts | None = None,
 ) -> FeasibleSet:
     """Returns the feasible set of (E46): A u <= b + Delta b.
 
@@ -168,46 +193,36 @@ def feasible_set(
         input_set: The inputs the actuators can produce.
         rows: The barriers' rows at one state and time.
         known: What is known of the disturbance there.
-        weights: How much a violation of each barrier row counts, shape (N,); ones by
-            default.
-        penalties: Of soft rows, and infinity for the others, shape (N,); by default no
-            row is soft.
-        linear_penalties: Of soft rows, beside them, shape (N,); zeros by default.
+        costs: What it costs that a row does not hold; by default all are hard.
     """
     bound = rows.b + disturbance_margin(rows, known)
+    return _of_bound(input_set, rows, bound, known, costs or RowCosts.equal(len(bound)))
+
+
+def _of_bound(
+    input_set: InputSet,
+    rows: BarrierRows,
+    bound: Array,
+    known: DisturbanceKnowledge,
+    costs: RowCosts,
+) -> FeasibleSet:
+    normals = rows.A * input_set.scale
     distance = bound - rows.A @ input_set.center
-    if penalties is None:
-        penalties = np.full(len(bound), np.inf)
-    if linear_penalties is None:
-        linear_penalties = np.zeros(len(bound))
-    distance[np.isfinite(penalties)] = np.inf
-    A_v = np.concatenate([input_set.A_normalised, rows.A * input_set.scale])
-    b_v = np.concatenate([input_set.b_normalised, distance])
+    if costs.soft:
+        distance[costs.soft] = np.inf
+    farthest = input_set.farthest(normals)
     return FeasibleSet(
-        A_v=A_v,
-        b_v=b_v,
+        input_set=input_set,
         rows=rows,
         bound=bound,
         known=known,
-        weights=np.ones(len(rows.b)) if weights is None else weights,
-        input_set=input_set,
-        penalties=penalties,
-        linear_penalties=linear_penalties,
-        cutting=cutting_rows(input_set, A_v, b_v),
+        costs=costs,
+        normals=normals,
+        distance=distance,
+        farthest=farthest,
+        cut=(distance < farthest).nonzero()[0],
+        is_finite=bool(np.isfinite(normals).all() and np.isfinite(bound).all()),
     )
-
-
-def cutting_rows(input_set: InputSet, A_v: Array, b_v: Array) -> NDArray[np.intp]:
-    """Returns the rows that can matter; see `FeasibleSet.cutting`.
-
-    Args:
-        input_set: The input set, whose rows are the first.
-        A_v: All rows in normalised inputs, shape (n, m).
-        b_v: Their right-hand sides, shape (n,).
-    """
-    k = len(input_set.b)
-    cut = (b_v[k:] < input_set.farthest(A_v[k:])).nonzero()[0]
-    return np.concatenate([input_set.limits, k + cut])
 
 
 class PackedFeasibleSet(NamedTuple):

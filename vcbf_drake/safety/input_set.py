@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -119,14 +121,28 @@ class InputSet:
 
     def normalised(self, u: Array) -> Array:
         """Returns v of an input u, shape (m,); 0 where it is fixed."""
-        v: Array = (u - self.center) / np.where(self.scale > 0.0, self.scale, np.inf)
+        v: Array = (u - self.center) / self._units
         return v
+
+    @cached_property
+    def _units(self) -> Array:
+        return np.where(self.scale > 0.0, self.scale, np.inf)
+
+    @cached_property
+    def fixed(self) -> list[int]:
+        """Which inputs are fixed."""
+        return np.flatnonzero(self.scale == 0.0).tolist()
+
+    @cached_property
+    def limiting(self) -> tuple[Array, Array]:
+        """The rows in v that limit something, and their right-hand sides."""
+        return self.A_normalised[self.limits], self.b_normalised[self.limits]
 
     def normalised_near(self, u: Array) -> Array:
         """Returns v of an input, brought near where it is as good as infinitely far."""
         with np.errstate(over="ignore"):
             v = self.normalised(u)
-        if np.abs(v).max() > _FARTHEST:
+        if max(map(abs, v.tolist())) > _FARTHEST:
             is_open = np.isinf(self.farthest(np.eye(len(v))))
             farthest = np.where(is_open, _FARTHEST_IN_UNITS, _FARTHEST)
             v = v.clip(-farthest, farthest)

@@ -186,7 +186,7 @@ class NearestPointProgram(FixedProgram):
     def state(self, A: Array, b: Array, reference: Array) -> None:
         """Overwrites the program's data."""
         constant = 0.5 * float(reference @ reference)
-        self._cost.UpdateCoefficients(self._identity, -reference, constant)
+        self._cost.UpdateCoefficients(self._identity, -reference, constant, True)
         self._rows.UpdateCoefficients(A, self._below, b)
 
     def solve(self, A: Array, b: Array, reference: Array) -> Array | None:

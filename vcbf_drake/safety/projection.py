@@ -91,17 +91,36 @@ def nearest_point(
     if (A @ reference <= b).all():
         return Projection(reference, np.zeros(len(b)))
     rows = UnitRows(A, b)
-    program = NearestPointProgram.of_size(*A.shape, solver)
-    bounds = rows.b + opening(rows, num_firm)
-    for right in (rows.b, bounds):
+    found = nearest_in(rows, reference, num_firm, solver)
+    return found._replace(multipliers=rows.as_given(found.multipliers))
+
+
+def nearest_in(
+    rows: UnitRows, reference: Array, num_firm: int, solver: str
+) -> Projection:
+    """Returns the same by the solver, wherever the reference is.
+
+    Its multipliers are of the unit rows.
+
+    Args:
+        rows: The rows.
+        reference: As for `nearest_point`, like the others.
+        num_firm: How many rows, the first, are never opened.
+        solver: The solver's name.
+
+    Raises:
+        EmptySetError: No point satisfies the rows; certified, not guessed.
+    """
+    program = NearestPointProgram.of_size(*rows.A.shape, solver)
+    for is_opened in (False, True):
+        right = opened(rows, num_firm) if is_opened else rows.b
         proposal = program.solve(rows.A, right, reference)
         for near in _touched(rows.A, right, proposal):
             found = nearest_by_active_set(rows.A, right, reference, near)
             if _is_optimal(found, rows.A, rows.b, right, reference):
-                return Projection(found.point, rows.as_given(found.multipliers))
-        _raise_if_empty(found, rows, bounds)
-    found = _in_rationals(rows, bounds, reference)
-    return Projection(found.point, rows.as_given(found.multipliers))
+                return found
+        _raise_if_empty(found, rows, num_firm)
+    return _in_rationals(rows, right, reference)
 
 
 def minimise_linear(
@@ -130,13 +149,14 @@ def minimise_linear(
         SolverError: The cost has no least.
     """
     rows = UnitRows(A, b)
-    bounds = rows.b + opening(rows, len(b) if num_firm is None else num_firm)
+    firm = len(b) if num_firm is None else num_firm
+    bounds = opened(rows, firm)
     cost = cost / (float(np.linalg.norm(cost)) or 1.0)
     found = LinearProgram.of_size(*A.shape).solve(_SHARPNESS * cost, rows.A, bounds)
     point = np.zeros(len(cost)) if found is None else found
     for step in _STEPS:
         nearest = nearest_by_active_set(rows.A, bounds, point - step * cost)
-        _raise_if_empty(nearest, rows, bounds)
+        _raise_if_empty(nearest, rows, firm)
         point, multipliers = nearest.point, nearest.multipliers / step
         slack = bounds - rows.A @ point
         # No point's cost is lower by more than weak duality allows (E75, weak duality).
@@ -166,16 +186,16 @@ def _in_rationals(rows: UnitRows, b: Array, reference: Array) -> Projection:
     raise _empty(rows, np.where(is_light, 0.0, z))
 
 
-def opening(rows: UnitRows, num_firm: int) -> Array:
-    """Returns by how much rows are opened: then a set has an interior or no point.
+def opened(rows: UnitRows, num_firm: int) -> Array:
+    """Returns right-hand sides with which a set has an interior or no point, (n,).
 
     Args:
         rows: Its rows.
         num_firm: How many rows, the first, stay where they are; blank rows do too.
     """
-    distance = np.where(rows.is_blank, 0.0, OPENING)
-    distance[:num_firm] = 0.0
-    return distance
+    right = np.where(rows.is_blank, rows.b, rows.b + OPENING)
+    right[:num_firm] = rows.b[:num_firm]
+    return right
 
 
 def _touched(
@@ -190,26 +210,25 @@ def _touched(
 
 
 def _is_optimal(
-    found: Projection, A: Array, b: Array, opened: Array, reference: Array
+    found: Projection, A: Array, b: Array, right: Array, reference: Array
 ) -> bool:
-    """Whether a point meets the opened rows, and no point of the set is much nearer.
+    """Whether a point meets the rows as opened, and no point of the set is much nearer.
 
     No point z with ``A z <= b`` is nearer than (E70, optimality by multipliers) allows.
     """
     v, y = found.point, found.multipliers
     product, pull = A @ v, reference - v
-    error = pull - y @ A
-    rounding = _ROUNDING * float(y @ np.abs(b) + y.sum())
-    gap = float(y @ (b - product) + 0.5 * (error @ error)) + rounding
+    error, rounding = pull - y @ A, _ROUNDING * (np.abs(b) + 1.0)
+    gap = float(y @ (b - product + rounding) + 0.5 * (error @ error))
     size = 1.0 + max(map(abs, pull.tolist()))
-    return gap <= _GAP * size and bool((product <= opened + _EXCESS).all())
+    return gap <= _GAP * size and min((right - product).tolist()) >= -_EXCESS
 
 
-def _raise_if_empty(found: Projection, rows: UnitRows, b: Array) -> None:
+def _raise_if_empty(found: Projection, rows: UnitRows, num_firm: int) -> None:
     """Raises if the conflict that the active set ended in is Farkas' proof in floats.
 
-    That is z of sum 1 with z'A = 0 to rounding, and z'b < 0, for points that are no
-    further away than the rows.
+    That is z of sum 1 with z'A = 0 to rounding, and z'b < 0 of the opened rows, for
+    points that are no further away than the rows.
 
     Raises:
         EmptySetError: No point satisfies the rows.
@@ -222,7 +241,7 @@ def _raise_if_empty(found: Projection, rows: UnitRows, b: Array) -> None:
     imbalance, reach = np.abs(z @ rows.A), max(1.0, float(np.abs(rows.b).max()))
     # Relative to what is in a column: a slack's may be small, and the slack large.
     is_balanced = imbalance <= BALANCE_TOLERANCE * np.abs(rows.A).max(axis=0)
-    most = float(z @ b) + reach * float(imbalance.sum())
+    most = float(z @ opened(rows, num_firm)) + reach * float(imbalance.sum())
     if is_balanced.all() and most < -10.0 * BALANCE_TOLERANCE:
         raise _empty(rows, z)
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from enum import IntEnum
 import math
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.linalg import LinAlgError
@@ -51,8 +51,7 @@ class FilterStatus(IntEnum):
     """Data were not finite or no solver's answer was verified; the fallback acts."""
 
 
-@dataclass(frozen=True)
-class FilterDecision:
+class FilterDecision(NamedTuple):
     """The input that leaves the filter, finite and inside the input set.
 
     Attributes:
@@ -81,7 +80,7 @@ class FilterDecision:
     decay: float = 1.0
     backup: float = 0.0
     is_certified: bool | None = None
-    qp: QP | None = field(default=None, compare=False, repr=False)
+    qp: QP | None = None
 
 
 def choose_input(
@@ -134,26 +133,21 @@ def choose_input(
         return qp if growing is None else growing.grown(qp, feasible)
 
     qp = stated(frame)
-    m = input_set.num_inputs
-    holds = bool((qp.A[:, :m] @ qp.reference[:m] <= qp.b).all())
-    if holds and not _moves_a_fixed(reference, input_set):
+    if qp.is_met and not _moves_a_fixed(reference, input_set):
         return FilterDecision(reference, FilterStatus.REFERENCE, qp=qp)
     try:
         found, solved = solve_qp(qp, solver)
-        gave_way = solved is not qp or not exact_slack
+        u, gave_way = frame.input(found.point), solved is not qp or not exact_slack
         if solved is qp:
-            barriers = slice(qp.num_firm, len(feasible.cutting))
-            touched = (found.multipliers > 0.0) | (qp.A @ found.point > qp.b)
-            finer = finer_frame(
-                feasible, frame, frame.input(found.point), touched[barriers]
-            )
+            finer = finer_frame(feasible, frame, u, _touched(found, qp, feasible))
             if finer is not None:
                 found, solved = _better(stated(finer), found, qp, feasible, solver)
+                u = solved.frame.input(found.point)
     except EmptySetError as error:
         # Rows of the feasible set all: those that may give way are in no conflict, and
         # those that limit decay rates say nothing beside the rows that these belong to.
-        own = [i for i in error.conflict if i < len(feasible.cutting)]
-        conflict = tuple(feasible.cutting[own].tolist())
+        kept = feasible.cutting
+        conflict = tuple(kept[[i for i in error.conflict if i < len(kept)]].tolist())
         u, decay = _fallback(
             feasible, frame, policy, decay_rates, reference, held_input, solver
         )
@@ -162,13 +156,19 @@ def choose_input(
     except (SolverError, LinAlgError):
         u = least_violation(feasible, frame, reference, held_input, solver)
         return FilterDecision(u, FilterStatus.FAILED)
-    u = solved.frame.input(found.point)
     slack = volume_row.slack(u) if volume_row and gave_way else 0.0
     status = FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
-    soft = tuple(min(0.0, feasible.soft_slack(i, u)) for i in feasible.soft.tolist())
+    soft = tuple([min(0.0, feasible.soft_slack(i, u)) for i in feasible.costs.soft])
     u = input_set.project(u)
     decay = 1.0 if growing is None else growing.factor(feasible, u)
     return FilterDecision(u, status, slack, soft_slacks=soft, decay=decay, qp=solved)
+
+
+def _touched(found: Projection, qp: QP, feasible: FeasibleSet) -> list[int]:
+    """Which barrier rows a solution rests on, or leaves by next to nothing."""
+    excess, y = (qp.A @ found.point - qp.b).tolist(), found.multipliers.tolist()
+    barriers = enumerate(feasible.cut.tolist(), start=qp.num_firm)
+    return [barrier for row, barrier in barriers if y[row] > 0.0 or excess[row] > 0.0]
 
 
 def _fallback(
@@ -221,7 +221,8 @@ def least_violation(
             qp = state_qp(feasible, frame, None, reference, exact_slack=True).hard
             best = frame.input(_least_violation(feasible, qp, solver))
             violated = (qp.A @ _coordinates(best, frame) > qp.b)[qp.num_firm :]
-            finer = finer_frame(feasible, frame, best, violated)
+            touched = feasible.cut[violated].tolist()
+            finer = finer_frame(feasible, frame, best, touched)
             if finer is None:
                 break
             frame = finer
@@ -239,7 +240,7 @@ def _coordinates(u: Array, frame: Frame) -> Array:
 def _least_violation(feasible: FeasibleSet, qp: QP, solver: str) -> Array:
     """Min t subject to weight_i (a_i u - b_i) <= t, t >= 0, and then the nearest z."""
     A, b, k, m = qp.A.copy(), qp.b.copy(), qp.num_firm, len(qp.frame.scale)
-    weight = feasible.weights[feasible.cutting[k:] - feasible.num_input_rows]
+    weight = feasible.costs.weights[feasible.cut]
     length = UnitRows(A[k:], b[k:]).length
     # t is counted in units of the heaviest row's distance, and from where no input is
     # below it.
@@ -252,7 +253,7 @@ def _least_violation(feasible: FeasibleSet, qp: QP, solver: str) -> Array:
     rows = np.vstack([np.column_stack([A, -give]), -last])
     z = minimise_linear(last, rows, np.append(b, 0.0), reach=qp.frame.reach)[:-1]
     b[k:] += np.max(A[k:] @ z - b[k:], initial=0.0) + MARGIN
-    return replace(qp, A=A, b=b).solved(solver).point
+    return qp._replace(A=A, b=b).solved(solver).point
 
 
 def _cuts(row: VolumeRow, input_set: InputSet) -> bool:
@@ -264,8 +265,7 @@ def _cuts(row: VolumeRow, input_set: InputSet) -> bool:
 
 def _moves_a_fixed(reference: Array, input_set: InputSet) -> bool:
     """Whether a reference asks of an input that is fixed what it does not do."""
-    is_fixed = input_set.scale == 0.0
-    return bool((reference != input_set.center)[is_fixed].any())
+    return any(reference[j] != input_set.center[j] for j in input_set.fixed)
 
 
 def _better(

@@ -160,16 +160,10 @@ class SafetyFilter(CachedSystem):
             self.row_holder = make_row_holder(
                 model, self.barrier_set, hold, self.bounds.delta1
             )
-        count = len(names)
-        self._penalties = settings.one_a_barrier("soft_penalties", count, np.inf)
-        self._costs = (
-            settings.one_a_barrier("violation_weights", count, 1.0),
-            self._penalties,
-            settings.one_a_barrier("soft_linear_penalties", count, 0.0),
-        )
+        self._costs = settings.row_costs(len(names))
         self.gate: Gate | None = None
         if settings.infeasible == "backup":
-            is_hard = np.isinf(self._penalties[: self.barrier_set.size])
+            is_hard = np.isinf(self._costs.penalties[: self.barrier_set.size])
             make_gate = given("infeasible: backup", make_gate)
             self.gate = make_gate(model, self.barrier_set, input_set, *known, is_hard)
         self._decide = Decider(
@@ -231,7 +225,7 @@ class SafetyFilter(CachedSystem):
     def _declare_outputs(self) -> None:
         m, n_rows = self.model.num_inputs, self.num_rows
         N, num_levels = self.barrier_set.size, sum(self.barrier_set.degrees)
-        num_soft = int(np.isfinite(self._penalties).sum())
+        num_soft = len(self._costs.soft)
         decision = self._decision_entry
         self._output("command", m, decision, lambda d: d.input)
         self._output("fallback", m, self._fallback_entry, lambda u: u)
@@ -339,7 +333,7 @@ class SafetyFilter(CachedSystem):
         if self.backup_rows is not None:
             x, t = self._state.Eval(context), context.get_time()
             rows = self.backup_rows.rows(x, t, rows, self._seen(context))
-        return feasible_set(self.input_set, rows, self.knowledge(context), *self._costs)
+        return feasible_set(self.input_set, rows, self.knowledge(context), self._costs)
 
     def threshold(self, context: Context) -> float:
         """Returns xi of the volume barrier.

@@ -12,12 +12,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from vcbf_drake.checks import (
-    Array,
-    finite_array,
-    require,
-    require_choice,
-)
+from vcbf_drake.checks import finite_array, require, require_choice
 from vcbf_drake.disturbances import (
     DisturbanceBounds,
     DisturbanceObserver,
@@ -27,6 +22,7 @@ from vcbf_drake.disturbances import (
 )
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.decay import DEFAULT_PENALTY
+from vcbf_drake.safety.feasible_set import RowCosts
 from vcbf_drake.safety.programs import DEFAULT_SOLVER, check_solver
 from vcbf_drake.safety.qp import InfeasiblePolicy
 from vcbf_drake.safety.volume import VolumeBarrier
@@ -225,20 +221,26 @@ class FilterSettings:
             f"none with {self.method}, whose rows are certified at the ticks alone",
         )
 
-    def one_a_barrier(self, name: str, count: int, default: float) -> Array:
-        """Returns a setting that has a number for every barrier, shape (N,).
+    def row_costs(self, count: int) -> RowCosts:
+        """Returns what it costs that barriers' rows do not hold.
 
         Args:
-            name: The setting's.
             count: N.
-            default: The number where the setting has none.
 
         Raises:
-            InvalidValueError: There are numbers, but not one each.
+            InvalidValueError: A setting has numbers, but not one a barrier.
         """
-        given = getattr(self, name) or [default] * count
-        require(len(given) == count, name, given, f"{count} numbers, one a barrier")
-        return np.array(given, dtype=float)
+        settings = {
+            "violation_weights": 1.0,
+            "soft_penalties": np.inf,
+            "soft_linear_penalties": 0.0,
+        }
+        numbers = []
+        for name, default in settings.items():
+            given = getattr(self, name) or [default] * count
+            require(len(given) == count, name, given, f"{count} numbers, one a barrier")
+            numbers.append(np.array(given, dtype=float))
+        return RowCosts(*numbers)
 
     @property
     def corrections(self) -> Corrections:

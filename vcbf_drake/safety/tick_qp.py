@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydrake.solvers import MathematicalProgram, MathematicalProgramResult
 
 from vcbf_drake.checks import Array, require
@@ -16,7 +17,7 @@ from vcbf_drake.safety.active_set import Projection
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.programs import EllipsoidProgram, NearestPointProgram
-from vcbf_drake.safety.projection import minimise_linear, nearest_point
+from vcbf_drake.safety.projection import minimise_linear, nearest_in
 from vcbf_drake.safety.unit_rows import UnitRows
 
 # Where the rows that a solution touches are made of numbers this small, in the QP's
@@ -115,13 +116,8 @@ class Frame:
         """Returns u of z, shape (m,)."""
         return self.origin + self.size * self.scale * z[: len(self.scale)]
 
-    def distance(self, A: Array, b: Array) -> Array:
-        """Returns the right-hand sides of rows ``A u <= b`` in z, shape (n,)."""
-        return np.asarray((b - A @ self.origin) / self.size)
 
-
-@dataclass(frozen=True)
-class QP:
+class QP(NamedTuple):
     """min 1/2 |R (z - reference)|^2 subject to ``A z <= b``.
 
     The variables are the inputs in the coordinates of a frame, the growth of decay
@@ -137,8 +133,7 @@ class QP:
         num_firm: How many rows, the first, limit the input whatever the state.
         num_hard: How many rows, the first, do not give way.
         has_hard_volume: Whether the last of those is the volume row.
-        rows: Which of the feasible set's rows are the first.
-        further_rows: Those that follow: "volume", or an index.
+        further_rows: Those that follow the feasible set's: "volume", or an index.
         num_decays: How many variables, after the inputs, are growths (E69).
     """
 
@@ -149,18 +144,24 @@ class QP:
     num_firm: int
     num_hard: int
     has_hard_volume: bool = False
-    rows: tuple[int, ...] = ()
     further_rows: tuple[str | int, ...] = ()
     num_decays: int = 0
 
+    @property
+    def is_met(self) -> bool:
+        """Whether the reference satisfies every row, and none gives way."""
+        m = len(self.frame.scale)
+        return bool((self.A[:, :m] @ self.reference[:m] <= self.b).all())
+
     def solved(self, solver: str) -> Projection:
-        """Returns the minimiser z, shape (d,), and its multipliers.
+        """Returns the minimiser z, shape (d,), and the multipliers of its unit rows.
 
         Raises:
             EmptySetError: No point satisfies the hard rows, certified.
         """
         A, reference, back = self.as_projection()
-        found = nearest_point(A, self.b, reference, self.num_firm, solver)
+        rows = UnitRows(A, self.b)
+        found = nearest_in(rows, reference, self.num_firm, solver)
         return found if back is None else found._replace(point=back @ found.point)
 
     def as_projection(self) -> tuple[Array, Array, Array | None]:
@@ -176,13 +177,15 @@ class QP:
     @property
     def hard(self) -> QP:
         """The QP of the rows that never give way."""
-        n, d = (
-            self.num_hard - self.has_hard_volume,
-            len(self.frame.scale) + self.num_decays,
-        )
-        A, b, reference = self.A[:n, :d], self.b[:n], self.reference[:d]
-        return QP(
-            self.frame, A, b, reference, self.num_firm, n, num_decays=self.num_decays
+        n = self.num_hard - self.has_hard_volume
+        d = len(self.frame.scale) + self.num_decays
+        return self._replace(
+            A=self.A[:n, :d],
+            b=self.b[:n],
+            reference=self.reference[:d],
+            num_hard=n,
+            has_hard_volume=False,
+            further_rows=(),
         )
 
 
@@ -202,41 +205,40 @@ def state_qp(
         reference: The controller's input, finite, shape (m,).
         exact_slack: Whether the volume row is hard; else it gives way at its penalty.
     """
-    kept, inputs = feasible.cutting, feasible.input_set
-    A, b = feasible.A_v[kept], _distances(feasible, frame)
+    inputs, costs, cut = feasible.input_set, feasible.costs, feasible.cut
     z = inputs.normalised_near(reference)
     if frame.origin is not inputs.center:
         z = z - inputs.normalised(frame.origin)
+    limits, sides = inputs.limiting
+    rows = [limits, feasible.normals[cut]]
+    distances = [sides, feasible.distance[cut]]
+    if frame.origin is not inputs.center:
+        distances = _distances(feasible, frame)
+    further = [] if volume_row is None else [volume_row]
+    names: tuple[str | int, ...] = () if volume_row is None else ("volume",)
+    for i in costs.soft:
+        square, linear = costs.penalties[i], costs.linear_penalties[i]
+        bound = float(feasible.bound[i])
+        soft = VolumeRow(feasible.rows.A[i], bound, square, linear_penalty=linear)
+        further.append(soft)
+        names = (*names, feasible.num_input_rows + i)
+    for row in further:
+        rows.append((row.a * frame.scale)[None])
+        distances.append(np.array([row.c - row.a @ frame.origin]))
+    b = np.concatenate(distances)
     if frame.size != 1.0:
-        z = z / frame.size
-    soft = [
-        VolumeRow(
-            feasible.rows.A[i],
-            float(feasible.bound[i]),
-            feasible.penalties[i],
-            linear_penalty=feasible.linear_penalties[i],
-        )
-        for i in feasible.soft.tolist()
-    ]
-    further = soft if volume_row is None else [volume_row, *soft]
-    names: list[str | int] = ["volume"] if volume_row is not None else []
-    names += (feasible.num_input_rows + feasible.soft).tolist()
-    if further:
-        a, c = np.array([row.a for row in further]), [row.c for row in further]
-        A = np.concatenate([A, a * frame.scale])
-        b = np.concatenate([b, frame.distance(a, np.array(c))])
+        z, b = z / frame.size, b / frame.size
     is_hard = exact_slack and volume_row is not None
     yielding = further[is_hard:]
     qp = QP(
         frame=frame,
-        A=A,
+        A=np.concatenate(rows),
         b=b,
         reference=z,
-        num_firm=len(inputs.limits),
+        num_firm=len(sides),
         num_hard=len(b) - len(yielding),
         has_hard_volume=is_hard,
-        rows=tuple(kept.tolist()),
-        further_rows=tuple(names),
+        further_rows=names,
     )
     return _with_slacks(qp, yielding) if yielding else qp
 
@@ -255,8 +257,7 @@ def _with_slacks(qp: QP, yielding: Sequence[VolumeRow]) -> QP:
     is_kept = linear > 0.0
     signs = np.hstack([np.zeros((count, m)), np.eye(count)])[is_kept]
     names = np.array(qp.further_rows, dtype=object)[-count:][is_kept]
-    return replace(
-        qp,
+    return qp._replace(
         A=np.vstack([np.hstack([qp.A, slopes]), signs]),
         b=np.append(qp.b, np.zeros(len(signs))),
         reference=np.append(qp.reference, away),
@@ -264,17 +265,16 @@ def _with_slacks(qp: QP, yielding: Sequence[VolumeRow]) -> QP:
     )
 
 
-def _distances(feasible: FeasibleSet, frame: Frame) -> Array:
-    """Right-hand sides of the feasible set's rows that can matter, in a frame."""
-    kept = feasible.cutting
-    if frame.origin is feasible.input_set.center:
-        return feasible.b_v[kept] / frame.size
-    # From the rows as given: where two large numbers cancel, little is left.
-    distance = frame.distance(feasible.A[kept], feasible.b[kept])
-    k = len(feasible.input_set.limits)
-    length = np.linalg.norm(feasible.input_set.A * frame.scale, axis=1)[kept[:k]]
-    distance[:k] /= np.where(length > 0.0, length, 1.0)
-    return distance
+def _distances(feasible: FeasibleSet, frame: Frame) -> list[Array]:
+    """How far limits and barrier rows that can matter are from a frame's origin.
+
+    From the rows as given: where two large numbers cancel, little is left.
+    """
+    inputs, cut = feasible.input_set, feasible.cut
+    length = np.linalg.norm(inputs.A * frame.scale, axis=1)
+    limits = (inputs.b - inputs.A @ frame.origin) / np.where(length > 0.0, length, 1.0)
+    barriers = feasible.bound[cut] - feasible.rows.A[cut] @ frame.origin
+    return [limits[inputs.limits], barriers]
 
 
 def solve_qp(qp: QP, solver: str) -> tuple[Projection, QP]:
@@ -300,7 +300,7 @@ def solve_qp(qp: QP, solver: str) -> tuple[Projection, QP]:
     z = minimise_linear(qp.A[i], qp.A[:i], b[:i], qp.num_firm, qp.frame.reach)
     length = float(UnitRows(qp.A[i : i + 1], b[i : i + 1]).length[0])
     b[i] = max(b[i], float(qp.A[i] @ z) + MARGIN * length)
-    relaxed = replace(qp, b=b)
+    relaxed = qp._replace(b=b)
     try:
         return relaxed.solved(solver), relaxed
     except EmptySetError as error:
@@ -308,7 +308,7 @@ def solve_qp(qp: QP, solver: str) -> tuple[Projection, QP]:
 
 
 def finer_frame(
-    feasible: FeasibleSet, frame: Frame, u: Array, touched: NDArray[np.bool_]
+    feasible: FeasibleSet, frame: Frame, u: Array, touched: Iterable[int]
 ) -> Frame | None:
     """Returns coordinates of the size of some barrier rows; None if a frame is that.
 
@@ -319,10 +319,10 @@ def finer_frame(
         feasible: The feasible set.
         frame: The coordinates until now.
         u: An input near the rows, shape (m,).
-        touched: Which of the rows that can matter, but for the limits, shape (n,).
+        touched: Indices of them, among the barriers'.
     """
     size, reach = math.inf, np.abs(u)
-    for i in feasible.cutting_barriers()[touched].tolist():
+    for i in touched:
         a = np.abs(feasible.rows.A[i])
         length = math.hypot(*(a * frame.scale).tolist())
         terms = abs(float(feasible.bound[i])) + float(a @ reach)
@@ -374,16 +374,19 @@ class TickPrograms:
         rows = UnitRows(A, qp.b)
         nearest = NearestPointProgram(*A.shape)
         nearest.state(rows.A, rows.b, reference)
-        limits, k = feasible.input_set.limits, feasible.num_input_rows
-        kept = np.concatenate([limits, k + feasible.cutting_barriers(widening)])
-        bounds = feasible.b_v[kept] / np.where(kept < k, 1.0, widening)
-        unit = UnitRows(feasible.A_v[kept], bounds)
+        cut, k = feasible.cut_by(widening), feasible.num_input_rows
+        limits, sides = feasible.input_set.limiting
+        kept = [*feasible.input_set.limits.tolist(), *(k + cut).tolist()]
+        unit = UnitRows(
+            np.concatenate([limits, feasible.normals[cut]]),
+            np.concatenate([sides, feasible.distance[cut] / widening]),
+        )
         cone, m = None, feasible.input_set.num_inputs
         if m > 1:
             largest = EllipsoidProgram(len(kept), m, 1e-9)
             largest.state(unit.A, unit.b)
             cone = largest.program
-        qp_rows = (*qp.rows, *qp.further_rows)
+        qp_rows = (*feasible.cutting.tolist(), *qp.further_rows)
         named = (row if isinstance(row, str) else names[row] for row in qp_rows)
         ellipsoid_rows = tuple(names[i] for i in kept)
         return TickPrograms(nearest.program, tuple(named), cone, ellipsoid_rows, qp)

@@ -101,7 +101,8 @@ class UnitRows:
 def _lengths(A: Array) -> Array:
     with np.errstate(over="ignore"):
         length: Array = np.sqrt(np.vecdot(A, A))
-    if length.min(initial=1.0) < 1e-150 or length.max(initial=1.0) > 1e150:
+    lengths = length.tolist()
+    if lengths and not (min(lengths) > 1e-150 and max(lengths) < 1e150):
         # By the largest entry first: squares of tiny entries would vanish.
         largest = np.abs(A).max(axis=1)
         scaled = A / np.where(largest > 0.0, largest, 1.0)[:, None]

@@ -185,11 +185,11 @@ class VolumeMeasure:
         inputs, rows, known = self._input_set, feasible.rows, feasible.known
         kappa, k = self._widening, feasible.num_input_rows
         n, q = rows.num_states, len(known.estimate)
-        cut = feasible.cutting_barriers(kappa)
+        cut = feasible.cut_by(kappa)
         if not len(cut):
             free = self._solver.free
             return Volume.unmoved(math.exp(free.log_det), free, n, q)
-        A, b = feasible.A_v[k + cut], feasible.b_v[k + cut] / kappa
+        A, b = feasible.normals[cut], feasible.distance[cut] / kappa
         try:
             ellipsoid = self._solver.solve(A, b)
         except EmptySetError:
@@ -235,11 +235,12 @@ class VolumeMeasure:
             known: V_v, which may have found it already.
         """
         inputs, m = self._input_set, self._input_set.num_inputs
-        cut = feasible.num_input_rows + feasible.cutting_barriers()
+        cut = feasible.cut
         found = known.ellipsoid if known else None
         try:
             if not found and self._solver:
-                found = self._solver.solve(feasible.A_v[cut], feasible.b_v[cut])
+                A, b = feasible.normals[cut], feasible.distance[cut]
+                found = self._solver.solve(A, b)
         except (VcbfError, ValueError, np.linalg.LinAlgError):
             pass
         if found is None:
