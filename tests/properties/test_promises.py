@@ -131,7 +131,7 @@ def test_a_volume_row_has_no_part_in_a_conflict():
 
 
 def forged(decision, **changes):
-    return dataclasses.replace(decision, **changes)
+    return decision._replace(**changes)
 
 
 def forgeries(tick, decision):

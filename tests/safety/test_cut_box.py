@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
+from tests.helpers.fixed_set import fixed_set
 from vcbf_drake.safety import InputSet
 from vcbf_drake.safety.cut_box import cut_box
 from vcbf_drake.safety.ellipsoid import InscribedEllipsoidSolver, inscribed_ellipsoid
 from vcbf_drake.safety.programs import EllipsoidProgram
+from vcbf_drake.safety.volume import VolumeMeasure
 
 
 def sides(a, b):
@@ -75,7 +77,8 @@ def test_the_edges_of_its_domain():
 
 def test_one_row_asks_no_solver(monkeypatch):
     monkeypatch.setattr(EllipsoidProgram, "solve", None)
-    box = InscribedEllipsoidSolver(InputSet.box([-5.0, 0.0], [5.0, 1.0]))
+    box = InputSet.box([-1.0, -1.0], [1.0, 1.0])
     # The second row holds everywhere in the box.
-    e = box.solve(np.array([[0.6, 0.8], [1.0, 0.0]]), np.array([0.5, 1.1]))
-    assert e.log_det < 0.0 and e.multipliers[-2] > 0.0 == e.multipliers[-1]
+    volume = VolumeMeasure(box)(fixed_set(box, [[0.6, 0.8], [1.0, 0.0]], [0.5, 1.1]))
+    e = InscribedEllipsoidSolver(box).solve(np.array([[0.6, 0.8]]), np.array([0.5]))
+    assert volume.value == np.exp(e.log_det) < 1.0 and e.multipliers[-1] > 0.0

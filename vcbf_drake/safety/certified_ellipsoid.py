@@ -6,9 +6,9 @@ makes it and its multipliers exact. Weak duality bounds what is left of the erro
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
 import math
+from operator import mul
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,7 @@ TARGET_GAP = 1e-9
 _PATIENCE = 3
 
 
-@dataclass(frozen=True)
-class Ellipsoid:
+class Ellipsoid(NamedTuple):
     """The largest ellipsoid ``{B v + c : |v| <= 1}`` inside ``{u : A u <= b}``.
 
     Attributes:
@@ -43,7 +42,7 @@ class Ellipsoid:
     certified_gap: float
     rows: Array
 
-    @cached_property
+    @property
     def shape(self) -> Array:
         """B, symmetric and positive definite, shape (m, m)."""
         return symmetric(self.frame)
@@ -146,13 +145,13 @@ def polish(
             on = ((w > 0.0) | (e < 0.0)).nonzero()[0]
             n, e, w = n[on], e[on], w[on]
             cosine = n @ n.T
-            square = cosine * cosine
-            matrix = 0.5 * square - cosine
+            half = 0.5 * cosine * cosine
+            matrix = half - cosine
             # Rows given twice make it singular; shifted, they share their weight.
             matrix.flat[:: len(on) + 1] += 1e-10
             we = w * e
             try:
-                v = np.linalg.solve(matrix, 0.5 - e + 0.5 * (square @ we))
+                v = np.linalg.solve(matrix, 0.5 - e + half @ we)
             except np.linalg.LinAlgError:
                 break
             d = v @ n
@@ -214,11 +213,13 @@ def _gap(n: Array, e: Array, w: Array) -> float:
     excess = (n.T * w) @ n
     excess.flat[:: m + 1] -= 1.0
     r, imbalance = math.sqrt(np.vdot(excess, excess)), math.hypot(*(w @ n).tolist())
-    reach, total = 1.0 + float(e.min()), float(w @ (1.0 + e))
+    weights, beyond = w.tolist(), e.tolist()
+    mass, reach = sum(weights), 1.0 + min(beyond)
+    total = mass + sum(map(mul, weights, beyond))
     if not (r < 0.5 and imbalance < 0.04 and 0.0 < total < 1.1 * m * reach):
         return math.inf
     farthest = 2.0 * total / 0.05
-    log_det = float(w.sum()) - m - 0.5 * r * r / (1.0 - r)
+    log_det = mass - m - 0.5 * r * r / (1.0 - r)
     return m * math.log((total + imbalance * farthest) / (m * reach)) - log_det
 
 

@@ -8,7 +8,6 @@ certifies it; nothing leaves here without that certificate.
 
 from __future__ import annotations
 
-from dataclasses import replace
 import math
 
 import numpy as np
@@ -30,19 +29,17 @@ from vcbf_drake.safety.polytope import (
     dikin_frame,
     recession_direction,
 )
-from vcbf_drake.safety.programs import DEFAULT_SOLVER, EllipsoidProgram
+from vcbf_drake.safety.programs import DEFAULT_SOLVER, FEW_INPUTS, EllipsoidProgram
 from vcbf_drake.safety.unit_rows import UnitRows
 
 # Of a set of unit size the cone program reaches this tolerance; one Newton step is then
 # enough. With more inputs than a few, others cost less than the solver's.
 _FAST_TOLERANCE = 1e-10
-_FEW_INPUTS = 3
+# Of any polytope it reaches this one; two or three Newton steps are then enough.
+_CAREFUL_TOLERANCE = 1e-5
 # Cut input sets thinner than this, in normalised inputs, may count as empty: there the
 # rounding of their rows alone can exceed the accepted gap.
 THINNEST = 1e-7
-# Of any polytope the cone program reaches this tolerance; two or three Newton steps
-# are then enough.
-_CAREFUL_TOLERANCE = 1e-5
 # Rows whose angle has a cosine this near to 1 are one to the cone program.
 _PARALLEL = 1e-12
 # Rows further away than this, in its frame, would spoil the cone program's scaling and
@@ -77,7 +74,7 @@ def inscribed_ellipsoid(A: ArrayLike, b: ArrayLike) -> Ellipsoid:
             raise UnboundedSetError(*rows.given, direction)
         raise SolverError("no ellipsoid could be certified", *rows.given)
     multipliers = rows.in_units_given(found.multipliers)
-    return replace(found, multipliers=multipliers, rows=rows.given[0])
+    return found._replace(multipliers=multipliers, rows=rows.given[0])
 
 
 def _search(rows: UnitRows) -> Ellipsoid | None:
@@ -127,8 +124,7 @@ class InscribedEllipsoidSolver:
     """Finds the largest ellipsoid of an input set cut by a few rows, at every tick.
 
     In normalised inputs v (see `InputSet`). When the input set's own largest ellipsoid
-    meets every row, it is the answer: the plateau. A row with b_i > |a_i|_1 cuts
-    nothing off the bounding box |v_j| <= 1. An input of a box that no other row
+    meets every row, it is the answer: the plateau. An input of a box that no other row
     mentions is an axis of the ellipsoid, of half-length 1. A box that one row cuts has
     a closed form; what is left is the cone program's. Both need the certificate.
 
@@ -145,7 +141,6 @@ class InscribedEllipsoidSolver:
         self._solver = solver
         self._A, self._b = input_set.A_normalised, input_set.b_normalised
         self._is_box = input_set.is_box
-        self._all_rows, self._all_inputs = map(np.arange, self._A.shape)
         m = input_set.num_inputs
         self.free = (
             Ellipsoid(np.zeros(m), np.eye(m), 0.0, np.full(2 * m, 0.5), 0.0, self._A)
@@ -178,13 +173,15 @@ class InscribedEllipsoidSolver:
                 f"A has shape {A.shape} and b {b.shape}; they must be (N, m) and (N,)"
                 f" with m = {self._A.shape[1]}"
             )
-        rows = np.concatenate([self._A, A])
-        if self._is_free(A, b):
+        rows, bounds = np.concatenate([self._A, A]), np.concatenate([self._b, b])
+        length = np.sqrt(np.vecdot(A, A))
+        if self._is_free(A, b, length):
             multipliers = np.concatenate([self.free.multipliers, np.zeros(len(b))])
-            return replace(self.free, multipliers=multipliers, rows=rows)
-        bounds = np.concatenate([self._b, b])
+            return self.free._replace(multipliers=multipliers, rows=rows)
+        if not (length.all() and np.isfinite(length + b).all()):
+            return inscribed_ellipsoid(rows, bounds)
         try:
-            return self._cut(A, b, rows, bounds)
+            found = self._cut(A / length[:, None], b / length)
         except EmptySetError as error:
             raise EmptySetError(rows, bounds, error.inradius) from None
         except SolverError:
@@ -192,58 +189,46 @@ class InscribedEllipsoidSolver:
             if radius < THINNEST:
                 raise EmptySetError(rows, bounds, radius) from None
             raise
+        found.multipliers[len(self._b) :] /= length
+        return found._replace(rows=rows)
 
-    def _is_free(self, A: Array, b: Array) -> bool:
+    def _is_free(self, A: Array, b: Array, length: Array) -> bool:
         """Whether the input set's own ellipsoid meets every row."""
-        if self._is_box:
-            return bool((np.sqrt(np.vecdot(A, A)) <= b).all())
-        length = np.linalg.norm(A @ self.free.frame, axis=1)
-        return bool((length + A @ self.free.center <= b).all())
+        if not self._is_box:
+            length = np.linalg.norm(A @ self.free.frame, axis=1)
+            b = b - A @ self.free.center
+        return bool((length <= b).all())
 
-    def _cut(self, A: Array, b: Array, rows: Array, bounds: Array) -> Ellipsoid:
-        """The input set cut by rows, with only the rows and the inputs that matter."""
+    def _cut(self, A: Array, b: Array) -> Ellipsoid:
+        """The same, of rows of unit length and with only the inputs that matter."""
         k, m = self._A.shape
-        # The margin: the bounding box of a general set has a solver's accuracy.
-        cutting = (~(np.abs(A).sum(axis=1) * (1.0 + 1e-6) <= b)).nonzero()[0]
-        normals, distance = A[cutting], b[cutting]
-        cut, own = self._all_inputs, self._all_rows
-        if self._is_box:
-            cut = normals.any(axis=0).nonzero()[0]
-            own = np.concatenate([cut, m + cut])
-        normals = normals[:, cut]
-        length = np.sqrt(np.vecdot(normals, normals))
-        if not (length.all() and np.isfinite(length + distance).all()):
-            return inscribed_ellipsoid(rows, bounds)
-        block_A = np.concatenate(
-            [self._A[own[:, None], cut], normals / length[:, None]]
-        )
-        block_b = np.concatenate([self._b[own], distance / length])
-        found = _of_rows(block_A, block_b, self._solver, self._is_box)
+        cut = np.flatnonzero(A.any(axis=0))
+        if not self._is_box or len(cut) == m:
+            A, b = np.concatenate([self._A, A]), np.concatenate([self._b, b])
+            return _of_rows(A, b, self._solver, self._is_box)
+        own = np.concatenate([cut, m + cut, np.arange(k, k + len(b))])
+        A, b = np.concatenate([self._A, A]), np.concatenate([self._b, b])
+        found = _of_rows(A[own[:, None], cut], b[own], self._solver, True)
         center, frame = self.free.center.copy(), self.free.frame.copy()
         center[cut], frame[cut[:, None], cut] = found.center, found.frame
-        multipliers = np.zeros(len(rows))
-        multipliers[:k] = self.free.multipliers
-        multipliers[own] = found.multipliers[: len(own)]
-        multipliers[k + cutting] = found.multipliers[len(own) :] / length
-        return Ellipsoid(
-            center, frame, found.log_det, multipliers, found.certified_gap, rows
-        )
+        multipliers = np.full(len(b), 0.5)
+        multipliers[own] = found.multipliers
+        return found._replace(center=center, frame=frame, multipliers=multipliers)
 
 
 def _of_rows(A: Array, b: Array, solver: str, is_box: bool) -> Ellipsoid:
     """The largest ellipsoid of unit rows, of a set of about unit size."""
-    m = A.shape[1]
+    m, found = A.shape[1], None
     if m == 1:
         found = interval(A, b)
     elif is_box and len(b) == 2 * m + 1 and b[-1] + np.abs(A[-1]).sum() > THINNEST:
         found = certified(A, b, *cut_box(A[-1], float(b[-1])))
     else:
         tolerance, kept = _FAST_TOLERANCE, np.arange(len(b))
-        if m > _FEW_INPUTS:
+        if m > FEW_INPUTS:
             tolerance, kept = _CAREFUL_TOLERANCE, _tightest(A, b, 2 * m * is_box)
         rows, bounds, multipliers = A[kept], b[kept], np.zeros(len(b))
         program = EllipsoidProgram.of_size(*rows.shape, tolerance, solver, is_box)
-        found = None
         if guess := program.solve(rows, bounds):
             multipliers[kept] = guess[2]
             found = polish(A, b, *guess[:2], multipliers)

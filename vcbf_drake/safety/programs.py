@@ -46,6 +46,9 @@ SOLVERS: dict[str, type[SolverInterface]] = {
 }
 # ... and of these, those that take the cone program and return its multipliers.
 CONE_SOLVERS = ("Clarabel", "Mosek")
+# With no more inputs than these an ellipsoid is cheaper from the solver than from
+# Newton's method.
+FEW_INPUTS = 3
 
 
 def check_solver(name: str) -> None:
@@ -70,11 +73,13 @@ def _is_usable(solver: SolverInterface) -> bool:
     return bool(solver.available() and solver.enabled())
 
 
-def _options(name: str, tolerance: float) -> SolverOptions:
+def _options(name: str, tolerance: float, **clarabels: int) -> SolverOptions:
     options = SolverOptions()
     if name == "Clarabel":
         for key in ("tol_gap_abs", "tol_gap_rel", "tol_feas"):
             options.SetOption(ClarabelSolver.id(), key, tolerance)
+        for key, value in clarabels.items():
+            options.SetOption(ClarabelSolver.id(), key, value)
     if name == "OSQP":
         for key in ("eps_abs", "eps_rel"):
             options.SetOption(OsqpSolver.id(), key, tolerance)
@@ -170,10 +175,9 @@ class NearestPointProgram(FixedProgram):
     def __init__(
         self, num_rows: int, num_variables: int, solver: str = DEFAULT_SOLVER
     ) -> None:
-        super().__init__(num_variables, SOLVERS[solver](), _options(solver, 1e-9))
-        if solver == "Clarabel":
-            # On some QPs it cycles; on others it is done after a dozen.
-            self._options.SetOption(ClarabelSolver.id(), "max_iter", 30)
+        # On some QPs Clarabel cycles; on others it is done after a dozen.
+        options = _options(solver, 1e-9, max_iter=30)
+        super().__init__(num_variables, SOLVERS[solver](), options)
         v, self._identity = self.variables, np.eye(num_variables)
         self._below = np.full(num_rows, -np.inf)
         self._cost = self.program.AddQuadraticCost(
@@ -225,7 +229,11 @@ class EllipsoidProgram(FixedProgram):
         self._row, self._column = np.tril_indices(m)
         self._k = len(self._row)
         name = solver if solver in CONE_SOLVERS else DEFAULT_SOLVER
-        super().__init__(self._k + m, SOLVERS[name](), _options(name, tolerance))
+        # A box is of unit size, and of few inputs it is solved as exactly without.
+        is_plain = is_box and m <= FEW_INPUTS
+        spared = ("equilibrate_enable", "iterative_refinement_enable")
+        options = _options(name, tolerance, **dict.fromkeys(spared * is_plain, 0))
+        super().__init__(self._k + m, SOLVERS[name](), options)
         x = self.variables
         self._slot, self._entry = 1 + self._column, np.arange(self._k)
         # Drake pads the geometric mean with ones to a power of two.
