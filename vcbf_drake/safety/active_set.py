@@ -54,10 +54,12 @@ def nearest_by_active_set(
         reference: The point that is projected, shape (m,).
         near: Indices of the rows that are looked at; by default all.
     """
-    face = _Face(A, b, reference)
     if near is None:
-        return face.moved_onto(range(len(b)), A, b, _TOLERANCE)
-    return face.moved_onto(near.tolist(), A[near], b[near], _TOLERANCE)
+        near = np.arange(len(b))
+    rows, sides = A[near].tolist(), b[near].tolist()
+    face = _Face(rows, sides, reference.tolist(), _INDEPENDENT)
+    conflict = face.moved_onto_all(_TOLERANCE)
+    return _projection(face, conflict, near, len(b))
 
 
 def nearest_in_rationals(A: Array, b: Array, reference: Array) -> Projection:
@@ -71,13 +73,14 @@ def nearest_in_rationals(A: Array, b: Array, reference: Array) -> Projection:
         b: Their right-hand sides, shape (n,).
         reference: The point that is projected, shape (m,).
     """
-    rows, sides, start = (_rational(each) for each in (A, b, reference))
-    return _Face(rows, sides, start, 0).moved_onto(range(len(b)), rows, sides, 0)
+    rows = [_rational(row) for row in A]
+    face = _Face(rows, _rational(b), _rational(reference), 0.0)
+    conflict = face.moved_onto_all(0.0)
+    return _projection(face, conflict, np.arange(len(b)), len(b))
 
 
-def _rational(values: Array) -> NDArray[np.object_]:
-    numbers = [Fraction(value) for value in values.ravel().tolist()]
-    return np.array(numbers, dtype=object).reshape(values.shape)
+def _rational(values: Array) -> _Vector:
+    return list(map(Fraction, values.tolist()))
 
 
 _Number: TypeAlias = Any  # A float or a Fraction.
@@ -107,12 +110,12 @@ class _Face:
 
     def __init__(
         self,
-        A: NDArray[Any],
-        b: NDArray[Any],
-        reference: NDArray[Any],
-        independent: float = _INDEPENDENT,
+        A: Sequence[_Vector],
+        b: _Vector,
+        reference: _Vector,
+        independent: float,
     ) -> None:
-        self._A, self._b = A, b.tolist()
+        self._A, self._b = A, b
         self._least = independent**2
         # Where much cancels in floats, what is left is at a right angle, and a point
         # far away is where it should be, at the second time only.
@@ -121,40 +124,33 @@ class _Face:
         self._Q: list[_Vector] = []
         self._squares: _Vector = []  # Of the rows of Q.
         self._Qv: _Vector = []  # Where the rows are met.
-        self._reference: _Vector = reference.tolist()
+        self._reference = reference
         self.rows: list[int] = []
         self.point = self._reference
         self.multipliers: _Vector = []
 
-    def moved_onto(
-        self, near: Sequence[int], A: NDArray[Any], b: NDArray[Any], tolerance: _Number
-    ) -> Projection:
-        """Makes rows active until the point violates none of some; where that ends.
+    def moved_onto_all(self, tolerance: float) -> _Vector | None:
+        """Makes rows active until the point violates none; returns a conflict if not.
 
         Args:
-            near: Which rows.
-            A: They themselves.
-            b: Their right-hand sides.
-            tolerance: By how much of the terms of a v - b they may be violated.
+            tolerance: By how much of the terms of a v - b a row may be violated.
         """
         conflict, joined = None, 0
-        while not (conflict or (tolerance and joined == _PATIENCE * len(near))):
-            excess, worst, most = (A @ self.point - b).tolist(), -1, 0
-            for i, each in enumerate(excess):
-                if each > most and tolerance:
-                    terms = map(abs, map(mul, A[i].tolist(), self.point))
-                    each -= tolerance * (sum(terms) + abs(self._b[near[i]]))
-                if each > most:
-                    worst, most = i, each
-            if worst < 0 or near[worst] in self.rows:
+        while not (conflict or (tolerance and joined == _PATIENCE * len(self._b))):
+            worst, most = -1, 0
+            for i, (a, b) in enumerate(zip(self._A, self._b, strict=True)):
+                excess = _dot(a, self.point) - b
+                if excess > most and tolerance:
+                    terms = sum(map(abs, map(mul, a, self.point))) + abs(b)
+                    excess -= tolerance * terms
+                if excess > most:
+                    worst, most = i, excess
+            if worst < 0 or worst in self.rows:
                 break
-            conflict, joined = self.join(near[worst], excess[worst]), joined + 1
-        multipliers = np.zeros(len(self._b))
-        multipliers[self.rows] = self.multipliers
-        proof = None if conflict is None else np.array(conflict, dtype=float)
-        return Projection(np.array(self.point, dtype=float), multipliers, proof)
+            conflict, joined = self.join(worst), joined + 1
+        return conflict
 
-    def join(self, row: int, excess: _Number) -> _Vector | None:
+    def join(self, row: int) -> _Vector | None:
         """Makes a violated row active, and those inactive that stand in its way.
 
         Along the active rows' span its multiplier takes over from theirs; what is left
@@ -163,9 +159,9 @@ class _Face:
 
         Args:
             row: Which.
-            excess: By how much the point violates it.
         """
-        a = self._A[row].tolist()
+        a = self._A[row]
+        excess = _dot(a, self.point) - self._b[row]
         while True:
             along, left = self._split(a)
             square, share = _dot(left, left), self._solved(along)
@@ -213,7 +209,7 @@ class _Face:
         del self.multipliers[i], self.rows[i:]
         del self._L[i:], self._Q[i:], self._squares[i:], self._Qv[i:]
         for row in later:
-            along, left = self._split(self._A[row].tolist())
+            along, left = self._split(self._A[row])
             self._append(row, along, left, _dot(left, left))
 
     def _move(self) -> None:
@@ -234,3 +230,16 @@ class _Face:
             for j, along in enumerate(self._L[i]):
                 y[j] -= along * y[i]
         return y
+
+
+def _projection(
+    face: _Face, conflict: _Vector | None, rows: NDArray[np.intp], num_rows: int
+) -> Projection:
+    """Where a face of some rows, of so many, ended."""
+    multipliers = np.zeros(num_rows)
+    multipliers[rows[face.rows]] = face.multipliers
+    proof = None
+    if conflict is not None:
+        proof = np.zeros(num_rows)
+        proof[rows] = conflict
+    return Projection(np.array(face.point, dtype=float), multipliers, proof)
