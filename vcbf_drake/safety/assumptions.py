@@ -271,60 +271,46 @@ def _information(
     safety_filter: SafetyFilter, context: Context, observer: DisturbanceObserver
 ) -> Iterator[Assumption]:
     """What the paper asks for and no proof needs, and what sampling costs."""
-    method = safety_filter.method
+    method, volume = safety_filter.method, safety_filter.settings.volume
     if method.has_volume_row:
-        barrier = safety_filter.settings.volume
-        yield Assumption(
-            "volume barrier",
-            barrier.choice,
-            None,
-            {
-                "widening": barrier.widening,
-                "gain": barrier.gain,
-                "threshold": safety_filter.threshold(context),
-            },
-            "nothing",
-        )
+        numbers = {
+            "widening": volume.widening,
+            "gain": volume.gain,
+            "threshold": safety_filter.threshold(context),
+        }
+        yield Assumption("volume barrier", volume.choice, None, numbers, "nothing")
     if method.disturbance == "estimated" and isinstance(observer, RiseObserver):
-        decay, barriers = observer.decay_rate, safety_filter.barriers
+        decay, delta1 = observer.decay_rate, observer.bounds.delta1
+        barriers = safety_filter.barriers
         rates = (b.decay_rates[-1] for b in barriers if isinstance(b, Barrier))
-        yield Assumption(
-            "lambda_V >= lambda_r",
-            "asked for by Theorem 1 as printed; its proof does not need it (R21)",
-            None,
-            {"lambda_V": decay, "lambda_r": float(min(rates, default=np.nan))},
-            "nothing",
-        )
-        delta1 = observer.bounds.delta1
+        slowest = float(min(rates, default=np.nan))
+        asked = {"lambda_V": decay, "lambda_r": slowest}
+        yield _as_printed("lambda_V >= lambda_r", "", 1, asked)
         chains = safety_filter.feasible_set(context).rows.chain
         last_levels = [chain[-1] for chain in chains if len(chain)]
         lowest = float(np.fmin.reduce(last_levels, initial=np.inf))
-        yield Assumption(
-            "beta_1",
-            "beta_1 > delta1^2 / (2 phi(0)), of the last phi: asked for by Theorem 1 as"
-            " printed; its proof does not need it (R21)",
-            None,
-            {"least beta_1": _least_weight(delta1, lowest)},
-            "nothing",
-        )
+        condition = "beta_1 > delta1^2 / (2 phi(0)), of the last phi: "
+        asked = {"least beta_1": _least_weight(delta1, lowest)}
+        yield _as_printed("beta_1", condition, 1, asked)
         if method.has_volume_row:
-            volume = safety_filter.GetOutputPort("volume").Eval(context)[0]
-            yield Assumption(
-                "beta_2",
-                "beta_2 > delta1^2 / (2 V_v(0)): asked for by Theorem 2 as printed; its"
-                " proof does not need it (R36)",
-                None,
-                {"least beta_2": _least_weight(delta1, volume)},
-                "nothing",
-            )
-            yield Assumption(
-                "lambda_V >= lambda_Vv",
-                "asked for by Theorem 2 as printed; its proof does not need it (R36)",
-                None,
-                {"lambda_V": decay, "lambda_Vv": safety_filter.settings.volume.gain},
-                "nothing",
-            )
+            start = safety_filter.GetOutputPort("volume").Eval(context)[0]
+            asked = {"least beta_2": _least_weight(delta1, start)}
+            yield _as_printed("beta_2", "beta_2 > delta1^2 / (2 V_v(0)): ", 2, asked)
+            asked = {"lambda_V": decay, "lambda_Vv": volume.gain}
+            yield _as_printed("lambda_V >= lambda_Vv", "", 2, asked)
     yield _sampling(safety_filter, context)
+
+
+def _as_printed(
+    name: str, condition: str, theorem: int, numbers: dict[str, float]
+) -> Assumption:
+    """A condition of a theorem as printed that its proof does not need."""
+    correction = {1: "R21", 2: "R36"}[theorem]
+    statement = (
+        f"{condition}asked for by Theorem {theorem} as printed; its proof does not need"
+        f" it ({correction})"
+    )
+    return Assumption(name, statement, None, numbers, "nothing")
 
 
 def _least_weight(delta1: float, start: float) -> float:

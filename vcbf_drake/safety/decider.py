@@ -13,7 +13,7 @@ from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.qp import FilterDecision, FilterStatus, choose_input
 from vcbf_drake.safety.row_holder import Gate, RowHolder, Tick
 from vcbf_drake.safety.settings import METHODS, FilterSettings
-from vcbf_drake.safety.tick_qp import Frame, VolumeRow
+from vcbf_drake.safety.tick_qp import Frame
 from vcbf_drake.safety.volume import Volume, volume_row
 
 
@@ -60,18 +60,11 @@ class Decider:
             reference: What the controller would apply, shape (m,).
             held: The input applied now, shape (m,).
         """
-        decision = self._lasting(tick, feasible, v, reference, held)
-        return decision if self._gate is None else self._gate.decide(tick, decision)
-
-    def _lasting(
-        self,
-        tick: Tick,
-        feasible: FeasibleSet,
-        v: Volume | None,
-        reference: Array,
-        held: Array,
-    ) -> FilterDecision:
-        settings, row = self._settings, self._volume_row(tick, v)
+        settings, row = self._settings, None
+        if v is not None and not v.is_on_plateau:  # There 0 <= lambda_Vv V_v.
+            is_total = settings.corrections.total_derivative
+            x, known, barrier = tick.state, tick.known, settings.volume
+            row = volume_row(v, self._model, x, known, barrier, is_total)
         decay_rates = self._decay_rates(feasible)
 
         def choose(margin: Array | None = None) -> FilterDecision:
@@ -88,26 +81,13 @@ class Decider:
                 decay_rates,
             )
 
-        if self._method.has_volume_row and (
-            v is None or not (row is None or row.is_finite)
-        ):
-            return FilterDecision(choose().input, FilterStatus.FAILED)
-        if self._row_holder is None:
-            return choose()
-        return self._row_holder.lasting_decision(tick, choose(), choose)
-
-    def _volume_row(self, tick: Tick, v: Volume | None) -> VolumeRow | None:
-        """The row of V_v; None where it asks for nothing: 0 <= lambda_Vv V_v."""
-        if v is None or v.is_on_plateau:
-            return None
-        return volume_row(
-            v,
-            self._model,
-            tick.state,
-            tick.known,
-            self._settings.volume,
-            self._settings.corrections.total_derivative,
-        )
+        decision = choose()
+        is_known = v is not None and (row is None or row.is_finite)
+        if self._method.has_volume_row and not is_known:
+            decision = FilterDecision(decision.input, FilterStatus.FAILED)
+        elif self._row_holder is not None:
+            decision = self._row_holder.lasting_decision(tick, decision, choose)
+        return decision if self._gate is None else self._gate.decide(tick, decision)
 
     def _decay_rates(self, feasible: FeasibleSet) -> DecayRates | None:
         """How much rates may grow; None where they may not."""

@@ -139,7 +139,7 @@ def choose_input(
         found, solved = solve_qp(qp, solver)
         u, gave_way = frame.input(found.point), solved is not qp or not exact_slack
         if solved is qp:
-            finer = finer_frame(feasible, frame, u, _touched(found, qp, feasible))
+            finer = finer_frame(feasible, frame, u, _touched(found, qp))
             if finer is not None:
                 found, solved = _better(stated(finer), found, qp, feasible, solver)
                 u = solved.frame.input(found.point)
@@ -164,10 +164,10 @@ def choose_input(
     return FilterDecision(u, status, slack, soft_slacks=soft, decay=decay, qp=solved)
 
 
-def _touched(found: Projection, qp: QP, feasible: FeasibleSet) -> list[int]:
+def _touched(found: Projection, qp: QP) -> list[int]:
     """Which barrier rows a solution rests on, or leaves by next to nothing."""
     excess, y = (qp.A @ found.point - qp.b).tolist(), found.multipliers.tolist()
-    barriers = enumerate(feasible.cut.tolist(), start=qp.num_firm)
+    barriers = enumerate(qp.cut.tolist(), start=qp.num_firm)
     return [barrier for row, barrier in barriers if y[row] > 0.0 or excess[row] > 0.0]
 
 
@@ -219,22 +219,15 @@ def least_violation(
     try:
         for _ in range(2):
             qp = state_qp(feasible, frame, None, reference, exact_slack=True).hard
-            best = frame.input(_least_violation(feasible, qp, solver))
-            violated = (qp.A @ _coordinates(best, frame) > qp.b)[qp.num_firm :]
-            touched = feasible.cut[violated].tolist()
-            finer = finer_frame(feasible, frame, best, touched)
+            z = _least_violation(feasible, qp, solver)
+            best, violated = frame.input(z), (qp.A @ z > qp.b)[qp.num_firm :]
+            finer = finer_frame(feasible, frame, best, feasible.cut[violated].tolist())
             if finer is None:
                 break
             frame = finer
     except (EmptySetError, SolverError, LinAlgError):
         pass  # In the coordinates before there may be an answer.
     return feasible.input_set.project(best)
-
-
-def _coordinates(u: Array, frame: Frame) -> Array:
-    scale = np.where(frame.scale > 0.0, frame.scale, np.inf)
-    z: Array = (u - frame.origin) / (frame.size * scale)
-    return z
 
 
 def _least_violation(feasible: FeasibleSet, qp: QP, solver: str) -> Array:

@@ -40,7 +40,8 @@ from vcbf_drake.safety.row_holder import (
 )
 from vcbf_drake.safety.row_names import RowNames
 from vcbf_drake.safety.settings import METHODS, FilterSettings
-from vcbf_drake.safety.tick_qp import Frame, TickPrograms
+from vcbf_drake.safety.tick_programs import TickPrograms
+from vcbf_drake.safety.tick_qp import Frame
 from vcbf_drake.safety.volume import Volume, VolumeMeasure, threshold_of
 from vcbf_drake.typed import NotNegative, typed
 

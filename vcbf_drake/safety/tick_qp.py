@@ -1,4 +1,4 @@
-"""The QP of a control tick: its coordinates, its rows, and the tick as programs."""
+"""The QP of a control tick: its coordinates and its rows."""
 
 from __future__ import annotations
 
@@ -8,15 +8,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
-from pydrake.solvers import MathematicalProgram, MathematicalProgramResult
+from numpy.typing import ArrayLike, NDArray
 
 from vcbf_drake.checks import Array, require
 from vcbf_drake.errors import EmptySetError, SolverError
 from vcbf_drake.safety.active_set import Projection
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.programs import EllipsoidProgram, NearestPointProgram
 from vcbf_drake.safety.projection import minimise_linear, nearest_in
 from vcbf_drake.safety.unit_rows import UnitRows
 
@@ -131,9 +129,10 @@ class QP(NamedTuple):
         b: Their right-hand sides, shape (n,).
         reference: Shape (d,).
         num_firm: How many rows, the first, limit the input whatever the state.
+        cut: Which barrier rows follow those.
         num_hard: How many rows, the first, do not give way.
         has_hard_volume: Whether the last of those is the volume row.
-        further_rows: Those that follow the feasible set's: "volume", or an index.
+        further_rows: Those behind the feasible set's: "volume", or an index there.
         num_decays: How many variables, after the inputs, are growths (E69).
     """
 
@@ -142,6 +141,7 @@ class QP(NamedTuple):
     b: Array
     reference: Array
     num_firm: int
+    cut: NDArray[np.intp]
     num_hard: int
     has_hard_volume: bool = False
     further_rows: tuple[str | int, ...] = ()
@@ -236,6 +236,7 @@ def state_qp(
         b=b,
         reference=z,
         num_firm=len(sides),
+        cut=cut,
         num_hard=len(b) - len(yielding),
         has_hard_volume=is_hard,
         further_rows=names,
@@ -331,73 +332,3 @@ def finer_frame(
     if not 0.0 < size < _SMALL * frame.size:
         return None
     return replace(frame, origin=feasible.input_set.project(u), size=size)
-
-
-@dataclass(frozen=True)
-class TickPrograms:
-    """The QP and the cone program of one control tick, as MathematicalPrograms.
-
-    Both are stated anew, with rows of unit length as the filter's solver was given
-    them; nobody else holds them. The inputs are normalised, v with u = center + scale v
-    (see `InputSet`), but for weights of the cost and for limits as good as none.
-
-    Attributes:
-        qp: min 1/2 |z - reference|^2 subject to ``A z <= b``; z is v, followed by the
-            scaled slack of every row that gives way at a penalty.
-        qp_rows: What each of its rows stands for.
-        ellipsoid: max (det L)^(1/P) subject to |L'a_i| + a_i d <= b_i (E48), the set's
-            largest ellipsoid {L w + d : |w| <= 1}; None for a single input, whose
-            largest interval needs no program.
-        ellipsoid_rows: What each of its rows stands for.
-        solved: The QP that it states.
-    """
-
-    qp: MathematicalProgram
-    qp_rows: tuple[str, ...]
-    ellipsoid: MathematicalProgram | None
-    ellipsoid_rows: tuple[str, ...]
-    solved: QP
-
-    @staticmethod
-    def of(
-        qp: QP, feasible: FeasibleSet, names: tuple[str, ...], widening: float
-    ) -> TickPrograms:
-        """States the programs of a tick.
-
-        Args:
-            qp: The QP that was solved.
-            feasible: The feasible set whose ellipsoid was found.
-            names: Of the feasible set's rows.
-            widening: kappa of the volume barrier.
-        """
-        A, reference, _ = qp.as_projection()
-        rows = UnitRows(A, qp.b)
-        nearest = NearestPointProgram(*A.shape)
-        nearest.state(rows.A, rows.b, reference)
-        cut, k = feasible.cut_by(widening), feasible.num_input_rows
-        limits, sides = feasible.input_set.limiting
-        kept = [*feasible.input_set.limits.tolist(), *(k + cut).tolist()]
-        unit = UnitRows(
-            np.concatenate([limits, feasible.normals[cut]]),
-            np.concatenate([sides, feasible.distance[cut] / widening]),
-        )
-        cone, m = None, feasible.input_set.num_inputs
-        if m > 1:
-            largest = EllipsoidProgram(len(kept), m, 1e-9)
-            largest.state(unit.A, unit.b)
-            cone = largest.program
-        qp_rows = (*feasible.cutting.tolist(), *qp.further_rows)
-        named = (row if isinstance(row, str) else names[row] for row in qp_rows)
-        ellipsoid_rows = tuple(names[i] for i in kept)
-        return TickPrograms(nearest.program, tuple(named), cone, ellipsoid_rows, qp)
-
-    def input(self, result: MathematicalProgramResult) -> Array:
-        """Returns the input u of a solution of the QP, shape (m,)."""
-        y, back = result.get_x_val(), self.solved.as_projection()[2]
-        return self.solved.frame.input(y if back is None else back @ y)
-
-    def log_det(self, result: MathematicalProgramResult) -> float:
-        """Returns log det B of a solution of the cone program, in normalised inputs."""
-        row, column = np.tril_indices(len(self.solved.frame.scale))
-        diagonal = result.get_x_val()[: len(row)][row == column]
-        return float(np.log(diagonal).sum())
