@@ -155,7 +155,7 @@ def test_ticks_between_two_obstacles_are_what_they_are_called(
         context = tick_context(system, np.append(jitter, np.zeros(3)))
         assert system.decision(context).status == status
         feasible = system.feasible_set(context)
-        opposite = feasible.b_v[6:8] / np.linalg.norm(feasible.A_v[6:8], axis=1)
+        opposite = feasible.distance[:2] / np.linalg.norm(feasible.normals[:2], axis=1)
         assert opposite.sum() == pytest.approx(2.0 * room, abs=1e-4)
 
 

@@ -13,6 +13,19 @@ from vcbf_drake.safety import DisturbanceKnowledge, InputSet
 from vcbf_drake.safety.feasible_set import FeasibleSet, RowCosts, feasible_set
 
 
+def normalised(feasible: FeasibleSet) -> tuple[Array, Array]:
+    """All rows of a set, those of the input set first, in normalised inputs.
+
+    Args:
+        feasible: The set.
+    """
+    inputs = feasible.input_set
+    return (
+        np.concatenate([inputs.A_normalised, feasible.normals]),
+        np.concatenate([inputs.b_normalised, feasible.distance]),
+    )
+
+
 def fixed_set(
     input_set: InputSet,
     A: Any,

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from tests.helpers.fixed_set import normalised
 from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.safety import DisturbanceKnowledge, InputSet, disturbance_margin
 from vcbf_drake.safety.feasible_set import RowCosts, feasible_set
@@ -62,11 +63,12 @@ def test_normalised_rows_are_the_same_set(input_set):
     assert_allclose(feasible.b[k:], rows.b + disturbance_margin(rows, known))
     v = rng.uniform(-2.0, 2.0, (500, 2))
     u = input_set.center + input_set.scale * v
-    slack, normalised = feasible.b - u @ feasible.A.T, feasible.b_v - v @ feasible.A_v.T
-    assert_allclose(normalised[:, k:], slack[:, k:], atol=1e-12)
+    A_v, b_v = normalised(feasible)
+    slack, slack_v = feasible.b - u @ feasible.A.T, b_v - v @ A_v.T
+    assert_allclose(slack_v[:, k:], slack[:, k:], atol=1e-12)
     # The input set's own rows are of unit length in v, so only the signs agree.
-    clear = np.abs(normalised) > 1e-9
-    assert (np.sign(slack)[clear] == np.sign(normalised)[clear]).all()
+    clear = np.abs(slack_v) > 1e-9
+    assert (np.sign(slack)[clear] == np.sign(slack_v)[clear]).all()
 
 
 @pytest.mark.parametrize("input_set", [BOX, TRIANGLE])
@@ -77,7 +79,7 @@ def test_rows_that_are_left_out_hold_on_the_whole_bounding_box(input_set):
     kinds = set()
     for _ in range(30):
         feasible = feasible_set(input_set, random_rows(rng, 4), knowledge(rng))
-        cuts = (corners @ feasible.A_v[k:].T > feasible.b_v[k:]).any(axis=0)
+        cuts = (corners @ feasible.normals.T > feasible.distance).any(axis=0)
         expected = [*range(k), *(k + np.flatnonzero(cuts))]
         assert feasible.cutting.tolist() == expected
         kinds |= set(cuts.tolist())
@@ -93,9 +95,10 @@ def test_a_reserve_is_taken_off_the_barrier_rows_alone(input_set):
     tightened = feasible.tightened(reserve)
     assert_allclose(tightened.b[:k], feasible.b[:k])
     assert_allclose(tightened.b[k:], feasible.b[k:] - reserve)
-    assert_allclose(tightened.b_v[:k], feasible.b_v[:k])
-    assert_allclose(tightened.b_v[k:], feasible.b_v[k:] - reserve)
-    assert_allclose(tightened.A_v, feasible.A_v)
+    A_v, b_v = normalised(feasible)
+    assert_allclose(normalised(tightened)[0], A_v)
+    assert_allclose(normalised(tightened)[1][:k], b_v[:k])
+    assert_allclose(normalised(tightened)[1][k:], b_v[k:] - reserve)
     rows = dataclasses.replace(rows, b=rows.b - reserve)
     expected = feasible_set(input_set, rows, known)
     assert tightened.cutting.tolist() == expected.cutting.tolist()

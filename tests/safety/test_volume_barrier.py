@@ -8,6 +8,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.primitives import LinearSystem
 import pytest
 
+from tests.helpers.fixed_set import normalised
 from tests.helpers.volume_rate import volume_rate
 from vcbf_drake import (
     Blimp,
@@ -61,9 +62,7 @@ def random_situation(rng):
 def drake_volume(barriers, state, time, known):
     """V_v by Drake's own ellipsoid, in normalised inputs."""
     feasible = feasible_set(INPUTS, barriers.rows(state, time), known)
-    ellipsoid = HPolyhedron(
-        feasible.A_v, feasible.b_v
-    ).MaximumVolumeInscribedEllipsoid()
+    ellipsoid = HPolyhedron(*normalised(feasible)).MaximumVolumeInscribedEllipsoid()
     return 1.0 / np.linalg.det(ellipsoid.A()) - THRESHOLD
 
 
@@ -78,8 +77,9 @@ def situations(barriers, count):
     while len(found) < count:
         situation = random_situation(rng)
         feasible = feasible_set(INPUTS, barriers.rows(*situation[:2]), situation[2])
-        ball = HPolyhedron(feasible.A_v, feasible.b_v)
-        cut = np.any(np.linalg.norm(feasible.A_v, axis=1) > feasible.b_v + 1e-3)
+        A, b = normalised(feasible)
+        ball = HPolyhedron(A, b)
+        cut = np.any(np.linalg.norm(A, axis=1) > b + 1e-3)
         if cut and not ball.IsEmpty() and drake_volume(barriers, *situation) > 0.1:
             found.append(situation)
     return found

@@ -95,8 +95,7 @@ class RowCosts:
 class FeasibleSet(NamedTuple):
     """The polytope ``{u : A u <= b}`` of (E46), with the barrier rows it came from.
 
-    The first rows are the input set's, then follows one row per barrier. The same set
-    in normalised inputs v, u = center + scale * v, is ``{v : A_v v <= b_v}``.
+    The first rows are the input set's, then follows one row per barrier.
 
     Attributes:
         input_set: What limits the input whatever the state.
@@ -104,7 +103,7 @@ class FeasibleSet(NamedTuple):
         bound: The right-hand side of each with its margin, b + Lambda, shape (N,).
         known: What they take as known of the disturbance.
         costs: What it costs that they do not hold.
-        normals: The barrier rows in normalised inputs, shape (N, m).
+        normals: The barrier rows in normalised inputs v, u = center + scale v, (N, m).
         distance: Their right-hand sides, shape (N,). The set takes no notice of soft
             rows: there is infinity.
         farthest: Their most on the inputs' bounding box, shape (N,).
@@ -135,16 +134,6 @@ class FeasibleSet(NamedTuple):
         return np.concatenate([self.input_set.b, b])
 
     @property
-    def A_v(self) -> Array:
-        """The rows in normalised inputs, shape (k + N, m)."""
-        return np.concatenate([self.input_set.A_normalised, self.normals])
-
-    @property
-    def b_v(self) -> Array:
-        """Their right-hand sides, shape (k + N,)."""
-        return np.concatenate([self.input_set.b_normalised, self.distance])
-
-    @property
     def num_input_rows(self) -> int:
         """The number k of rows that limit the input whatever the state."""
         return len(self.input_set.b)
@@ -169,10 +158,6 @@ class FeasibleSet(NamedTuple):
         if widening == 1.0:
             return self.cut
         return (self.distance / widening < self.farthest).nonzero()[0]
-
-    def soft_slack(self, row: int, u: Array) -> float:
-        """Returns how far a soft barrier row has to give way at an input; else > 0."""
-        return float(self.bound[row]) - float(self.rows.A[row] @ u)
 
 
 def disturbance_margin(rows: BarrierRows, known: DisturbanceKnowledge) -> Array:

@@ -158,7 +158,8 @@ def choose_input(
         return FilterDecision(u, FilterStatus.FAILED)
     slack = volume_row.slack(u) if volume_row and gave_way else 0.0
     status = FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
-    soft = tuple([min(0.0, feasible.soft_slack(i, u)) for i in feasible.costs.soft])
+    room = ((i, float(feasible.rows.A[i] @ u)) for i in feasible.costs.soft)
+    soft = tuple([min(0.0, float(feasible.bound[i]) - taken) for i, taken in room])
     u = input_set.project(u)
     decay = 1.0 if growing is None else growing.factor(feasible, u)
     return FilterDecision(u, status, slack, soft_slacks=soft, decay=decay, qp=solved)

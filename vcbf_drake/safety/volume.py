@@ -120,24 +120,6 @@ class Volume(NamedTuple):
     bound: float
     unit: float = 1.0
 
-    @staticmethod
-    def unmoved(
-        determinant: float,
-        ellipsoid: Ellipsoid | None,
-        num_states: int,
-        num_channels: int,
-    ) -> Volume:
-        """Returns det B of a set that no barrier row moves.
-
-        Args:
-            determinant: It.
-            ellipsoid: The largest ellipsoid.
-            num_states: n.
-            num_channels: q.
-        """
-        state, estimate = np.zeros(num_states), np.zeros(num_channels)
-        return Volume(determinant, ellipsoid, state, 0.0, estimate, 0.0, determinant)
-
     def above(self, threshold: float) -> Volume:
         """Returns V_v, where this is det B: less its threshold xi."""
         return self._replace(value=self.value - threshold)
@@ -183,30 +165,29 @@ class VolumeMeasure:
         if self._solver is None or not feasible.is_finite:
             return None
         inputs, rows, known = self._input_set, feasible.rows, feasible.known
-        kappa, k = self._widening, feasible.num_input_rows
-        n, q = rows.num_states, len(known.estimate)
-        cut = feasible.cut_by(kappa)
-        if not len(cut):
-            free = self._solver.free
-            return Volume.unmoved(math.exp(free.log_det), free, n, q)
+        kappa, n, cut = self._widening, rows.num_states, feasible.cut_by(self._widening)
         A, b = feasible.normals[cut], feasible.distance[cut] / kappa
+        found, weights = self._solver.free, np.zeros(len(cut))
+        determinant, is_of_set = math.exp(found.log_det), True
         try:
-            ellipsoid = self._solver.solve(A, b)
+            if len(cut):
+                found = self._solver.solve(A, b)
+                determinant, is_of_set = math.exp(found.log_det), kappa == 1.0
+                multipliers = found.multipliers[feasible.num_input_rows :]
+                weights = determinant / kappa * multipliers
         except EmptySetError:
-            return Volume.unmoved(THINNEST**inputs.num_inputs, None, n, q)
+            determinant, is_of_set = THINNEST**inputs.num_inputs, False
         except (SolverError, np.linalg.LinAlgError):
             return None
-        determinant = math.exp(ellipsoid.log_det)
-        weights = determinant / kappa * ellipsoid.multipliers[k:]
-        extended, estimate, bound = np.zeros(n + 1), np.zeros(q), 0.0
-        touching = weights.nonzero()[0]
-        gradients = rows.gradients(cut[touching].tolist()) if len(touching) else ()
-        for i, gradient in zip(touching.tolist(), gradients, strict=True):
+        extended, estimate, bound = np.zeros(n + 1), np.zeros(len(known.estimate)), 0.0
+        touching = weights.nonzero()[0].tolist()
+        gradients = rows.gradients(cut[touching].tolist()) if touching else ()
+        for i, gradient in zip(touching, gradients, strict=True):
             weight, w, margin = float(weights[i]), rows.w[cut[i]], known.estimate
             w_norm = math.sqrt(w @ w)
             if w_norm > 0.0:
                 margin = margin - known.bound / w_norm * w
-            v = kappa * ellipsoid.contact_point(A[i])
+            v = kappa * found.contact_point(A[i])
             contact = inputs.center + inputs.scale * v
             # d(b + Lambda - A u) at the contact u, from the gradients of [A, b, w].
             change = np.concatenate([-contact, (1.0,), margin]) @ gradient
@@ -215,7 +196,7 @@ class VolumeMeasure:
             bound -= weight * w_norm
         return Volume(
             determinant,
-            ellipsoid if kappa == 1.0 else None,
+            found if is_of_set else None,
             extended[:n],
             float(extended[n]),
             estimate,
