@@ -162,8 +162,8 @@ def show_avoidance(numbers: Numbers, archive: Archive) -> Iterator[Block]:
     """Yields paths and barriers of three methods."""
     runs, command = numbers["runs"], numbers["command"]
     yield (
-        "The paper drives a real car and prints paths only: vehicle model and the form"
-        " of the barrier are the paper's, every number is ours."
+        "The paper drives a real car and shows paths only: the vehicle model and the"
+        " form of the barrier are the paper's, every number is ours."
     )
     yield Replay("car_1", "all methods at once.", lambda: archive.results(runs))
     yield Figure(

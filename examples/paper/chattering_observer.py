@@ -147,18 +147,19 @@ def show(numbers: Numbers, archive: Archive) -> Iterator[Block]:
         for step in ("explicit", "implicit")
     }
     yield (
-        "A counter-example, not a demonstration: the equations as printed, weak"
-        " symmetric thrust, control at 50 Hz. Only how the observer takes its steps"
-        " differs. Stepped explicitly it chatters, the more the slower it steps, and"
-        " below some rate that alone empties the feasible set of dob-cbf-qp; its twin,"
-        " stepped implicitly, knows nothing of it. Whether the paper's own Test 2"
-        " shares this cause is not known: it does not say how it steps the observer."
-        " Starts as in Table I, case 1."
+        "A counterexample, not a demonstration: the equations as printed, weak"
+        " symmetric thrust, control at 50 Hz. Only the discretisation of the observer"
+        " differs. The explicit step chatters, the more the slower it is, and below"
+        " some rate the chatter alone empties the feasible set of dob-cbf-qp; the"
+        " implicit step does not chatter. Whether the paper's own Test 2 has this"
+        " cause is unknown, since the paper does not state its discretisation. Starts"
+        " as in Table I, case 1."
     )
     yield (
-        "Against the prototype that found this layout: the observer sees the three"
-        " disturbed channels, not all eight; its rates are varied, for at the"
-        " prototype's 500 Hz the effect is on the edge; the integrator is Drake's."
+        "Differences from the prototype in which this layout was found: the observer"
+        " uses the three disturbed channels, not all eight; its rates are varied,"
+        " because at the prototype's 500 Hz the effect is marginal; the integrator is"
+        " Drake's."
     )
     yield Figure(
         "test_2_explicit",
@@ -192,8 +193,8 @@ def show(numbers: Numbers, archive: Archive) -> Iterator[Block]:
         command,
     )
     yield trials_table(
-        "The same course from random starts, the observer stepped in different ways:"
-        " the faster it steps explicitly, the less it chatters.",
+        "The same course from random starts, with different discretisations of the"
+        " observer: the faster the explicit step, the less it chatters.",
         ["observer", "rate [Hz]", "method"],
         [
             ([each["step"], f"{each['rate']:g}", label(method)], each[method])

@@ -77,9 +77,9 @@ def show(numbers: Numbers, archive: Archive) -> Iterator[Block]:
     """Yields every set of corrections, from random starts and over random courses."""
     command = numbers["command"]
     yield (
-        "dob-vcbf-qp with each correction alone and with several, from Table I's random"
-        " starts on Test 2's course, and over the first of the random courses, where"
-        " not every run succeeds."
+        "dob-vcbf-qp with single corrections and with several, from Table I's random"
+        " starts on Test 2's course, and over the first random courses, where not"
+        " every run succeeds."
     )
     for name, (words, _) in DRAWS.items():
         yield Figure(

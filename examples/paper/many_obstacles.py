@@ -245,9 +245,9 @@ def show(numbers: Numbers, archive: Archive) -> Iterator[Block]:
     runs, command = numbers["runs"], numbers["command"]
     yield (
         "Start, target and all gains are the paper's; spheres, thrust limits and wind"
-        " are ours: course 5 of the random ones, chosen because the outcome is the same"
-        " from all random starts; how often such courses occur stands under the"
-        " unselected layouts."
+        " are ours. This is course 5 of the random ones, selected because the outcome"
+        " is the same from all random starts; the section on unselected layouts says"
+        " how often such courses occur."
     )
     yield Replay("test_2", "both methods at once.", lambda: archive.results(runs))
     yield Figure(

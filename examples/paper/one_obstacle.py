@@ -342,9 +342,9 @@ def show(numbers: Numbers, archive: Archive) -> Iterator[Block]:
     """Yields paths, barriers and estimate; steady winds; the closed form beside it."""
     runs, command = numbers["runs"], numbers["command"]
     yield (
-        "One sphere on the straight way to the target. Start, target, sphere and all"
+        "One sphere on the straight path to the target. Start, target, sphere and all"
         " gains are the paper's; wind and thrust limits are ours. The main wind"
-        " reverses; the steady ones stand beside it."
+        " reverses; steady winds are additional settings."
     )
     yield Replay(
         "test_1", "all methods in the same wind.", lambda: archive.results(runs)
@@ -373,8 +373,8 @@ def show(numbers: Numbers, archive: Archive) -> Iterator[Block]:
         command,
     )
     yield runs_table(
-        "Test 1 in the reversing wind. The least *h* is checked between the control"
-        " ticks too.",
+        "Test 1 in the reversing wind. The least *h* includes the time between"
+        " control ticks.",
         [("", runs)],
         "m",
         command,
@@ -422,17 +422,17 @@ def _collisions(winds: list[Numbers]) -> str:
 
 def _clearances(rows: list[Numbers]) -> Iterator[Block]:
     yield (
-        "While a barrier's row acts, d²h/dt² + k1 dh/dt + k2 h = n·d - Λ. Where the"
-        " right side is steady, h settles at (n·d - Λ)/k2: Λ is what the method assumes"
-        " of the disturbance along the normal n, so the clearance is its"
-        " conservativeness over k2 = 3.55 1/s², at the pace of the slow root, 0.37 1/s."
-        " *From, to* are the ends of (n·d - Λ)/k2 that the method's bounds allow;"
-        " *integrated* is the least h of that equation through the contact in which the"
-        " run came closest."
+        "While a barrier's row is active, d²h/dt² + k1 dh/dt + k2 h = n·d - Λ. Where"
+        " the right side is steady, h settles at (n·d - Λ)/k2: Λ is the method's"
+        " assumption on the disturbance along the normal n, so the clearance is its"
+        " conservativeness divided by k2 = 3.55 1/s², at the pace of the slow root,"
+        " 0.37 1/s. *From, to* are the extremes of (n·d - Λ)/k2 within the method's"
+        " bounds; *integrated* is the least h of that equation during the closest"
+        " approach."
     )
     by_method = in_drawing_order({row["method"]: row for row in rows})
     yield table(
-        "The clearances in the reversing wind, in closed form and as they were.",
+        "The clearances in the reversing wind, in closed form and as simulated.",
         [
             "method",
             "quasi-static clearance",

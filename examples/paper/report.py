@@ -123,18 +123,18 @@ def _verdicts(data: Numbers) -> Iterator[Block]:
     counts = [f"{found[verdict]} {verdict}" for verdict in _TONES if found[verdict]]
     yield (
         "This report repeats the experiments of *Robust Safety Critical Control Under"
-        " Multiple State and Input Constraints: Volume Control Barrier Function Method*"
-        " ([arXiv 2503.13996](https://arxiv.org/abs/2503.13996)) in simulation. The"
-        " paper prints few of its numbers: layouts, limits and disturbances that it"
-        " leaves out are ours and are stated where they matter. Of"
+        " Multiple State and Input Constraints: Volume Control Barrier Function"
+        " Method* ([arXiv 2503.13996](https://arxiv.org/abs/2503.13996)) in"
+        " simulation. The paper gives few of its numbers: the missing layouts, limits"
+        " and disturbances are ours and are stated where they matter. Of"
         f" {len(claims)} claims: {', '.join(counts)}."
     )
     yield _settings(data["settings"])
     yield table(
-        "The paper's claims in its order: what was found, the number that says so, and"
-        " the command that shows it. Reproduced means in the main setting and in those"
-        " beside it; under stated conditions, in the main setting only; undecided, that"
-        " the 95 % intervals of few trials overlap.",
+        "The paper's claims in its order, with the finding, the number behind it, and"
+        " the command that shows it. *Reproduced* means in the main setting and in"
+        " the additional ones; *under stated conditions* means in the main setting"
+        " only; *undecided* means that the 95 % intervals of few trials overlap.",
         ["claim", "in the paper", "found", "number", "command"],
         [
             [
@@ -163,8 +163,8 @@ def _settings(settings: Mapping[str, Any]) -> str:
 def _markdown(sections: Sequence[tuple[str, str, list[Block]]]) -> str:
     parts = [
         f"# {TITLE}",
-        "Made by `python -m examples.paper`, which also writes a page with the figures;"
-        " no number here is typed.",
+        "Produced by `python -m examples.paper`, which also writes a page with the"
+        " figures; no number here is typed by hand.",
     ]
     for _, title, blocks in sections:
         parts += [f"## {title}", *(each for each in blocks if isinstance(each, str))]
