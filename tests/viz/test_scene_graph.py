@@ -152,7 +152,7 @@ def test_every_body_of_a_vehicle_has_a_pose(tmp_path):
     assert stage.fraction == 1  # Bodies on joints are at their true size.
     x, y, _, heading = result.log["state"][0]
     behind = [x - 0.6 * np.cos(heading), y - 0.6 * np.sin(heading), 0.0]
-    trailer = next(b for b in stage.motions[0].bodies if b.path.endswith("trailer"))
+    trailer = next(b for b in stage.bodies if b.path.endswith("trailer"))
     assert trailer.poses[0].translation() == pytest.approx(behind)
     page = write_replay([result], tmp_path / "page.html").read_text()
     commands = b"".join(map(base64.b64decode, re.findall(r'base64,([^"]+)"', page)))

@@ -95,31 +95,14 @@ class Moving:
 
 
 @dataclass(frozen=True)
-class Motion:
-    """A run sampled at the replay's frames.
-
-    Attributes:
-        time: The frames' times, shape (F,) [s].
-        position: The vehicle's place, shape (F, 3) [m]; it rests once the run is over.
-        bodies: The vehicle's bodies.
-    """
-
-    time: Array
-    position: Array
-    bodies: Sequence[Moving]
-
-    def position_at(self, time: float) -> Array:
-        """The vehicle's place at a time [s], shape (3,) [m]."""
-        return np.array([np.interp(time, self.time, axis) for axis in self.position.T])
-
-
-@dataclass(frozen=True)
 class Stage:
     """What a replay of a scenario shows.
 
     Attributes:
         runs: The runs, the one to bring out last.
-        motions: One a run.
+        time: The frames' times, shape (F,) [s].
+        paths: Of each run the vehicle's place at every frame, shape (F, 3) [m]; it
+            rests once the run is over.
         tasks: Of each vehicle that is no ghost its name, its start and its target,
             shape (3,) [m].
         solids: The obstacles.
@@ -129,7 +112,8 @@ class Stage:
     """
 
     runs: Sequence[Run]
-    motions: Sequence[Motion]
+    time: Array
+    paths: Sequence[Array]
     tasks: Sequence[tuple[str, Array, Array]]
     solids: Sequence[Solid]
     bodies: Sequence[Moving]
@@ -140,11 +124,6 @@ class Stage:
     def run(self) -> Run:
         """The run to bring out."""
         return self.runs[-1]
-
-    @property
-    def duration(self) -> float:
-        """The time of the last frame [s]."""
-        return float(self.motions[-1].time[-1])
 
 
 def set_stage(results: Sequence[Result]) -> Stage:
@@ -157,37 +136,36 @@ def set_stage(results: Sequence[Result]) -> Stage:
         ValueError: There is no result, or its plant cannot be drawn.
     """
     runs = label_runs(results)
-    duration = max(float(run.time[-1]) for run in runs)
+    time = _frames(max(float(run.time[-1]) for run in runs))
     run, start = runs[-1], runs[-1].path[0]
     span = max(0.5, float(np.linalg.norm(run.target - start)))
     solids = solids_of(run.scenario, 0.04 * span)
     fraction = _fraction(run.vehicle.length, solids)
-    motions = [_motion(*each, duration, 1.0 / fraction) for each in enumerate(runs)]
-    # Of a robot of one body, the position and its height are all that matters.
-    bodies = [body for each in motions if len(each.bodies) > 1 for body in each.bodies]
-    reached = np.vstack([np.empty((0, 3)), *(body.reached for body in bodies)])
-    low, high = _extent(runs, motions, solids, reached)
+    paths, bodies, reached = list[Array](), list[Moving](), [np.empty((0, 3))]
+    for index, each in enumerate(runs):
+        states = _at_frames(each, time)
+        paths.append(in_space(each.vehicle.positions(states)))
+        own = _vehicle(index, each, time, states, 1.0 / fraction)
+        bodies += own
+        if len(own) > 1:  # Of one body, the position and its height are all.
+            reached += [body.reached for body in own]
+    obstacles = _obstacles(solids, float(time[-1]))
+    low, high = _extent(runs, paths, solids, obstacles, np.vstack(reached))
     _, top = bounding_box(of_body(run.vehicle.geometry("#000000")))
-    rise = float(top[2]) / fraction
+    rise = np.array([0.0, 0.0, float(top[2]) / fraction])
     floor = [[x, y, low[2]] for x in (low[0], high[0]) for y in (low[1], high[1])]
-    tops = [_highest(solid.whole.surface) for solid in solids]
-    up = np.array([0.0, 0.0, rise])
-    paths = [motion.position[::5] + up for motion in motions]
-    targets = [each.target for each in runs]
+    tops = [each.whole.surface[each.whole.surface[:, 2].argmax()] for each in solids]
+    seen = [*reached, *(path[::5] + rise for path in paths), floor]
     angle = np.arctan2(*(run.target - start)[1::-1]) - np.deg2rad(90.0 + 22.0)
     steep = np.tan(np.deg2rad(38.0 if run.is_flat else 24.0))
-    tasks = [
-        (each.name, motion.position[0], each.target)
-        for each, motion in zip(runs, motions, strict=True)
-        if not each.ghost
-    ]
+    tasks = [(r.name, r.path[0], r.target) for r in runs if not r.ghost]
     view = View(
-        points=np.vstack([*paths, reached, *targets, floor, *tops]),
+        points=np.vstack([*seen, *(each.target for each in runs), *tops]),
         low=low,
         high=high,
         span=span,
         toward=np.array([np.cos(angle), np.sin(angle), steep]),
-        rise=rise,
+        rise=rise[2],
         places=[
             (f"{word} {name}".strip(), place)
             for name, *ends in tasks
@@ -195,9 +173,8 @@ def set_stage(results: Sequence[Result]) -> Stage:
         ],
         few=len(solids) < 100,
     )
-    bodies = [body for motion in motions for body in motion.bodies]
-    bodies += _obstacles(solids, duration) + _walls(run.scenario, view)
-    return Stage(runs, motions, tasks, solids, bodies, fraction, view)
+    bodies += obstacles + _walls(run.scenario, view)
+    return Stage(runs, time, paths, tasks, solids, bodies, fraction, view)
 
 
 def body_path(index: int, body: str) -> str:
@@ -216,25 +193,29 @@ def _fraction(length: float, solids: Sequence[Solid]) -> int:
     return max(1, int(np.ceil(0.5 * length / (0.75 * least) - 1e-6)))
 
 
-def _motion(index: int, run: Run, duration: float, scale: float) -> Motion:
-    state = np.array(run.log["state"], dtype=float)
+def _frames(duration: float) -> Array:
+    """The times of a replay's frames [s]; the last is not before the end."""
     rate = 10.0 if 10.0 * duration <= MAX_FRAMES else max(1.0, MAX_FRAMES // duration)
-    # The last frame is not before the end, where the vehicle rests.
-    frames = max(int(np.ceil(duration * rate - 1e-9)), 1) + 1
-    time = np.arange(frames) / rate
-    angles = list(run.channels.angles)
+    return np.arange(max(int(np.ceil(duration * rate - 1e-9)), 1) + 1) / rate
+
+
+def _at_frames(run: Run, time: Array) -> Array:
+    """The states of a run at frames, shape (F, n)."""
+    state, angles = np.array(run.log["state"], dtype=float), list(run.channels.angles)
     state[:, angles] = np.unwrap(state[:, angles], axis=0)
-    shown = np.stack([np.interp(time, run.time, each) for each in state.T], axis=1)
-    poses, parts = [*map(run.vehicle.poses, shown)], run.vehicle.geometry(run.color)
+    return np.stack([np.interp(time, run.time, each) for each in state.T], axis=1)
+
+
+def _vehicle(
+    index: int, run: Run, time: Array, states: Array, scale: float
+) -> list[Moving]:
+    """The bodies of a run's vehicle."""
+    poses, parts = [*map(run.vehicle.poses, states)], run.vehicle.geometry(run.color)
     bodies = []
     for name in poses[0]:
-        path, own, way = (
-            body_path(index, name),
-            of_body(parts, name),
-            [p[name] for p in poses],
-        )
-        bodies.append(Moving(path, own, time, way, scale))
-    return Motion(time, in_space(run.vehicle.positions(shown)), bodies)
+        path, own = body_path(index, name), of_body(parts, name)
+        bodies.append(Moving(path, own, time, [p[name] for p in poses], scale))
+    return bodies
 
 
 def _obstacles(solids: Sequence[Solid], duration: float) -> list[Moving]:
@@ -269,23 +250,17 @@ def _walls(scenario: Scenario, view: View) -> list[Moving]:
     return bodies
 
 
-def _highest(points: Array) -> Array:
-    top: Array = points[np.argmax(points[:, 2])]
-    return top
-
-
 def _extent(
     runs: Sequence[Run],
-    motions: Sequence[Motion],
+    paths: Sequence[Array],
     solids: Sequence[Solid],
+    obstacles: Sequence[Moving],
     reached: Array,
 ) -> tuple[Array, Array]:
     """The corners of the box around everything, with a floor below it."""
-    found = [reached, *(run.target for run in runs)]
-    found += [motion.position for motion in motions]
-    for solid in solids:
-        places = map(solid.offset_at, solid.key_times(motions[-1].time[-1]))
-        found += [solid.whole.surface + offset for offset in places]
+    found = [reached, *(run.target for run in runs), *paths]
+    for solid, body in zip(solids, obstacles, strict=True):
+        found += [solid.whole.surface + pose.translation() for pose in body.poses]
     points = np.vstack(found)
     low, high = points.min(axis=0), points.max(axis=0)
     border = 0.06 * float(np.linalg.norm(high - low))

@@ -40,7 +40,7 @@ def write_replay(results: Sequence[Result], path: Path) -> Path:
         for index, run in enumerate(stage.runs)
         if run.failure
     }
-    rate = (len(stage.motions[-1].time) - 1) / stage.duration
+    rate = (len(stage.time) - 1) / stage.time[-1]
     page = record(meshcat, rate, stage.bodies, failures)
     return write_page(path, whole_page(page, stage_data(stage), **stage_words(stage)))
 
@@ -85,7 +85,6 @@ def _verdict(run: Run) -> str:
 
 def stage_data(stage: Stage, live: bool = False) -> dict[str, Any]:
     """The page's data of a stage; of a run that goes on, what it has at the start."""
-    paths = [motion.position for motion in stage.motions]
-    shown = [*zip(stage.runs, paths, strict=True)]
+    shown = [*zip(stage.runs, stage.paths, strict=True)]
     unit = barrier_unit(stage.run.scenario)
-    return page_data(shown, stage.view, stage.duration, unit, live)
+    return page_data(shown, stage.view, float(stage.time[-1]), unit, live)

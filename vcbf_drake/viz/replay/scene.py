@@ -71,16 +71,18 @@ def draw_stage(meshcat: Meshcat, stage: Stage) -> None:
     _draw_edges(meshcat, stage)
     _draw_markers(meshcat, stage)
     thickness = stage.view.trail
-    for index, (run, motion) in enumerate(zip(stage.runs, stage.motions, strict=True)):
+    for index, run in enumerate(stage.runs):
         apart = run.scenario.separation.distance
         if run.name and apart > 0.0 and not run.ghost:
             # Of two vehicles that are as near as they may be, these touch.
-            path = f"{motion.bodies[0].path}/apart"
+            vehicle = f"vehicle/{index}/"
+            body = next(b for b in stage.bodies if b.path.startswith(vehicle))
+            path = f"{body.path}/apart"
             _draw_ring(meshcat, path, 0.5 * apart, thickness, run.color)
         if run.failure:
             length = 0.5 * run.vehicle.length / stage.fraction
             radius = 1.5 * (length or 3.0 * stage.view.mark)
-            path, place = f"failure/{index}", motion.position_at(run.failure.time)
+            path, place = f"failure/{index}", run.path[run.failure_tick]
             for number, turn in enumerate(_TURNS):
                 pose = RigidTransform(RollPitchYaw(turn), place)
                 ring = f"{path}/ring/{number}"
