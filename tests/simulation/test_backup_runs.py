@@ -95,6 +95,32 @@ def test_a_premise_that_fails_is_named_before_anything_fails(broken, before, rea
     assert by_name(check_assumptions(scenario))[before] is False
 
 
+# A disc whose way leads over a car that waits.
+RUN_OVER = {
+    "duration": 0.5,
+    "target": [0.5, 0.0],
+    "obstacles": [{"center": [8.0, 0.0], "radius": 0.5, "velocity": [-0.8, 0.0]}],
+}
+
+
+@pytest.mark.parametrize("obstacle", [{"center": [3.0, 50.0]}, *RUN_OVER["obstacles"]])
+def test_rows_along_the_way_of_a_law_guarantee_nothing(obstacle):
+    """They look at instants, of a way without a disturbance, 6 s ahead."""
+    obstacles = [{"radius": 0.5} | obstacle]
+    changes = {"method": "backup", "infeasible": "least_violation"}
+    changes |= RUN_OVER | {"obstacles": obstacles}
+    scenario = load_scenario("car-sensitivity", WEAK_BRAKES | changes)
+    assert by_name(check_assumptions(scenario))["rows of the whole way"] is False
+    summary = run(**changes).summary
+    assert summary["reasons_against"] == ["hypothesis: rows of the whole way"]
+
+
+def test_a_car_in_the_way_of_a_disc_has_no_certified_plan():
+    scenario = load_scenario("car-sensitivity", WEAK_BRAKES | RUN_OVER)
+    assert by_name(check_assumptions(scenario))["certified plan"] is False
+    assert not run(**RUN_OVER).summary["guaranteed_feasible"]
+
+
 def test_brakes_weaker_than_the_wind_are_refused_in_one_line():
     limits = {"lower": [-0.2, -0.3], "upper": [0.2, 0.3]}
     with pytest.raises(VcbfError, match=r"no backup manoeuvre of .* is safe"):

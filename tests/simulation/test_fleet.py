@@ -261,13 +261,21 @@ def test_a_motion_that_only_its_places_show_is_found() -> None:
     assert single["held"] is True
 
 
-@pytest.mark.parametrize("change", [{"infeasible": "backup"}, {"method": "backup"}])
-def test_no_plan_among_others_is_guaranteed(change: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    ("change", "hypothesis"),
+    [
+        ({"infeasible": "backup"}, "obstacles as told"),
+        ({"method": "backup"}, "rows of the whole way"),
+    ],
+)
+def test_no_plan_among_others_is_guaranteed(
+    change: dict[str, Any], hypothesis: str
+) -> None:
     far = {"1": {"initial_state": [30.0, 9.0, 0.0, 1.5708], "target": [30.0, 9.0]}}
     apart = {"separation": {"acceleration": 6.0}, "vehicles": far}
     found = crossing(**{"method": "dob-cbf-qp", "duration": 0.2, **apart, **change})
     for each in found:
-        assert each.summary["reasons_against"] == ["hypothesis: other vehicles"]
+        assert each.summary["reasons_against"] == [f"hypothesis: {hypothesis}"]
         assert not each.summary.get("guaranteed_feasible", False)
 
 

@@ -78,8 +78,8 @@ class BackupGate:
         """Returns a decision with a certified plan; where there is none, one without.
 
         The input gives way to a manoeuvre's by as little as a certified plan takes:
-        only those inputs that the manoeuvre names, while another may go to its limit;
-        where that is not enough, all.
+        only its `first` inputs, while one `aside` may go to a limit; where that is not
+        enough, all.
 
         Args:
             tick: Where it is made.
@@ -190,7 +190,7 @@ class _Check:
         # To steer round what is in the way costs less than to brake before it ...
         partly = u.copy()
         partly[list(manoeuvre.first)] = end[list(manoeuvre.first)]
-        ways = [u, *self._aside(u, manoeuvre.first)]
+        ways = [u, *self._limits_of(u, manoeuvre.aside)]
 
         def beside(share: float) -> Array | None:
             found = (certified(v + share * (partly - u)) for v in ways)
@@ -206,12 +206,12 @@ class _Check:
         v, part = turned or (v, 1.0)
         return v, max(share, part)
 
-    def _aside(self, u: Array, first: tuple[int, ...]) -> list[Array]:
-        """An input with one of those at a limit that a manoeuvre does not name."""
+    def _limits_of(self, u: Array, which: tuple[int, ...]) -> list[Array]:
+        """An input with one of these at either end of what the limits leave it."""
         A = np.vstack([self._input_set.A, self._tick.rows.A[self._limits]])
         b = np.concatenate([self._input_set.b, self._tick.rows.b[self._limits]])
         spare, inputs = np.maximum(b - A @ u, 0.0), []
-        for i in set(range(len(u))) - set(first):
+        for i in which:
             for sign in (-1.0, 1.0):
                 slope, v = sign * A[:, i], u.copy()
                 ahead = slope > 0.0

@@ -43,11 +43,14 @@ class Manoeuvre(ABC):
 
     Attributes:
         horizon: For how long method backup follows the law [s]; 0 where it has none.
-        first: Which inputs give way first where a plan is not safe. The others keep
-            what the filter chose, or one of them goes aside, if that helps.
+        first: Which inputs give way first where a plan is not safe: the others keep
+            what the filter chose, if that helps.
+        aside: Which of the others may go to a limit instead, where the first ones then
+            give way less: a car steers round what it would brake before.
     """
 
     first: tuple[int, ...]
+    aside: tuple[int, ...] = ()
     horizon = 0.0
 
     @abstractmethod

@@ -42,7 +42,7 @@ class CarStop(Manoeuvre):
         cell: Length of a cell [m].
     """
 
-    first = (0,)
+    first, aside = (0,), (1,)
     horizon = 6.0
 
     def __init__(

@@ -81,6 +81,8 @@ def assumptions(
     if safety_filter.gate is not None:
         _, certified = safety_filter.GetOutputPort("backup").Eval(filter_context)
         found += [certified_plan(safety_filter, bool(certified)), _exact_state(noise)]
+        if safety_filter.barrier_set.obstacles_size:
+            found.append(_OBSTACLES_AS_TOLD)
     return (*found, *_information(safety_filter, filter_context, observer))
 
 
@@ -140,6 +142,15 @@ def _exact_state(noise: float) -> Assumption:
         {"measurement noise": noise},
         "the filter may run out of inputs",
     )
+
+
+_OBSTACLES_AS_TOLD = Assumption(
+    "obstacles as told",
+    "no perceived obstacle appears, or changes its velocity (Theorem 5)",
+    False,
+    consequence="the filter may run out of inputs: a plan follows what is perceived at"
+    " its tick",
+)
 
 
 def gain_assumptions(observer: DisturbanceObserver) -> Iterator[Assumption]:
@@ -227,6 +238,15 @@ def _standing(
             delta1 == 0.0,
             {"delta1": delta1},
             "a barrier may become negative",
+        )
+    if safety_filter.backup_rows is not None:
+        yield Assumption(
+            "rows of the whole way",
+            "the rows keep all of the backup law's way, under every disturbance: they"
+            " stand at some of its instants, without one, up to a horizon (E68)",
+            False,
+            consequence="a barrier may become negative between these; infeasible:"
+            " backup guarantees that it does not (Theorem 5)",
         )
     if method.disturbance == "estimated":
         yield from gain_assumptions(observer)

@@ -41,7 +41,7 @@ KNOWLEDGE = ("estimate", MEASUREMENT, QUADRATURE)
 BETWEEN_TICKS = "barrier between ticks"
 # What Theorem 5 asks of a run or promises of it, and its hypotheses, faults apart.
 FEASIBILITY = ("plan", "disturbance", "barrier", BETWEEN_TICKS, "input")
-FEASIBILITY_HYPOTHESES = ("certified plan", "exact state")
+FEASIBILITY_HYPOTHESES = ("certified plan", "exact state", "obstacles as told")
 VOLUME_DECREASE = "volume decrease"
 AUTHORITY = "authority"
 

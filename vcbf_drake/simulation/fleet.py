@@ -223,15 +223,14 @@ def others_assumption(scenario: Scenario) -> Assumption:
         scenario: Of the vehicle that keeps apart.
     """
     bound, method = scenario.separation.acceleration, METHODS[scenario.method]
-    plans = "backup" in (scenario.infeasible, method.feasibility)
     return Assumption(
         OTHERS,
         "no other vehicle accelerates by more than separation.acceleration, and no"
-        " volume row or backup manoeuvre takes them to keep their velocity",
-        bound > 0.0 and not method.has_volume_row and not plans,
+        " volume row takes them to keep their velocity",
+        bound > 0.0 and not method.has_volume_row,
         {"separation.acceleration": bound},
         "the others may come closer than is allowed for; give separation.acceleration,"
-        " and a method without a volume barrier and without backup",
+        " and a method without a volume barrier",
     )
 
 
