@@ -28,7 +28,7 @@ def test_what_sampling_costs_shrinks_like_the_period():
 
 def test_the_page_has_a_row_a_run():
     parts = sweep((20.0,))
-    assert next(parts).startswith("# From 20 Hz to 1 kHz")
+    assert next(parts).startswith("# Between ticks, from 20 Hz to 1 kHz")
     assert next(parts) == f"## {MOVING_WALL}\n"
     rows = [line for line in next(parts).splitlines() if line.startswith("| 20 |")]
     assert [row.split(" | ")[1] for row in rows] == ["none", "certified"]
