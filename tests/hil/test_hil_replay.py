@@ -427,7 +427,8 @@ def test_both_sides_log_what_they_say_and_what_was_asked(
     )
     path = tmp_path / "a.log"
     arguments = [side, "car-avoidance", "--duration", "3", "--log", str(path)]
-    arguments += ["--predict"] if side == "controller" else []
+    predicts = ["--override", "{hardware: {predict: true}}"]
+    arguments += predicts if side == "controller" else []
     found = CliRunner().invoke(app, arguments)
     assert found.exit_code == 0, found.output
     assert capfd.readouterr().err == f"log written to {path}\n"

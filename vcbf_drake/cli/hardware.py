@@ -94,14 +94,6 @@ _TakeOverOption = Annotated[
     bool,
     typer.Option("--take-over", help="Be followed although another controller speaks."),
 ]
-_PredictOption = Annotated[
-    bool | None,
-    typer.Option(
-        "--predict/--no-predict",
-        show_default="the scenario's",
-        help="Act on the state predicted over the link's delays.",
-    ),
-]
 _JsonOption = Annotated[bool, typer.Option("--json", help="Print the report as JSON.")]
 _SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the faults.")]
 
@@ -129,7 +121,6 @@ def plant(
 
     Exit status: 0 at its end, 3 collision, 5 nobody commanded it, 128 + signal.
     """
-    _die_quietly()
     chosen = _load(scenario, override, None, duration, rate)
     bus = _open_bus(chosen, lcm_url, name, (drop, delay, jitter, fault_seed))
     from vcbf_drake.hil import PlantProcess
@@ -154,7 +145,6 @@ def controller(
     delay: _DelayOption = 0.0,
     jitter: _JitterOption = 0.0,
     fault_seed: _SeedOption = 0,
-    predict: _PredictOption = None,
     log: _LogOption = None,
     force: _ForceOption = False,
     as_json: _JsonOption = False,
@@ -168,10 +158,7 @@ def controller(
     Exit status: 0 at its end, 4 if no input was feasible then, 5 no vehicle spoke,
     128 + signal.
     """
-    _die_quietly()
     chosen = _load(scenario, override, method, duration, rate)
-    if predict is not None:
-        chosen.hardware.predict = predict
     bus = _open_bus(chosen, lcm_url, name, (drop, delay, jitter, fault_seed))
     from vcbf_drake.hil import controller_of
 
@@ -184,12 +171,6 @@ def controller(
     raise typer.Exit(status)
 
 
-def _die_quietly() -> None:
-    """Until a process can say farewell, a signal ends it with one line."""
-    for number in SIGNALS:
-        handle(number, end_at_once)
-
-
 def _load(
     scenario: str,
     override: str | None,
@@ -197,6 +178,8 @@ def _load(
     duration: float | None,
     rate: float | None,
 ) -> Scenario:
+    for number in SIGNALS:  # Until a process can say farewell: one line.
+        handle(number, end_at_once)
     from vcbf_drake.simulation.scenario import validate
 
     chosen = load(scenario, override, method)

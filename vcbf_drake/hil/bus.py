@@ -35,7 +35,6 @@ Tap = Callable[[int, str, bytes], None]
 
 _LEAST_KEY, _MOST_KEY = 16, 65_536  # Bytes.
 _LONGEST_NAME = 48  # LCM's channels have at most 63 characters.
-_MOST_DRAINED = 100
 _CHECK_CHANNEL = "VCBF_BUS_CHECK"
 _NO_SERVER = (
     "no LCM server answers there; start one, for example lcm-tcpq-server or"
@@ -205,13 +204,6 @@ class Bus:
             self._handlers[full] = []
             self.lcm.Subscribe(full, lambda data: self._take(full, data))
         self._handlers[full].append(handler)
-
-    def drain(self) -> None:
-        """Throws away what has arrived so far, told to nobody."""
-        for _ in range(_MOST_DRAINED):
-            if not self.lcm.HandleSubscriptions(0):
-                break
-        self._arriving.clear()
 
     def poll(self) -> int:
         """Handles what has arrived and returns how many messages that were."""

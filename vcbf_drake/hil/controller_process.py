@@ -18,7 +18,6 @@ from vcbf_drake.hil.inbox import CommandMode, VehicleMode
 from vcbf_drake.hil.messages import vcbf_status
 from vcbf_drake.hil.processes import (
     HardwareProcess,
-    ModeChange,
     median_and_p99,
     say_farewell,
 )
@@ -51,14 +50,9 @@ def warm_up(num_inputs: int) -> None:
 
 
 class _Record:
-    """Collects what was sent, tick by tick, in bounded memory.
-
-    Attributes:
-        changes: What was asked of the vehicle, in time; the last 1000 changes.
-    """
+    """Collects what was sent, tick by tick, in bounded memory."""
 
     def __init__(self) -> None:
-        self.changes: deque[ModeChange] = deque(maxlen=1000)
         self._ticks: Counter[FilterStatus] = Counter()
         self._findings: Counter[str] = Counter()
         self._durations: deque[float] = deque(maxlen=65_536)
@@ -77,14 +71,6 @@ class _Record:
         self._findings.update(status.findings)
         self._refused_intervals = max(self._refused_intervals, status.refused_intervals)
 
-    def add_mode(self, status: vcbf_status) -> None:
-        """Adds what was asked of the vehicle, if that is new."""
-        mode = CommandMode(status.mode).name.lower()
-        if not self.changes or self.changes[-1]["mode"] != mode:
-            self.changes.append(
-                ModeChange(time=status.time, mode=mode, reason=status.reason)
-            )
-
     def report(self) -> dict[str, Any]:
         """Returns what the filter did."""
         ticks = self._ticks.total()
@@ -98,7 +84,6 @@ class _Record:
             "tick_ms": median_and_p99(1e3 * np.array(self._durations)),
             "refused_intervals": self._refused_intervals,
             "findings": dict(self._findings),
-            "changes": list(self.changes),
         }
 
 
@@ -183,7 +168,7 @@ class ControllerProcess(HardwareProcess):
             self._sender.ending = True
             context = self._sender.GetMyContextFromRoot(self.context)
             say_farewell(lambda: self._sender.ForcedPublish(context))
-            self._note_mode()
+            self._note_sent()
 
     def _go_on(self) -> None:
         self.bus.wait(self.bus.clock.utime() + self._period)
@@ -204,6 +189,7 @@ class ControllerProcess(HardwareProcess):
         """Returns what the filter did, and how the states arrived."""
         return {
             **self._record.report(),
+            "changes": list(self.changes),
             "deadlines_missed": self._sender.deadlines_missed,
             "round_trip_ms": median_and_p99(self._receiver.inbox.round_trips),
             "arrived": self._receiver.inbox.report(),
@@ -247,11 +233,14 @@ class ControllerProcess(HardwareProcess):
         """Sends a status, and a command if there was a tick already."""
         self.diagram.ForcedPublish(self.context)
         self._sent_at = self.bus.clock.utime()
-        self._note_mode()
+        self._note_sent()
 
-    def _note_mode(self) -> None:
-        if self.mode is not None and self._sender.last_status is not None:
-            self._record.add_mode(self._sender.last_status)
+    def _note_sent(self) -> None:
+        """Notes what was asked of the vehicle, after the first tick."""
+        status = self._sender.last_status
+        if status is not None and status.state_sequence >= 0:
+            mode = CommandMode(status.mode).name.lower()
+            self._note_mode(status.time, mode, status.reason)
 
     def _is_over(self) -> bool:
         newest = self._receiver.inbox.newest

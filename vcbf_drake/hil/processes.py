@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Collection
 from contextlib import suppress
 import math
@@ -91,6 +91,7 @@ class HardwareProcess:
         ending: Why `run` ended, one of the keys of `EXIT_STATUSES`; empty before.
         tell: Called with a line whenever something changes.
         progress: Called with a line once a second.
+        changes: What the vehicle did, or was asked to do, in time; the last 1000.
     """
 
     def __init__(self, bus: Bus, peer: str, channel: str) -> None:
@@ -98,6 +99,7 @@ class HardwareProcess:
         self.ending = ""
         self.tell: Callable[[str], None] = lambda line: None
         self.progress: Callable[[str], None] = lambda line: None
+        self.changes: deque[ModeChange] = deque(maxlen=1000)
         self._peer, self._channel, self._stopping = peer, channel, False
         self._told: dict[str, str] = {}
         self._troubled_at = Counter[str]()
@@ -160,8 +162,13 @@ class HardwareProcess:
 
     def _forget_the_start(self, inbox: Inbox) -> None:
         """What came before is no loss: nobody listened."""
-        self.bus.drain()
+        self.bus.poll()
         inbox.begin_anew()
+
+    def _note_mode(self, time: float, mode: str, reason: str = "") -> None:
+        """Notes a mode at a time of the motion [s], if it is new."""
+        if not self.changes or self.changes[-1]["mode"] != mode:
+            self.changes.append(ModeChange(time=time, mode=mode, reason=reason))
 
     def _tell_change(self, subject: str, text: str, line: str) -> None:
         """Tells a line if the subject's text is another one than before.
@@ -236,6 +243,7 @@ class PlantProcess(HardwareProcess):
         self._end: VehicleEnd = self.diagram.GetSubsystemByName("vehicle_end")
         self._simulator = make_simulator(self.diagram, scenario)
         self._simulator.Initialize()
+        self._note_mode(0.0, self._mode_name)
         self._elapsed = 0.0
         self._showed_itself_at: float = -math.inf
 
@@ -253,6 +261,10 @@ class PlantProcess(HardwareProcess):
     def mode(self) -> VehicleMode:
         """What the vehicle does."""
         return self._end.mode(self._end.GetMyContextFromRoot(self.context))
+
+    @property
+    def _mode_name(self) -> str:
+        return self.mode.name.lower()
 
     def _run(self, patience: float) -> None:
         # Not a new session: the states of the start are heard, and were another's.
@@ -279,12 +291,14 @@ class PlantProcess(HardwareProcess):
         self.collided = (
             status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition
         )
+        self._note_mode(self.time, self._mode_name)
 
     def report(self) -> dict[str, Any]:
         """Returns what the motion came to, and how the bus did."""
         scenario, inbox = self.scenario, self._end.inbox
         monitor: CollisionMonitor = self.diagram.GetSubsystemByName(COLLISION_MONITOR)
-        times, states = self._log("path")
+        log = self.diagram.GetSubsystemByName(LOG_PREFIX + "path").FindLog(self.context)
+        times, states = log.sample_times().copy(), log.data().T.copy()
         path = {"time": times, "state": states}
         reached_at, final_distance = arrival(scenario, path)
         heights = monitor.barrier_set.values_along(states, times)
@@ -297,7 +311,7 @@ class PlantProcess(HardwareProcess):
             "min_barrier": float(np.nanmin(heights, initial=np.inf)),
             "round_trip_ms": median_and_p99(inbox.round_trips),
             "arrived": inbox.report(),
-            "changes": self._changes(),
+            "changes": list(self.changes),
             "deadlines_missed": self.deadlines_missed,
         }
         if self._elapsed > 0.0:
@@ -311,20 +325,6 @@ class PlantProcess(HardwareProcess):
         if self.collided:
             return "collision"
         return "reached" if is_there else "timeout"
-
-    def _changes(self) -> list[ModeChange]:
-        found: list[ModeChange] = []
-        times, modes = self._log("mode")
-        for when, code in zip(times.tolist(), modes[:, 0].tolist(), strict=True):
-            mode = VehicleMode(int(code)).name.lower()
-            if not found or found[-1]["mode"] != mode:
-                found.append(ModeChange(time=when, mode=mode, reason=""))
-        return found
-
-    def _log(self, name: str) -> tuple[Array, Array]:
-        """Returns the times and the rows of a log."""
-        log = self.diagram.GetSubsystemByName(LOG_PREFIX + name).FindLog(self.context)
-        return log.sample_times().copy(), log.data().T.copy()
 
     def _stand(self) -> None:
         """Says that it waits, for a control period.
@@ -358,7 +358,7 @@ class PlantProcess(HardwareProcess):
             self.ending = "collision"
 
     def _say(self) -> None:
-        mode = self.mode.name.lower()
+        mode = self._mode_name
         self._tell_change("mode", mode, f"{self.time:.2f} s: {mode}")
         inbox = self._end.inbox
         complaint = inbox.complaint(self.bus.clock.utime())

@@ -91,13 +91,11 @@ class VehicleEnd(LeafSystem):
         - state
         output_ports:
         - input
-        - mode
 
     | port | size | |
     | --- | --- | --- |
     | ``state`` | n | the measured state |
     | ``input`` | m | what the actuators apply: always inside their limits |
-    | ``mode`` | 1 | a `VehicleMode` |
 
     At the beginning of every simulator step the newest command that has come by then is
     taken, and the watchdog looks at its age; between steps the input is held. A process
@@ -149,7 +147,6 @@ class VehicleEnd(LeafSystem):
         # The input's integral, and at which time it is that.
         self._integral = self.DeclareDiscreteState(m + 1)
         self.DeclareStateOutputPort("input", self._input)
-        self.DeclareStateOutputPort("mode", self._mode)
         self.DeclarePerStepUnrestrictedUpdateEvent(self._take_over)
         sent = self._send_state, scenario.period
         for send, period in (sent, (self._send_obstacles, _OBSTACLE_PERIOD)):
@@ -250,8 +247,8 @@ def make_vehicle(scenario: Scenario, bus: Bus) -> Diagram:
     """Returns a scenario's plant and disturbance behind an LCM bus.
 
     The systems are those of `make_loop`, with vehicle_end where controller and filter
-    were; ``log_path`` and ``log_mode`` record the true state and the vehicle's mode at
-    every integrator step. It ends a simulation at a collision.
+    were; ``log_path`` records the true state at every integrator step. It ends a
+    simulation at a collision.
 
     Args:
         scenario: A validated scenario.
@@ -269,10 +266,9 @@ def make_vehicle(scenario: Scenario, bus: Bus) -> Diagram:
     builder.Connect(end.GetOutputPort("input"), simulated.input)
     hit = BarrierSet(model, barriers(scenario))
     add_collision_monitor(builder, simulated.plant, hit)
-    true_state = state_port_of(simulated.plant)
-    for name, port in (("path", true_state), ("mode", end.GetOutputPort("mode"))):
-        log = LogVectorOutput(port, builder, {TriggerType.kPerStep})
-        log.set_name(LOG_PREFIX + name)
+    path = state_port_of(simulated.plant)
+    log = LogVectorOutput(path, builder, {TriggerType.kPerStep})
+    log.set_name(LOG_PREFIX + "path")
     diagram = builder.Build()
     diagram.set_name(f"{scenario.name}_vehicle")
     return diagram
