@@ -8,7 +8,7 @@ import math
 import os
 from pathlib import Path
 import sys
-from typing import TYPE_CHECKING, Annotated, TextIO
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -240,25 +240,12 @@ def _write_line(line: str) -> None:
         os.write(2, f"{line}\n".encode())
 
 
-@contextmanager
-def _telling() -> Iterator[Tell]:
+def _telling() -> closing[WriterThread[str]]:
     """Lines on stderr, from a thread of its own.
 
     Whoever reads them may stall, or be gone: that costs lines and no flight.
     """
-    with closing(WriterThread(_write_line, _MOST_LINES, _LAST_WORDS)) as tell:
-        yield tell
-
-
-@contextmanager
-def _heard_or_not(stream: TextIO) -> Iterator[None]:
-    """Goes on when nobody reads any more: a lost terminal must not end a flight."""
-    try:
-        yield
-    except OSError:
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())  # Or what is still to be flushed fails, too.
-        os.close(nowhere)
+    return closing(WriterThread(_write_line, _MOST_LINES, _LAST_WORDS))
 
 
 def _run(
@@ -289,9 +276,13 @@ def _run(
         process.progress = tell
     process.run(patience)
     report = {"scenario": scenario.name, "ending": process.ending, **process.report()}
-    with _heard_or_not(sys.stdout):
+    try:
         if as_json:
             typer.echo(json_text(report), nl=False)
         else:
             print_hardware_report(side, report)
+    except OSError:  # The terminal is gone: what is still to be flushed goes nowhere.
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
     return EXIT_STATUSES[process.ending] + (signals[0] if signals else 0)

@@ -78,8 +78,7 @@ class MessageFormat:
         type: The class that lcm-gen made.
         sizes: The value of every field that is the size of an array.
         codes: Fields that are codes 0, 1, ..., and how many codes there are.
-        numbers: Fields that hold finite numbers.
-        gaps: Fields whose numbers may be nan.
+        gaps: Fields whose numbers may be nan; all others are finite.
         last_mode: The mode of a sender's last message, where it has one.
     """
 
@@ -87,9 +86,14 @@ class MessageFormat:
     type: Any
     sizes: dict[str, int]
     codes: dict[str, int] = field(default_factory=dict)
-    numbers: tuple[str, ...] = ()
     gaps: tuple[str, ...] = ()
     last_mode: int | None = None
+
+    @property
+    def numbers(self) -> tuple[str, ...]:
+        """The fields that hold finite numbers."""
+        fields = zip(self.type.__slots__, self.type.__typenames__, strict=True)
+        return tuple(n for n, t in fields if t == "double" and n not in self.gaps)
 
     def decode(self, data: bytes) -> Any | Rejection:
         """Returns the message, or why it must not be acted on."""
@@ -164,7 +168,6 @@ def state_format(num_states: int, num_inputs: int) -> MessageFormat:
         vcbf_state,
         sizes={"num_states": num_states, "num_inputs": num_inputs},
         codes={"mode": len(VehicleMode)},
-        numbers=("time", "state", "input_integral"),
         last_mode=VehicleMode.ENDED,
     )
 
@@ -176,7 +179,6 @@ def command_format(num_inputs: int) -> MessageFormat:
         vcbf_command,
         sizes={"num_inputs": num_inputs},
         codes={"mode": len(CommandMode)},
-        numbers=("input",),
         last_mode=CommandMode.END,
     )
 
@@ -194,7 +196,6 @@ def status_format(
             "num_disturbances": num_disturbances,
         },
         codes={"mode": len(CommandMode), "filter_status": len(FilterStatus)},
-        numbers=("time", "input"),
         # Before the first state, or before a round trip, these are nan.
         gaps=(
             *("state_age", "reference", "slack", "volume", "barriers"),
@@ -206,8 +207,7 @@ def status_format(
 
 def obstacles_format() -> MessageFormat:
     """Returns the format of a vehicle's obstacles, however many."""
-    numbers = ("time", "radius", "position", "velocity")
-    return MessageFormat("VCBF_OBSTACLES", vcbf_obstacles, sizes={}, numbers=numbers)
+    return MessageFormat("VCBF_OBSTACLES", vcbf_obstacles, sizes={})
 
 
 class Inbox:
@@ -363,11 +363,9 @@ class Inbox:
         """Returns why a sender is not listened to."""
         ahead = message.utime - now
         if abs(ahead) > self._max_offset:
-            reason, direction = Reason.FUTURE, "ahead"
-            if ahead < 0:
-                reason, direction = Reason.PAST, "behind"
+            off = f"{1e-6 * abs(ahead):.1f} s {'ahead' if ahead > 0 else 'behind'}"
             most = f"max_clock_offset is {1e-6 * self._max_offset:g} s"
-            off = f"{1e-6 * abs(ahead):.1f} s {direction}"
+            reason = Reason.FUTURE if ahead > 0 else Reason.PAST
             return Rejection(reason, f"its clock is {off}; {most}")
         followed = self._followed
         if followed is None or sender is followed:
