@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 import math
+from typing import Any
 
 import numpy as np
 
@@ -168,19 +169,12 @@ class BarrierSet:
         return gradients
 
     def values(self, x: Array, t: float, obstacles: Array | None = None) -> Array:
-        """Returns every h(x, t), shape (N,).
+        """Returns every h(x, t), shape (N,); arguments and errors as of `rows`.
 
         It is nan for a limit, at a singular point and in an empty slot.
-
-        Args:
-            x: The state, shape (n,).
-            t: The time [s].
-            obstacles: What is perceived then, shape (obstacles_size,).
-
-        Raises:
-            ValueError: x or obstacles has another shape.
         """
-        return np.array(self._values(self._point(x, t), obstacles), dtype=float)
+        functions = self.functions_at(t, obstacles)
+        return np.array(self._values(self._point(x, t), functions), dtype=float)
 
     def values_along(self, x: Array, t: Array, obstacles: Array | None = None) -> Array:
         """Returns every h along a trajectory, shape (T, N).
@@ -193,35 +187,14 @@ class BarrierSet:
         Raises:
             ValueError: x, t or obstacles has another shape.
         """
-        points = self._points(x, t)
-        perceived = [None] * len(t) if obstacles is None else obstacles
-        values = [
-            self._values(point, seen)
-            for point, seen in zip(points, perceived, strict=True)
-        ]
-        return np.array(values, dtype=float).reshape(len(t), self.size)
+        return self._along(x, t, obstacles, self._values).reshape(len(t), self.size)
 
     def rows_along(
         self, x: Array, t: Array, obstacles: Array | None = None
     ) -> RowsAlong:
-        """Returns every row along a trajectory.
-
-        Args:
-            x: The states, shape (T, n).
-            t: The times, shape (T,) [s].
-            obstacles: What is perceived at those times, shape (T, obstacles_size).
-
-        Raises:
-            ValueError: x, t or obstacles has another shape.
-        """
-        points = self._points(x, t)
-        perceived = [None] * len(t) if obstacles is None else obstacles
-        lists = [
-            self._numbers(point, self.functions_at(point[-1], seen))
-            for point, seen in zip(points, perceived, strict=True)
-        ]
-        shape = len(lists), self.size, self._width
-        numbers = np.array(lists, dtype=float).reshape(shape)
+        """Returns every row along a trajectory; arguments as of `values_along`."""
+        shape = len(t), self.size, self._width
+        numbers = self._along(x, t, obstacles, self._numbers).reshape(shape)
         m, e = self._num_inputs, self.num_entries
         return RowsAlong(
             value=numbers[:, :, e],
@@ -231,8 +204,14 @@ class BarrierSet:
             w=numbers[:, :, m + 1 : e],
         )
 
-    def _points(self, x: Array, t: Array) -> list[list[float]]:
-        """Returns [x; t] along a trajectory as plain floats."""
+    def _along(
+        self,
+        x: Array,
+        t: Array,
+        obstacles: Array | None,
+        numbers: Callable[[list[float], Sequence[RowFunctions]], list[Any]],
+    ) -> Array:
+        """Returns what the functions of all rows say along a trajectory."""
         x, t = np.asarray(x, dtype=float), np.asarray(t, dtype=float)
         if t.ndim != 1 or x.shape != (len(t), self._num_states):
             raise ValueError(
@@ -240,7 +219,12 @@ class BarrierSet:
                 f" got shapes {x.shape} and {t.shape}"
             )
         points: list[list[float]] = np.column_stack([x, t]).tolist()
-        return points
+        perceived = [None] * len(points) if obstacles is None else obstacles
+        found = [
+            numbers(point, self.functions_at(point[-1], seen))
+            for point, seen in zip(points, perceived, strict=True)
+        ]
+        return np.array(found, dtype=float)
 
     def _point(self, x: Array, t: float) -> list[float]:
         """Returns [x; t] as plain floats."""
@@ -251,11 +235,13 @@ class BarrierSet:
             )
         return [*x.tolist(), float(t)]
 
-    def _values(self, point: list[float], obstacles: Array | None) -> list[float]:
+    def _values(
+        self, point: list[float], functions: Sequence[RowFunctions]
+    ) -> list[float]:
         """Returns every h at one point [x; t]."""
         return [
             _evaluate(each.value, (*point, *each.parameters), 1)[0]
-            for each in self.functions_at(point[-1], obstacles)
+            for each in functions
         ]
 
     @cached_property

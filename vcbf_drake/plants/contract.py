@@ -92,12 +92,8 @@ def check_returns(
     """
     _check_motion(vehicle, state, inputs)
     _check_controller(vehicle.make_controller(target), vehicle.make_plant())
-    limits = vehicle.barriers()
-    _require(isinstance(limits, list | tuple), "barriers()", limits, "a list")
     rule = "a StateInputLimit or a Barrier, as barriers(gains) of a StateLimit makes"
-    for i, each in enumerate(limits):
-        known = isinstance(each, Barrier | StateInputLimit)
-        _require(known, f"barriers()[{i}]", each, rule)
+    _check_list("barriers()", vehicle.barriers(), Barrier | StateInputLimit, rule)
     pose, poses = vehicle.pose(state), vehicle.poses(state)
     rule = "a RigidTransform"
     _require(isinstance(pose, RigidTransform), "pose(state)", pose, rule)
@@ -110,6 +106,12 @@ def check_returns(
 
 def _require(allowed: bool, member: str, value: object, rule: str) -> None:
     require(allowed, ("vehicle", member), value, rule)
+
+
+def _check_list(member: str, found: Any, kind: Any, rule: str) -> None:
+    _require(isinstance(found, list | tuple), member, found, "a list")
+    for i, each in enumerate(found):
+        _require(isinstance(each, kind), f"{member}[{i}]", each, rule)
 
 
 def _check_parameters(vehicle: Vehicle) -> None:
@@ -230,11 +232,9 @@ def _check_controller(controller: Any, plant: System) -> None:
 
 
 def _check_parts(parts: Any, bodies: Sequence[str]) -> None:
-    where = "geometry(color)"
-    _require(isinstance(parts, list | tuple), where, parts, "a list of Part")
+    _check_list("geometry(color)", parts, Part, "a Part")
     for i, part in enumerate(parts):
-        place = f"{where}[{i}]"
-        _require(isinstance(part, Part), place, part, "a Part")
+        place = f"geometry(color)[{i}]"
         known = part.color is None or bool(_COLOR.fullmatch(str(part.color)))
         rule = "hexadecimal, #rrggbb, or None"
         _require(known, f"{place}.color", part.color, rule)
