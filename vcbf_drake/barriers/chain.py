@@ -30,6 +30,8 @@ from vcbf_drake.model.graph import (
     substitute,
     variable,
 )
+from vcbf_drake.model.multibody_model import MultibodyModel
+from vcbf_drake.model.outputs import OutputSymbols, PointOutput
 from vcbf_drake.model.reading import Reader
 
 TIME, LEVEL = variable("t"), variable("level")
@@ -49,9 +51,15 @@ class Symbols:
         self.parameters = _nodes("p", num_parameters)
         self._time = Variable("t")
         self._parameters = MakeVectorVariable(num_parameters, "p")
-        variables = [*model.state, self._time, *self._parameters]
-        nodes = [*model.dynamics.x, TIME, *self.parameters]
-        self._reader = Reader(dict(zip(variables, nodes, strict=True)))
+        self._outputs = (
+            OutputSymbols.of(model) if isinstance(model, MultibodyModel) else None
+        )
+
+    @property
+    def points(self) -> dict[Node, PointOutput]:
+        """What stands for points of a MultibodyPlant that the function has."""
+        found = {} if self._outputs is None else self._outputs.points
+        return {variable(v.get_name()): output for output, v in found.items()}
 
     def call(self, function: Callable[..., Any], of_position: int | None = None) -> Any:
         """Returns function(x, t, p), in pydrake's expressions.
@@ -67,7 +75,9 @@ class Symbols:
         Raises:
             ModelError: It raises.
         """
-        x, p = as_expressions(self.model.state), as_expressions(self._parameters)
+        x: Expressions = as_expressions(self.model.state)
+        x = x if self._outputs is None else self._outputs
+        p = as_expressions(self._parameters)
         time: Any = Expression(self._time)
         by_indices = of_position is None or not callable(self.model.position)
         if is_arithmetic(function) and by_indices:
@@ -84,8 +94,11 @@ class Symbols:
             ModelError: A value is not an expression of x, t and p, or has no
                 counterpart in plain Python.
         """
+        points = {} if self._outputs is None else self._outputs.points
+        variables = [*self.model.state, self._time, *self._parameters, *points.values()]
+        nodes = [*self.model.dynamics.x, TIME, *self.parameters, *self.points]
         try:
-            return self._reader.read(values)
+            return Reader(dict(zip(variables, nodes, strict=True))).read(values)
         except (TypeError, ValueError):
             raise ModelError(
                 "function(x, t, p) must return symbolic expressions or numbers"

@@ -1,52 +1,36 @@
 """Rows of barriers on a MultibodyPlant: functions of outputs that Drake moves.
 
-A barrier on bodies is a function h(z, t) of a few outputs z: positions, velocities,
-coordinates of bodies' points. h is small and is differentiated in formulas; how the
-outputs move is Drake's kinematics and dynamics, in numbers. Where one of the outputs is
-a velocity, the inputs are in their first derivatives,
-
-    (E14, rates of outputs)  dz/dt = a + b u + c d,
-
-and where all are positions, whose rates no input moves at once, in their second:
-
-    (E15, accelerations of outputs)  d²z/dt² = a + b u + c d.
-
-So to a barrier the plant is a chain of integrators (`Dynamics` of z, or of z and dz/dt)
-whose a, b and c are numbers of the state.
+To a barrier the plant is a chain of integrators, of its outputs (E14, rows of outputs)
+or of these and their rates (E15, rows of their rates), driven by numbers of the state.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 
-from vcbf_drake.barriers.barrier import Barrier
-from vcbf_drake.barriers.chain import (
-    TIME,
-    ChainFunctions,
-    Formula,
-    as_expressions,
-    called,
-    class_k_formula,
-    compiled_chain,
-)
+from vcbf_drake.barriers.chain import ChainFunctions, Formula, compiled_chain
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
-from vcbf_drake.model.compiled import Expressions
 from vcbf_drake.model.control_affine import Dynamics
-from vcbf_drake.model.graph import ZERO, Node, Nodes, variable
+from vcbf_drake.model.graph import (
+    ZERO,
+    Node,
+    Nodes,
+    substitute,
+    variable,
+    variables_of,
+)
 from vcbf_drake.model.multibody_model import MultibodyModel
 from vcbf_drake.model.outputs import (
     Output,
-    OutputSymbols,
+    PointOutput,
     StateOutput,
     jets,
     jets_by_state,
 )
-from vcbf_drake.model.reading import Reader
 
 
 @dataclass(frozen=True)
@@ -94,57 +78,35 @@ class MultibodyRow:
 
 
 def multibody_row(
-    model: MultibodyModel, barrier: Barrier, constants: Sequence[float]
+    model: MultibodyModel,
+    formula: Formula,
+    points: Mapping[Node, PointOutput],
+    constants: Sequence[float],
 ) -> MultibodyRow:
     """Returns a barrier's row on a MultibodyPlant, its relative degree checked.
 
     Args:
         model: The plant.
-        barrier: A function of its positions, velocities and points.
+        formula: A function of its positions, velocities and points.
+        points: The points' nodes there.
         constants: The values of the chain's constants.
 
     Raises:
         ModelError: h cannot be derived, or its relative degree is not r.
     """
-    formula, outputs = _formula(model, barrier)
-    jet = _jet(len(outputs), model.num_inputs, model.num_disturbances)
-    functions = compiled_chain(formula, tuple(jet.flat), tuple(jet[:, 0]))
-    row = MultibodyRow(model, outputs, barrier.relative_degree, functions)
-    _require_authority(row, constants)
-    return row
-
-
-def _formula(
-    model: MultibodyModel, barrier: Barrier
-) -> tuple[Formula, tuple[Output, ...]]:
-    """Reads h as a formula of outputs that move as a chain of integrators."""
-    x, p = OutputSymbols.of(model), MakeVectorVariable(len(barrier.parameters), "p")
-    time = Variable("t")
-    place: Expressions = x
-    if barrier.of_position is not None:
-        place = model.position_of(x, barrier.of_position)
-    written = called(barrier.function, place, Expression(time), as_expressions(p))
-    (h,) = called(as_expressions, [called(np.asarray(written, dtype=object).item)])
-    used = {v.get_id() for v in h.GetVariables()}
-    known: list[tuple[Variable, Output]] = [
-        *((v, StateOutput(i)) for i, v in enumerate(model.state)),
-        *((v, output) for output, v in x.points.items()),
-    ]
-    chosen = [(v, output) for v, output in known if v.get_id() in used]
-    order, outputs = barrier.relative_degree, tuple(output for _, output in chosen)
+    states = {node: StateOutput(i) for i, node in enumerate(model.dynamics.x)}
+    used, order = variables_of([formula.h]), formula.order
+    known: dict[Node, Output] = {**states, **points}
+    chosen = {node: output for node, output in known.items() if node in used}
+    outputs = tuple(chosen.values())
     _require_order(model, outputs, order)
     jet = _jet(len(outputs), model.num_inputs, model.num_disturbances)
-    parameters = tuple(variable(f"p{i}") for i in range(len(p)))
-    variables = [*(v for v, _ in chosen), time, *p]
-    nodes = [*jet[:, 0], TIME, *parameters]
-    try:
-        node = Reader(dict(zip(variables, nodes, strict=True))).read([h])[0]
-    except NotImplementedError as error:
-        raise ModelError(f"function(x, t, p) cannot be compiled: {error}") from None
-    robust = barrier.early_disturbance is not None
-    dynamics = _integrators(jet, model.num_inputs, order)
-    class_k = class_k_formula(barrier.class_k)
-    return Formula(node, dynamics, parameters, order, robust, class_k), outputs
+    (h,) = substitute([formula.h], dict(zip(chosen, jet[:, 0], strict=True)))
+    moved = formula._replace(h=h, dynamics=_integrators(jet, model.num_inputs, order))
+    functions = compiled_chain(moved, tuple(jet.flat), tuple(jet[:, 0]))
+    row = MultibodyRow(model, outputs, order, functions)
+    _require_authority(row, constants)
+    return row
 
 
 def _jet(size: int, num_inputs: int, num_disturbances: int) -> Nodes:

@@ -160,12 +160,13 @@ def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctio
     """
     parameters, constants = tuple(barrier.parameters.tolist()), barrier.constants
     r = barrier.relative_degree
+    symbols, written = _read(model, barrier)
     if isinstance(model, MultibodyModel):
-        moved = multibody_row(model, barrier, constants)
+        moved = multibody_row(model, written, symbols.points, constants)
         return RowFunctions(
             moved.row, moved.gradient, constants, moved.value, parameters, r
         )
-    formula, part = Subsystem.of(barrier_formula(model, barrier))
+    formula, part = Subsystem.of(written)
     early = early_levels(model, Chain.of(formula), barrier, part)
     x = formula.dynamics.x
     row, gradient, value = compiled_chain(formula, x, x)
@@ -186,14 +187,18 @@ def early_functions(model: ControlAffineModel, limit: EarlyInputLimit) -> RowFun
     return RowFunctions(row, gradient, barrier.constants, _no_value, parameters, 0)
 
 
-# As in `BarrierSet`: pydrake's expressions set the flag "invalid" in exact arithmetic.
-@np.errstate(invalid="ignore")
 def barrier_formula(model: ControlAffineModel, barrier: Barrier) -> Formula:
     """Returns what a barrier's rows are derived from.
 
     Raises:
         ModelError: Its function returns no formula.
     """
+    return _read(model, barrier)[1]
+
+
+# As in `BarrierSet`: pydrake's expressions set the flag "invalid" in exact arithmetic.
+@np.errstate(invalid="ignore")
+def _read(model: ControlAffineModel, barrier: Barrier) -> tuple[Symbols, Formula]:
     symbols = Symbols(model, len(barrier.parameters))
     h = symbols.call(barrier.function, barrier.of_position)
     h = np.asarray(h, dtype=object)
@@ -201,7 +206,7 @@ def barrier_formula(model: ControlAffineModel, barrier: Barrier) -> Formula:
         raise ModelError(
             f"function(x, t, p) must return one scalar expression, got shape {h.shape}"
         )
-    return Formula(
+    formula = Formula(
         symbols.read(h).item(),
         model.dynamics,
         symbols.parameters,
@@ -209,6 +214,7 @@ def barrier_formula(model: ControlAffineModel, barrier: Barrier) -> Formula:
         barrier.early_disturbance is not None,
         class_k_formula(barrier.class_k),
     )
+    return symbols, formula
 
 
 def limit_functions(model: ControlAffineModel, limit: StateInputLimit) -> RowFunctions:
