@@ -83,12 +83,14 @@ class Corrections(Checked):
     """The errata of the published method, each on or off.
 
     Attributes:
-        exact_slack: The volume row gives way only where it must (E55); off, it has the
-            printed penalty M delta^2 (E54, the DOB-VCBF-QP).
-        total_derivative: The volume row counts that the estimate moves (E62); off, it
-            is the printed derivative (E53, the printed volume term).
-        error_floor: The error bound is the certified one of sampled time (E28), with
-            the margin of the hold; off, it is the printed one (E20), which tends to 0.
+        exact_slack: Relaxation of the volume row only where it conflicts with the
+            barrier rows (E55); off, with the printed penalty M delta^2 (E54, the
+            DOB-VCBF-QP).
+        total_derivative: The volume row with the total derivative, which includes the
+            rate of the estimate (E62); off, with the printed derivative (E53, the
+            printed volume term).
+        error_floor: The certified error bound of sampled time (E28) with the hold
+            margin; off, the printed bound (E20), which tends to 0.
     """
 
     exact_slack: bool = False
