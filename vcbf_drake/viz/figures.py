@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -95,24 +95,11 @@ def overview_figure(runs: Sequence[Run]) -> Figure:
     volume, barriers = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1])
     draw_volume(volume, runs)
     draw_barriers(barriers, runs)
-    figure.legend(
-        *_outcomes(volume, runs),
-        loc="outside upper left",
-        ncols=4,
-        fontsize=8 if len(runs) < 4 else 7,
-        columnspacing=1.2,
-    )
+    lines, _ = volume.get_legend_handles_labels()
+    words = [": ".join([r.label, *(e.text for e in r.events[-1:])]) for r in runs]
+    style: Style = dict(ncols=4, fontsize=8 if len(runs) < 4 else 7, columnspacing=1.2)
+    figure.legend(lines, words, loc="outside upper left", **style)
     return figure
-
-
-def _outcomes(axes: Axes, runs: Sequence[Run]) -> tuple[list[Any], list[str]]:
-    """The legend: every run's line, its name and how it ended."""
-    lines, _ = axes.get_legend_handles_labels()
-    words = [
-        f"{run.label}: {run.events[-1].text}" if run.events else run.label
-        for run in runs
-    ]
-    return lines, words
 
 
 def path_figure(runs: Sequence[Run]) -> Figure:
@@ -125,15 +112,23 @@ def path_figure(runs: Sequence[Run]) -> Figure:
         axes = figure.subplots()
         draw_plane(axes, runs, (0, 1))
         legend_above(axes)
-    elif x > 1.8 * max(y, z):
+        return figure
+    if x > 1.8 * max(y, z):
         heights = [0.36 * PAGE_WIDTH, scale * y + 0.6, scale * z + 0.6]
         figure = new_figure(PAGE_WIDTH, sum(heights) + 0.4)
         grid = figure.add_gridspec(3, 1, height_ratios=heights)
-        _draw_views(figure, runs, [grid[0], grid[1], grid[2]])
+        cells = [grid[0], grid[1], grid[2]]
     else:
         figure = new_figure(PAGE_WIDTH, 0.62 * PAGE_WIDTH)
         grid = figure.add_gridspec(2, 2, width_ratios=[1.35, 1.0])
-        _draw_views(figure, runs, [grid[:, 0], grid[0, 1], grid[1, 1]])
+        cells = [grid[:, 0], grid[0, 1], grid[1, 1]]
+    space, above, side = map(figure.add_subplot, cells)
+    draw_space(space, runs)
+    draw_plane(above, runs, (0, 1))
+    draw_plane(side, runs, (0, 2))
+    entries = above.get_legend_handles_labels()
+    options = legend_in_a_row(entries[1])
+    figure.legend(*entries, loc="outside upper left", **options)
     return figure
 
 
@@ -160,7 +155,6 @@ def draw_plane(axes: Axes, runs: Sequence[Run], plane: tuple[int, int]) -> None:
         if run.failure_tick is not None:
             style = dict(ms=8, mfc=run.color, mec="white", zorder=5)
             axes.plot(*run.path[run.failure_tick, pair], "X", **style)
-    for run in runs:
         if not run.ghost:
             axes.plot(*run.path[0, pair], "o", ms=5, color=START, zorder=4)
             mark: Style = dict(ms=11, mfc=TARGET, mec="white", zorder=4)
@@ -178,16 +172,6 @@ def path_extent(runs: Sequence[Run]) -> tuple[Array, Array]:
     low, high = points.min(axis=0), points.max(axis=0)
     room = 0.03 * float((high - low).max())
     return low - room, high + room
-
-
-def _draw_views(figure: Figure, runs: Sequence[Run], cells: list[Any]) -> None:
-    space, above, side = (figure.add_subplot(cell) for cell in cells)
-    draw_space(space, runs)
-    draw_plane(above, runs, (0, 1))
-    draw_plane(side, runs, (0, 2))
-    entries = above.get_legend_handles_labels()
-    options = legend_in_a_row(entries[1])
-    figure.legend(*entries, loc="outside upper left", **options)
 
 
 def _draw_solid(axes: Axes, solid: Solid, pair: list[int], end: float) -> None:

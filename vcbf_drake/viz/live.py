@@ -34,12 +34,7 @@ from vcbf_drake.viz.solids import in_space
 from vcbf_drake.viz.stage import Stage, body_path, set_stage
 
 _PLOTTED = 0.1  # Time between two points of the plots, at least [s].
-_NOTHING_YET = {
-    "outcome": "",
-    "infeasible_at": None,
-    "collided_at": None,
-    "reached_at": None,
-}
+_NOTHING_YET = dict.fromkeys(("outcome", "infeasible_at", "collided_at", "reached_at"))
 _LOOK_AGAIN = 0.02  # For what a browser has to be told [s].
 _DEAD = 0.08  # What a stick at rest may be off its middle.
 _KEYS = ("ArrowLeft", "ArrowRight"), ("ArrowDown", "ArrowUp")
@@ -74,15 +69,12 @@ class LiveView:
         loops = [diagram]
         if len(self._scenarios) > 1:
             loops = [diagram.GetSubsystemByName(each.name) for each in self._scenarios]
-        now = context.get_time()
+        now, pairs = context.get_time(), [*zip(self._scenarios, loops, strict=True)]
         if self._stage is None:
-            logs = [_present(loop, context) for loop in loops]
-            pairs = zip(self._scenarios, logs, strict=True)
-            self._stage = set_stage([Result(s, _NOTHING_YET, log) for s, log in pairs])
+            begun = [Result(s, _NOTHING_YET, _present(x, context)) for s, x in pairs]
+            self._stage = set_stage(begun)
             self._open(self._stage)
-        for index, (scenario, loop) in enumerate(
-            zip(self._scenarios, loops, strict=True)
-        ):
+        for index, (scenario, loop) in enumerate(pairs):
             for body, pose in scenario.vehicle.poses(_state(loop, context)).items():
                 self.meshcat.SetTransform(body_path(index, body), pose)
         for index, solid in enumerate(self._stage.solids):
@@ -93,7 +85,7 @@ class LiveView:
             self._next_point = now + _PLOTTED
             logs = [_present(loop, context) for loop in loops]
             self._stream.send([self._point(k, log) for k, log in enumerate(logs)])
-        self._stream.wait_while_paused()
+        self._stream.going.wait()
         early = self._lead + now - time.monotonic()
         time.sleep(max(early, 0.0))
         self._lead -= min(early, 0.0)  # What was lost is not made up for.
@@ -207,8 +199,8 @@ class _Stream:
 
     def __init__(self) -> None:
         self._news: list[bytes] = []
-        self._over, self._going, self.opened = Event(), Event(), Event()
-        self._going.set()
+        self._over, self.going, self.opened = Event(), Event(), Event()
+        self.going.set()
         self._server: ThreadingHTTPServer | None = None
 
     def serve(self, page: bytes, meshcat: str) -> str:
@@ -241,7 +233,7 @@ class _Stream:
                         stream._write_to(self.wfile)
 
             def do_POST(self) -> None:
-                (stream._going.clear if self.path == "/pause" else stream._going.set)()
+                (stream.going.clear if self.path == "/pause" else stream.going.set)()
                 self.send_response(204)
                 self.end_headers()
 
@@ -267,10 +259,6 @@ class _Stream:
                 file.write(b"data: " + each + b"\n\n")
                 count += 1
         file.write(b"event: over\ndata:\n\n")
-
-    def wait_while_paused(self) -> None:
-        """Returns when the run may go on."""
-        self._going.wait()
 
     def close(self) -> None:
         """Tells the browsers that the run is over, and closes."""

@@ -106,13 +106,9 @@ def page_data(
 
 def _run_data(run: Drawn, path: Array) -> dict[str, Any]:
     """A run as the page has it."""
-    data: dict[str, Any] = {
-        "label": run.label,
-        "color": run.color,
-        "dashes": " ".join(map(str, run.dashes)),
-        "ghost": run.ghost,
-        "inputs": list(run.inputs),
-    }
+    names = ("label", "color", "ghost", "inputs")
+    data: dict[str, Any] = {name: getattr(run, name) for name in names}
+    data["dashes"] = " ".join(map(str, run.dashes))
     if run.limits is not None:
         pairs = zip(run.limits.lower, run.limits.upper, strict=True)
         data["limits"] = [[*p] if np.isfinite(p).all() else None for p in pairs]
@@ -179,31 +175,23 @@ def _sets(run: Drawn, limits: InputLimits) -> dict[str, list[Any]]:
     """
     kept = _kept(len(run.time), MAX_SETS)
     sets = [feasible_set_of_tick(run.log, limits, int(tick)) for tick in kept]
+    # The corners one coordinate after the other; none when the set is empty.
+    corners = [hull(each.corners[:, :2]).ravel() for each in sets]
     return {
         "time": _finite(run.time[kept]),
-        "outline": [_outline(each) for each in sets],
+        "outline": [_rounded(each) for each in corners],
         "eased": [int(each.empty and each.has_choice) for each in sets],
-        "ellipse": [_ellipse(each) for each in sets],
-        "reference": [_place(each.reference[:2]) for each in sets],
+        "ellipse": [None if each.empty else _ellipse(each) for each in sets],
+        "reference": [_rounded(each.reference[:2]) for each in sets],
         "input": [_rounded(each.input[:2]) for each in sets],
     }
 
 
-def _outline(feasible: FeasibleSet) -> list[float]:
-    """The outline's corners, one coordinate after the other; nothing when empty."""
-    return [] if feasible.empty else _rounded(hull(feasible.corners[:, :2]).ravel())
-
-
 def _ellipse(feasible: FeasibleSet) -> list[float] | None:
-    shape = feasible.shape
-    if feasible.empty or not np.all(np.isfinite(shape)):
+    if not np.isfinite(feasible.shape).all():
         return None
-    return _rounded([*feasible.center[:2], *shadow(shape)[np.tril_indices(2)]])
-
-
-def _place(values: Array) -> list[float] | None:
-    """A place in the plane, or nothing where it is not finite."""
-    return _rounded(values) if np.isfinite(values).all() else None
+    triangle = shadow(feasible.shape)[np.tril_indices(2)]
+    return _rounded([*feasible.center[:2], *triangle])
 
 
 def _kept(ticks: int, most: int) -> NDArray[np.int_]:
@@ -234,8 +222,11 @@ def _finite(values: Array) -> list[float | None]:
     return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values]
 
 
-def _rounded(values: ArrayLike) -> list[float]:
-    return [float(f"{value:.4g}") for value in np.asarray(values)]
+def _rounded(values: ArrayLike) -> list[float] | None:
+    """Numbers in four digits; nothing where one of them is not finite."""
+    numbers = np.asarray(values)
+    finite = np.isfinite(numbers).all()
+    return [float(f"{number:.4g}") for number in numbers] if finite else None
 
 
 def _text(name: str) -> str:
