@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
 from typing import NamedTuple
 
@@ -25,17 +25,18 @@ from vcbf_drake.model.graph import (
 from vcbf_drake.model.interface import (
     PortChoice,
     declared_states,
+    effort_limits_of,
+    find_disturbance_port,
+    find_input_port,
+    name_of,
     unit_quaternions,
     wrapping,
 )
 from vcbf_drake.model.manoeuvre import MakeManoeuvres
-from vcbf_drake.model.numeric_dynamics import plant_of
+from vcbf_drake.model.numeric_dynamics import NumericDynamics, plant_of
 from vcbf_drake.model.position import Position, named_position
 from vcbf_drake.model.reading import Reader
-from vcbf_drake.model.symbolic_dynamics import (
-    SymbolicDynamics,
-    symbolic_dynamics,
-)
+from vcbf_drake.model.symbolic_dynamics import symbolic_dynamics
 from vcbf_drake.typed import typed
 
 
@@ -226,25 +227,27 @@ class ControlAffineModel:
         # The one import upwards: this class is what a MultibodyPlant's model extends.
         from vcbf_drake.model.multibody_model import MultibodyModel
 
-        choices = system, input_port, disturbance_port, context
+        disturbance = find_disturbance_port(system, disturbance_port)
+        port = find_input_port(system, input_port, disturbance)
         is_plant, said = plant_of(system) is not None, declared_states(system)
         if is_plant and not symbolic:
-            return MultibodyModel(*choices)
-        dynamics = symbolic_dynamics(*choices)
+            return MultibodyModel(system, port, disturbance, context)
+        state, f, g, E = symbolic_dynamics(system, port, disturbance, context)
         model = cls(
-            state=dynamics.state,
-            drift=dynamics.drift,
-            input_matrix=dynamics.input_matrix,
-            disturbance_matrix=dynamics.disturbance_matrix,
+            state=state,
+            drift=f,
+            input_matrix=g,
+            disturbance_matrix=E,
             state_names=said.names,
-            name=dynamics.name,
-            effort_limits=dynamics.effort_limits,
+            name=name_of(system),
+            effort_limits=effort_limits_of(system, port),
             wrapped_states=said.periods,
             position=said.position,
         )
         if is_plant or not model.num_disturbances:
             model.speed_matrix = np.eye(model.num_states)[[*said.velocities]]
-        _require_same_rates(model, dynamics)
+        own = NumericDynamics(system, port, disturbance, context)
+        _require_same_rates(model, own.rate)
         model.make_manoeuvres = getattr(system, "make_manoeuvres", None)
         return model
 
@@ -331,7 +334,9 @@ class ControlAffineModel:
         return np.array(self.compiled_rate(*x.tolist(), *u.tolist()))
 
 
-def _require_same_rates(model: ControlAffineModel, dynamics: SymbolicDynamics) -> None:
+def _require_same_rates(
+    model: ControlAffineModel, rate: Callable[[Array, Array, Array], Array]
+) -> None:
     """Compares the model's dx/dt with the System's own, in plain numbers (E1)."""
     n, m, E = model.num_states, model.num_inputs, model.disturbance_matrix
     # Beyond its effort limits a plant clamps its inputs.
@@ -347,7 +352,7 @@ def _require_same_rates(model: ControlAffineModel, dynamics: SymbolicDynamics) -
         return np.concatenate([f + g @ u, model.nominal_rate(x, u)]) + np.tile(E @ d, 2)
 
     def own(point: Array) -> Array:
-        return np.tile(dynamics.rate(*parts(point)), 2)
+        return np.tile(rate(*parts(point)), 2)
 
     def describe(point: Array) -> str:
         x, u, d = (", ".join(f"{value:.6g}" for value in part) for part in parts(point))

@@ -15,12 +15,10 @@ from vcbf_drake.errors import ModelError
 from vcbf_drake.model.control_affine import ControlAffineModel, Dynamics
 from vcbf_drake.model.graph import variable
 from vcbf_drake.model.interface import (
-    PortChoice,
+    Port,
     declared_states,
     default_context,
     effort_limits_of,
-    find_disturbance_port,
-    find_input_port,
     name_of,
     unit_quaternions,
 )
@@ -46,36 +44,34 @@ class MultibodyModel(ControlAffineModel):
     def __init__(
         self,
         system: System,
-        input_port: PortChoice = None,
-        disturbance_port: PortChoice = None,
-        context: Context | None = None,
+        input_port: Port,
+        disturbance_port: Port,
+        context: Context | None,
     ) -> None:
         """Looks at the System's numbers at a few seeded states.
 
         Args:
             system: The MultibodyPlant, or a Diagram whose state is its.
-            input_port: The port of u; see `ControlAffineModel.from_system`.
-            disturbance_port: The port of d, likewise.
+            input_port: The port of u.
+            disturbance_port: That of d; None without one.
             context: Holds the parameters and other ports' values.
 
         Raises:
             ModelError: Its state is not continuous, it depends on time, is not affine
-                in u and d, E is not constant or lacks rank, or the ports are not what
-                is needed.
+                in u and d, or E is not constant or lacks rank.
         """
         default_context(system)
-        disturbance = find_disturbance_port(system, disturbance_port)
-        port = find_input_port(system, input_port, disturbance)
-        self._dynamics = NumericDynamics(system, port, disturbance, context)
+        ports = input_port, disturbance_port
+        self._dynamics = NumericDynamics(system, *ports, context)
         self.plant = self._dynamics.plant
         self.num_positions = self.plant.num_positions()
         names, name = tuple(self.plant.GetStateNames()), name_of(system)
         self._describe(
-            num_inputs=port.size(),
+            num_inputs=input_port.size(),
             disturbance_matrix=_constant_matrix(self._dynamics, names, name),
             state_names=names,
             name=name,
-            effort_limits=effort_limits_of(system, port),
+            effort_limits=effort_limits_of(system, input_port),
             wrapped_states=declared_states(system).periods,
             position=getattr(system, "position_indices", None),
         )

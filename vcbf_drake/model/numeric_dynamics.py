@@ -1,4 +1,4 @@
-"""The dynamics of a System around a MultibodyPlant, in numbers and in AutoDiffXd."""
+"""The dynamics of a System in numbers, of a MultibodyPlant's in AutoDiffXd too."""
 
 from __future__ import annotations
 
@@ -33,20 +33,21 @@ from vcbf_drake.model.interface import (
 
 
 class NumericDynamics:
-    """Derivatives and kinematics of a System around a MultibodyPlant, in numbers.
+    """Derivatives of a System, and kinematics of its MultibodyPlant, in numbers.
 
     Where the System is the plant itself, its ports are generalised forces and it is
     evaluated by its manipulator equation, which needs no SceneGraph and has no contact.
 
     Args:
-        system: The MultibodyPlant, or a Diagram with it.
+        system: The System; for kinematics and sensitivities a MultibodyPlant, or a
+            Diagram with one.
         input_port: The port of u.
         disturbance_port: That of d; None without one.
         context: Holds the parameters and other ports' values; None for the defaults.
         autodiff: Whether its numbers carry derivatives.
 
     Attributes:
-        plant: The MultibodyPlant as it was given.
+        plant: The MultibodyPlant as it was given; None where there is none.
 
     Raises:
         ModelError: It has no derivatives, or does not convert to AutoDiffXd.
@@ -66,10 +67,12 @@ class NumericDynamics:
         self._context = twin.CreateDefaultContext()
         if context is not None:
             copy_values(system, context, twin, self._context)
-        is_plant, name = system is self.plant, self.plant.get_name()
-        self._plant = twin if is_plant else twin.GetSubsystemByName(name)
-        self._plant_context = self._plant.GetMyContextFromRoot(self._context)
-        self._forces = MultibodyForces_[AutoDiffXd if autodiff else float](self._plant)
+        if self.plant is not None:
+            is_plant, name = system is self.plant, self.plant.get_name()
+            self._plant = twin if is_plant else twin.GetSubsystemByName(name)
+            self._plant_context = self._plant.GetMyContextFromRoot(self._context)
+            forces = MultibodyForces_[AutoDiffXd if autodiff else float]
+            self._forces = forces(self._plant)
         self._input = twin.get_input_port(input_port.get_index())
         self._disturbance = disturbance_port and twin.get_input_port(
             disturbance_port.get_index()
@@ -80,10 +83,10 @@ class NumericDynamics:
         self._steps = np.fmin(1.0, effort_limits_of(system, input_port) / 2.0)
         self._none = np.zeros(self.num_inputs)
         self._port_forces = _port_forces(*self._given)
-        if self._port_forces is None:
+        if self.plant is not None and self._port_forces is None:
             self._set_ports(self._none, np.zeros(self.num_disturbances))
             try:
-                with_ports_held(twin, self._context, self._rate)
+                self._rate()
             except ArithmeticError as error:
                 raise ModelError(f"it has no derivatives: {error}") from None
 
@@ -116,7 +119,11 @@ class NumericDynamics:
 
     def _rate(self) -> Array:
         try:
-            derivatives = self._system.EvalTimeDerivatives(self._context)
+            derivatives = with_ports_held(
+                self._system,
+                self._context,
+                lambda: self._system.EvalTimeDerivatives(self._context),
+            )
         except RuntimeError as error:  # A mass matrix that cannot be inverted, say.
             raise ArithmeticError(f"{name_of(self._system)}: {error}") from error
         rate: Array = derivatives.CopyToVector()

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -26,14 +25,10 @@ from vcbf_drake.model.graph import (
 )
 from vcbf_drake.model.interface import (
     Port,
-    PortChoice,
     actuators_of,
     copy_values,
     declared_states,
     default_context,
-    effort_limits_of,
-    find_disturbance_port,
-    find_input_port,
     name_of,
     with_ports_held,
 )
@@ -43,36 +38,9 @@ from vcbf_drake.model.reading import Reader
 _MASS = 1e-15
 
 
-@dataclass(frozen=True)
-class SymbolicDynamics:
-    """The dynamics dx/dt = f(x) + g(x) u + E d of a System.
-
-    Attributes:
-        name: What the System is called in messages.
-        state: The state's variables in pydrake's terms, shape (n,).
-        drift: f, shape (n,), formulas of x0, x1, ...
-        input_matrix: g, shape (n, m), likewise.
-        disturbance_matrix: E, shape (n, q).
-        effort_limits: How large each input may be, shape (m,); infinite for most.
-        rate: ``rate(x, u, d)`` is dx/dt, shape (n,), in plain numbers, by the System
-            itself.
-    """
-
-    name: str
-    state: Expressions
-    drift: Nodes
-    input_matrix: Nodes
-    disturbance_matrix: Array
-    effort_limits: Array
-    rate: Callable[[Array, Array, Array], Array]
-
-
 def symbolic_dynamics(
-    system: System,
-    input_port: PortChoice = None,
-    disturbance_port: PortChoice = None,
-    context: Context | None = None,
-) -> SymbolicDynamics:
+    system: System, input_port: Port, disturbance_port: Port, context: Context | None
+) -> tuple[Expressions, Nodes, Nodes, Array]:
     """Derives the dynamics of a System, or Diagram, that converts to symbolic.
 
     They are read off the implicit form (CalcImplicitTimeDerivativesResidual), which is
@@ -80,18 +48,20 @@ def symbolic_dynamics(
 
     Args:
         system: The System; all its state must be continuous.
-        input_port: The port of u; see `ControlAffineModel.from_system`.
-        disturbance_port: The port of d, likewise.
-        context: Holds the parameters and other ports' values, likewise.
+        input_port: The port of u.
+        disturbance_port: That of d; None without one.
+        context: Holds the parameters and other ports' values; None for the defaults.
+
+    Returns:
+        The state's variables in pydrake's terms, shape (n,); f, shape (n,), and g,
+        shape (n, m), formulas of x0, x1, ...; and E, shape (n, q).
 
     Raises:
         ModelError: The System is not symbolic, has a state that is not continuous or
-            none at all, depends on time, is not affine in u and d, E is not constant,
-            or the ports are not what is needed.
+            none at all, depends on time, is not affine in u and d, or E is not
+            constant.
     """
     name = name_of(system)
-    disturbance = find_disturbance_port(system, disturbance_port)
-    input_ = find_input_port(system, input_port, disturbance)
     symbolic = _to_symbolic(system, name)
     target = default_context(symbolic)
     state_names = declared_states(system).names
@@ -99,15 +69,15 @@ def symbolic_dynamics(
     time = Variable("t")
     x = np.array([Variable(state) for state in state_names])
     rate = np.array([Variable(f"d{state}/dt") for state in state_names])
-    u = _variables("u", input_.size())
-    d = _variables("d", disturbance.size() if disturbance else 0)
+    u = _variables("u", input_port.size())
+    d = _variables("d", disturbance_port.size() if disturbance_port else 0)
     if context is not None:
         copy_values(system, context, symbolic, target)
     target.SetTime(Expression(time))
     target.SetContinuousState(x)
-    symbolic.get_input_port(input_.get_index()).FixValue(target, u)
-    if disturbance:
-        symbolic.get_input_port(disturbance.get_index()).FixValue(target, d)
+    symbolic.get_input_port(input_port.get_index()).FixValue(target, u)
+    if disturbance_port:
+        symbolic.get_input_port(disturbance_port.get_index()).FixValue(target, d)
 
     try:
         residual = _residual(symbolic, target, rate)
@@ -134,15 +104,7 @@ def symbolic_dynamics(
     parts = _affine_parts(force, nodes["x"], w, state_names, name)
     parts = _solve(mass_matrix, parts)
     E = _constant_matrix(parts[:, 1 + m :], nodes["x"], state_names, name)
-    return SymbolicDynamics(
-        name=name,
-        state=x,
-        drift=parts[:, 0],
-        input_matrix=parts[:, 1 : 1 + m],
-        disturbance_matrix=E,
-        effort_limits=effort_limits_of(system, input_),
-        rate=_own_rate(system, input_, disturbance, context),
-    )
+    return x, parts[:, 0], parts[:, 1 : 1 + m], E
 
 
 def _force_and_mass(residual: Nodes, rate: Nodes) -> tuple[Nodes, Nodes]:
@@ -258,27 +220,6 @@ def _to_symbolic(system: System, name: str) -> System:
     for actuator in actuators_of(symbolic):
         actuator.set_effort_limit(np.inf)  # A clamped input is not affine.
     return symbolic
-
-
-def _own_rate(
-    system: System, input_: Port, disturbance: Port, context: Context | None
-) -> Callable[[Array, Array, Array], Array]:
-    own = system.CreateDefaultContext()
-    if context is not None:
-        copy_values(system, context, system, own)
-
-    def rate(x: Array, u: Array, d: Array) -> Array:
-        own.SetContinuousState(x)
-        input_.FixValue(own, u)
-        if disturbance:
-            disturbance.FixValue(own, d)
-        derivatives = with_ports_held(
-            system, own, lambda: system.EvalTimeDerivatives(own)
-        )
-        values: Array = derivatives.CopyToVector()
-        return values
-
-    return rate
 
 
 def _variables(prefix: str, size: int) -> Expressions:
