@@ -1,4 +1,4 @@
-"""Drake systems for robust safety filters whose QP stays feasible.
+"""Drake systems for robust safety filters with a volume barrier.
 
 The public names stand in ``__init__.pyi``, each with the module it comes from. Type
 checkers read them there; here a name is loaded when it is first used, so that importing

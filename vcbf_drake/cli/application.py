@@ -128,5 +128,5 @@ def _options(
         ),
     ] = False,
 ) -> None:
-    """Safety filters for Drake whose QP stays feasible under disturbances."""
+    """Safety filters for Drake with a volume barrier, robust to disturbances."""
     show_warnings_only()
