@@ -79,7 +79,7 @@ def test_a_blimps_figures(tmp_path):
 
 def test_a_cars_figures_are_those_of_two_inputs(tmp_path):
     runs = [car_result("cbf-qp", 4.0, "collision", 0.3), car_result()]
-    paths = write_figures(runs, tmp_path, times=[1.0])
+    paths = write_figures(runs, tmp_path)
     assert {p.stem for p in paths} == set(BLIMP_FIGURES)
 
 

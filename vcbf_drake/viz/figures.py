@@ -44,17 +44,13 @@ if TYPE_CHECKING:
 NAMES = ("x [m]", "y [m]", "z [m]")
 
 
-def write_figures(
-    results: Sequence[Result], directory: Path, times: Sequence[float] | None = None
-) -> list[Path]:
+def write_figures(results: Sequence[Result], directory: Path) -> list[Path]:
     """Writes every figure that results of one scenario have, each as PNG and SVG.
 
     Args:
         results: Results of one scenario under one or several methods, the one to bring
             out last.
         directory: Where to write; it is made.
-        times: When to show the feasible sets [s]; by default 2 s, the tick before the
-            first infeasible one, and that tick.
 
     Returns:
         The paths, in the order of writing.
@@ -65,7 +61,6 @@ def write_figures(
     runs = label_runs(results)
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
-    when = telling_times(runs) if times is None else times
     paths: list[Path] = []
 
     def write(name: str, figure: Figure) -> None:
@@ -80,7 +75,7 @@ def write_figures(
         if runs[-1].channels.disturbances:
             write("disturbance", disturbance_figure(runs))
         write("inputs", input_figure(runs))
-        write("feasible_sets", feasible_set_figure(runs, when))
+        write("feasible_sets", feasible_set_figure(runs, telling_times(runs)))
     return paths
 
 

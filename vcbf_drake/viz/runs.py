@@ -65,6 +65,13 @@ class Drawn:
     inputs: Sequence[str]
     limits: InputLimits | None
 
+    @property
+    def least_barrier(self) -> Array:
+        """The least barrier at every tick, shape (T,); nan where there is none."""
+        values = np.asarray(self.log["barriers"], dtype=float)
+        least = np.min(values, axis=1, initial=np.inf, where=np.isfinite(values))
+        return np.where(np.isfinite(least), least, np.nan)
+
 
 @dataclass(frozen=True)
 class Run(Drawn):
@@ -109,11 +116,6 @@ class Run(Drawn):
         return in_space(self.scenario.target)
 
     @property
-    def least_barrier(self) -> Array:
-        """The least barrier at every tick, shape (T,); nan where there is none."""
-        return least_barrier(self.log)
-
-    @property
     def failure(self) -> Event | None:
         """The first infeasible tick or collision, whichever came first."""
         failures = (e for e in self.events if e.kind in ("infeasible", "collision"))
@@ -140,13 +142,6 @@ class Run(Drawn):
         if self.dashes:
             style["dashes"] = self.dashes
         return style | options
-
-
-def least_barrier(log: Mapping[str, Array]) -> Array:
-    """The least barrier at every tick of a log, shape (T,); nan where there is none."""
-    values = np.asarray(log["barriers"], dtype=float)
-    least = np.min(values, axis=1, initial=np.inf, where=np.isfinite(values))
-    return np.where(np.isfinite(least), least, np.nan)
 
 
 def barrier_unit(scenario: Scenario) -> str:

@@ -19,7 +19,7 @@ from vcbf_drake.viz.feasible_set import (
     shadow,
     shown_inputs,
 )
-from vcbf_drake.viz.runs import Drawn, least_barrier
+from vcbf_drake.viz.runs import Drawn
 from vcbf_drake.viz.solids import hull
 from vcbf_drake.viz.stage import View
 from vcbf_drake.viz.style import BLUE, multiples
@@ -128,7 +128,7 @@ def series_data(run: Drawn, path: Array) -> dict[str, Any]:
         return data
     inputs = np.asarray(log["input"], dtype=float)[kept]
     return data | {
-        "barrier": _finite(least_barrier(log)[kept]),
+        "barrier": _finite(run.least_barrier[kept]),
         "volume": _finite(np.asarray(log["volume"], dtype=float)[kept]),
         "slack": _finite(np.asarray(log["slack"], dtype=float)[kept]),
         **{f"input{k}": _finite(each) for k, each in enumerate(inputs.T)},
