@@ -170,7 +170,12 @@ class _Check:
         cells = self._cells_before_safety(plan)
         if cells is None:
             return False
-        return all(_is_clear(each, plan, 0, cells) for each in self._functions)
+        for i, each in enumerate(self._functions):
+            if not _is_clear(each, plan, 0, cells):
+                # The next plan is much like this one: what it hits comes first.
+                self._functions.insert(0, self._functions.pop(i))
+                return False
+        return True
 
     def nearest(
         self, manoeuvre: Manoeuvre, u: Array, end: Array
@@ -193,14 +198,20 @@ class _Check:
         ways = [u, *self._limits_of(u, manoeuvre.aside)]
 
         def beside(share: float) -> Array | None:
-            found = (certified(v + share * (partly - u)) for v in ways)
-            return next((v for v in found if v is not None), None)
+            for i, v in enumerate(ways):
+                found = certified(v + share * (partly - u))
+                if found is not None:
+                    del ways[:i]  # They would fail at a smaller share, too.
+                    return found
+            return None
 
         found = _least_share(beside)
         if found is None:  # ... unless nothing but the manoeuvre itself is safe.
             found = _least_share(lambda share: certified(u + share * (end - u)))
-            return found if found else (end, 1.0)
+            return found or (end, 1.0)
         v, share = found
+        if ways[0] is u:
+            return found
         straight = u + share * (partly - u)
         turned = _least_share(lambda part: certified(straight + part * (v - straight)))
         v, part = turned or (v, 1.0)
