@@ -258,7 +258,7 @@ class BlimpController(TargetController):
         parameters: BlimpControllerParameters | None = None,
         plant_parameters: BlimpParameters | None = None,
     ) -> None:
-        super().__init__(target, 3, num_states=8, num_disturbances=3, num_inputs=3)
+        super().__init__(target, Blimp)
         self._parameters = copy.copy(parameters) or BlimpControllerParameters()
         self._masses = (plant_parameters or BlimpParameters()).effective_masses
 

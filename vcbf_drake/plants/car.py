@@ -165,7 +165,7 @@ class CarController(TargetController):
         parameters: CarControllerParameters | None = None,
         plant_parameters: CarParameters | None = None,
     ) -> None:
-        super().__init__(target, 2, num_states=4, num_disturbances=1, num_inputs=2)
+        super().__init__(target, Car)
         self._parameters = copy.copy(parameters) or CarControllerParameters()
         self._mass = (plant_parameters or CarParameters()).mass
 

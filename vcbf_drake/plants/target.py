@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from numpy.typing import ArrayLike
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
@@ -24,34 +25,26 @@ class TargetController(LeafSystem):
 
     Args:
         target: Where to go, shape (k,) [m].
-        size: k.
-        num_states: n.
-        num_disturbances: q.
-        num_inputs: m.
+        plant: The class of the plant, which says its position and its channels' names.
 
     Raises:
         ValueError: The target is not k finite numbers.
     """
 
-    def __init__(
-        self,
-        target: ArrayLike,
-        size: int,
-        num_states: int,
-        num_disturbances: int,
-        num_inputs: int,
-    ) -> None:
+    def __init__(self, target: ArrayLike, plant: Any) -> None:
         super().__init__()
+        size = len(plant.position_indices)
         rule = f"{size} finite numbers"
         place = finite_array(target, "target", 1, rule)
         require(place.shape == (size,), "target", target, rule)
         self._target: list[float] = place.tolist()
-        self._state = self.DeclareVectorInputPort("state", num_states)
+        self._state = self.DeclareVectorInputPort("state", len(plant.state_names))
         self._estimate = self.DeclareVectorInputPort(
-            "disturbance_estimate", num_disturbances
+            "disturbance_estimate", len(plant.disturbance_names)
         )
         needs = {self._state.ticket(), self._estimate.ticket()}
-        self.DeclareVectorOutputPort("reference", num_inputs, self._calc, needs)
+        size = len(plant.input_names)
+        self.DeclareVectorOutputPort("reference", size, self._calc, needs)
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         port, state = self._estimate, self._state.Eval(context).tolist()
