@@ -13,6 +13,7 @@ from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.chain import (
     TIME,
     Chain,
+    ChainFunctions,
     Formula,
     Symbols,
     class_k_formula,
@@ -147,8 +148,8 @@ class RowFunctions:
 def no_row(model: ControlAffineModel) -> RowFunctions:
     """Returns the functions of a row that every input satisfies, 0 u <= 1."""
     always = tuple(number(value) for value in (*np.zeros(model.num_inputs), 1.0))
-    row, gradient = _compile_limit(always, model.dynamics, ())
-    return RowFunctions(row, gradient, (), _no_value, (), 0)
+    row, gradient, value = _compile_limit(always, model.dynamics, ())
+    return RowFunctions(row, gradient, (), value, (), 0)
 
 
 def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctions:
@@ -169,9 +170,7 @@ def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctio
     formula, part = Subsystem.of(written)
     early = early_levels(model, Chain.of(formula), barrier, part)
     x = formula.dynamics.x
-    row, gradient, value = compiled_chain(formula, x, x)
-    row, gradient = part.row(row, r), part.gradient(gradient)
-    value = part.value(value)
+    row, gradient, value = part.placed(compiled_chain(formula, x, x), r)
     return RowFunctions(row, gradient, constants, value, parameters, r, early)
 
 
@@ -181,8 +180,8 @@ def early_functions(model: ControlAffineModel, limit: EarlyInputLimit) -> RowFun
     formula, part = Subsystem.of(barrier_formula(model, barrier))
     chain, dynamics = Chain.of(formula), formula.dynamics
     entries = (*-dynamics.input_rates(chain.levels[k - 1]), chain.levels[k])
-    row, gradient = _compile_limit(entries, dynamics, chain.constants)
-    row, gradient = part.row(row, 0), part.gradient(gradient)
+    compiled = _compile_limit(entries, dynamics, chain.constants)
+    row, gradient, _ = part.placed(compiled, 0)
     parameters = tuple(barrier.parameters.tolist())
     return RowFunctions(row, gradient, barrier.constants, _no_value, parameters, 0)
 
@@ -235,25 +234,27 @@ def limit_functions(model: ControlAffineModel, limit: StateInputLimit) -> RowFun
     row, bound = result
     entries = tuple(symbols.read([*row, bound]))
     try:
-        compiled, gradient = _compile_limit(entries, model.dynamics, symbols.parameters)
+        compiled = _compile_limit(entries, model.dynamics, symbols.parameters)
     except ValueError as error:
         raise ModelError(
             f"function(x, t, p) cannot be differentiated: {error}"
         ) from None
-    return RowFunctions(compiled, gradient, parameters, _no_value, parameters, 0)
+    row, gradient, value = compiled
+    return RowFunctions(row, gradient, parameters, value, parameters, 0)
 
 
 @lru_cache(maxsize=64)
 def _compile_limit(
     entries: tuple[Node, ...], dynamics: Dynamics, constants: tuple[Node, ...]
-) -> tuple[CompiledFunction, CompiledFunction]:
-    """Returns `row` and `gradient` of RowFunctions."""
+) -> ChainFunctions:
+    """Returns the functions of a row that has no chain, and so no value."""
     no_disturbance = map(number, np.zeros(len(dynamics.E[0])))
     outputs, xbar = [*entries, *no_disturbance], [*dynamics.x, TIME]
     slopes, arguments = gradients(outputs, xbar), [*xbar, *constants]
-    return (
+    return ChainFunctions(
         compile_nodes(arguments, outputs, "limit_row"),
         compile_nodes(arguments, slopes.ravel(), "limit_gradient"),
+        _no_value,
     )
 
 

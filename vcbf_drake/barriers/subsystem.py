@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from vcbf_drake.barriers.chain import Formula
+from vcbf_drake.barriers.chain import ChainFunctions, Formula
 from vcbf_drake.model.compiled import CompiledFunction
 from vcbf_drake.model.control_affine import Dynamics
 from vcbf_drake.model.graph import ZERO, Node, substitute, variable, variables_of
@@ -100,40 +100,33 @@ class Subsystem:
         part = Subsystem(tuple(chosen), tuple(enters), (n, m, q))
         return formula._replace(h=h, dynamics=dynamics), part
 
-    @property
-    def is_whole(self) -> bool:
-        """Whether it is the plant."""
-        return len(self.states) == self.shape[0]
+    def placed(self, functions: ChainFunctions, levels: int) -> ChainFunctions:
+        """Returns functions of the subsystem's states as the plant's.
 
-    def row(self, function: CompiledFunction, levels: int) -> CompiledFunction:
-        """Returns [A, b, w] and a number of levels as a function of the plant's x."""
-        _, m, q = self.shape
-        end = m + 1 + q
-        return self._placed(function, [*self._entries, *range(end, end + levels)])
-
-    def gradient(self, function: CompiledFunction) -> CompiledFunction:
-        """Returns the derivatives of [A, b, w] as a function of the plant's x."""
+        Args:
+            functions: A row, its gradient and its value.
+            levels: How many levels of a chain follow the row's entries.
+        """
         n, m, q = self.shape
+        if len(self.states) == n:
+            return functions
+        size = m + 1 + q
+        entries = [
+            *(j for j in self.channels if j < m),
+            m,
+            *(j + 1 for j in self.channels if j >= m),
+        ]
         columns = [*self.states, n]
-        places = np.add.outer(np.multiply(self._entries, n + 1), columns).ravel()
-        size = (m + 1 + q) * (n + 1)
-        return self._placed(function, places.tolist(), size)
+        slopes = np.add.outer(np.multiply(entries, n + 1), columns).ravel().tolist()
 
-    def value(self, function: CompiledFunction) -> CompiledFunction:
-        """Returns [h] as a function of the plant's x."""
-        return self._placed(function, [0])
+        def place(
+            inner: CompiledFunction, places: Sequence[int], size: int
+        ) -> PlacedFunction:
+            return PlacedFunction(inner, self.states, n, tuple(places), size)
 
-    @property
-    def _entries(self) -> list[int]:
-        m = self.shape[1]
-        inputs = [j for j in self.channels if j < m]
-        return [*inputs, m, *(j + 1 for j in self.channels if j >= m)]
-
-    def _placed(
-        self, function: CompiledFunction, places: Sequence[int], size: int | None = None
-    ) -> CompiledFunction:
-        if self.is_whole:
-            return function
-        size = max(places) + 1 if size is None else size
-        n = self.shape[0]
-        return PlacedFunction(function, self.states, n, tuple(places), size)
+        levels_after = range(size, size + levels)
+        return ChainFunctions(
+            place(functions.row, [*entries, *levels_after], size + levels),
+            place(functions.gradient, slopes, size * (n + 1)),
+            place(functions.value, [0], 1),
+        )
