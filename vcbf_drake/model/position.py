@@ -12,9 +12,8 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from vcbf_drake.checks import Array, finite_array, require
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.compiled import Expressions
-from vcbf_drake.model.explained import first_line
 from vcbf_drake.model.outputs import OutputSymbols
-from vcbf_drake.model.symbolic_dynamics import give_mass
+from vcbf_drake.model.symbolic_dynamics import give_mass, to_symbolic
 from vcbf_drake.typed import typed
 
 PositionFunction: TypeAlias = Callable[[Expressions], Expressions]
@@ -38,6 +37,13 @@ def named_position(state_names: Sequence[str]) -> tuple[int, ...] | None:
             return None
         found += named
     return tuple(found) if len(found) >= 2 else None
+
+
+def frames_of(plant: MultibodyPlant) -> list[str]:
+    """Returns the names of a MultibodyPlant's frames, but for the world's."""
+    instances = map(ModelInstanceIndex, range(1, plant.num_model_instances()))
+    indices = [i for instance in instances for i in plant.GetFrameIndices(instance)]
+    return [*filter(None, (plant.get_frame(i).name() for i in indices))]
 
 
 @typed
@@ -72,23 +78,13 @@ def point_position(
     if not plant.is_finalized():
         raise ModelError(f"{name}: point_position needs a plant that is finalised")
     if not plant.HasFrameNamed(frame):
-        frames = [
-            plant.get_frame(index).name()
-            for instance in range(plant.num_model_instances())
-            for index in plant.GetFrameIndices(ModelInstanceIndex(instance))
-        ]
-        there = ", ".join(filter(None, frames))
+        there = ", ".join(frames_of(plant))
         raise ModelError(f"{name}: there is no frame {frame!r}; its frames are {there}")
     in_numbers = plant, plant.GetFrameByName(frame), plant.CreateDefaultContext()
 
     @cache
     def in_symbols() -> Any:
-        try:
-            symbolic = plant.ToSymbolic()
-        except RuntimeError as error:
-            raise ModelError(
-                f"{name}: it does not convert to symbolic: {first_line(error)}"
-            ) from None
+        symbolic = to_symbolic(plant, name)
         context = symbolic.CreateDefaultContext()
         give_mass(symbolic, context)  # Positions do not depend on it.
         return symbolic, symbolic.GetFrameByName(frame), context

@@ -62,7 +62,7 @@ def symbolic_dynamics(
             constant.
     """
     name = name_of(system)
-    symbolic = _to_symbolic(system, name)
+    symbolic = to_symbolic(system, name)
     target = default_context(symbolic)
     state_names = declared_states(system).names
 
@@ -209,7 +209,16 @@ def _constant(entry: Node, x: Sequence[Node]) -> float | None:
     return float(values[0]) if same else None
 
 
-def _to_symbolic(system: System, name: str) -> System:
+def to_symbolic(system: System, name: str) -> Any:
+    """Returns a System's symbolic twin, without effort limits.
+
+    Args:
+        system: The System.
+        name: What it is called in messages.
+
+    Raises:
+        ModelError: It does not convert.
+    """
     try:
         symbolic = system.ToSymbolic()
     except RuntimeError as error:

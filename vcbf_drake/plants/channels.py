@@ -10,7 +10,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import PrismaticJoint
 from pydrake.systems.framework import System
 
-from vcbf_drake.model.interface import find_input_port, state_port_of
+from vcbf_drake.model.interface import actuators_of, find_input_port, state_port_of
 
 
 @dataclass(frozen=True)
@@ -99,8 +99,7 @@ def _joint_states(plant: MultibodyPlant) -> dict[str, str]:
 
 
 def _actuators(plant: MultibodyPlant) -> dict[str, str]:
-    found = map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
     return {
         each.name(): "N" if isinstance(each.joint(), PrismaticJoint) else "N m"
-        for each in found
+        for each in actuators_of(plant)
     }

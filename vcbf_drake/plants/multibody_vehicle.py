@@ -12,14 +12,14 @@ import numpy as np
 from pydrake.geometry import Capsule, Rgba, Role, SceneGraph, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
+from pydrake.multibody.tree import RigidBody
 from pydrake.systems.framework import System
 
 from vcbf_drake.barriers import Barrier, StateInputLimit, StateLimit
 from vcbf_drake.checks import Array, check_finite, check_parameter, require_choice
 from vcbf_drake.errors import below
 from vcbf_drake.files import IS_FILE
-from vcbf_drake.model.position import Position, point_position
+from vcbf_drake.model.position import Position, frames_of, point_position
 from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.plants.postures import posture_at
 from vcbf_drake.plants.robot_controllers import (
@@ -86,12 +86,7 @@ class MultibodyVehicle(Vehicle):
         check_finite("point", self.point, size=3)
         check_parameter("range_gains", self.range_gains, size=2)
         plant = self.make_plant()
-        frames = [
-            plant.get_frame(index).name()
-            for instance in range(1, plant.num_model_instances())
-            for index in plant.GetFrameIndices(ModelInstanceIndex(instance))
-        ]
-        require_choice("frame", self.frame, [*filter(None, frames)])
+        require_choice("frame", self.frame, frames_of(plant))
         with below("controller"):
             self.controller.check(plant)
         if len(self.posture):

@@ -19,6 +19,7 @@ from pydrake.systems.primitives import ConstantVectorSource
 
 from vcbf_drake.checks import Array, check_finite, require
 from vcbf_drake.errors import InvalidValueError
+from vcbf_drake.model.interface import actuators_of
 from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.plants.postures import Posture
 from vcbf_drake.plants.robot_file import how_to_fix
@@ -93,8 +94,8 @@ class JointStiffness(Checked):
             return _steered(law, goal)
         nq = plant.num_positions()
         choice = np.zeros((2 * m, nq + plant.num_velocities()))
-        for j, index in enumerate(plant.GetJointActuatorIndices()):
-            joint = plant.get_joint_actuator(index).joint()
+        for j, actuator in enumerate(actuators_of(plant)):
+            joint = actuator.joint()
             choice[j, joint.position_start()] = 1.0
             choice[m + j, nq + joint.velocity_start()] = 1.0
         law = PidController(choice, stiff, np.zeros(m), damp)

@@ -20,6 +20,7 @@ from pydrake.multibody.tree import Joint, ModelInstanceIndex, RigidBody
 
 from vcbf_drake.checks import require, require_choice
 from vcbf_drake.errors import InvalidValueError
+from vcbf_drake.model.interface import actuators_of
 from vcbf_drake.plants.meshes import DRAWN, draw
 
 _KINDS = (".urdf", ".sdf", ".xml", ".yaml")  # What Drake's Parser reads.
@@ -182,12 +183,7 @@ class RobotFile:
     def _choose_actuators(self, plant: MultibodyPlant, path: Path) -> None:
         """Gives the wanted joints, and them alone, a motor."""
         joints = {each.name(): each for each in joints_of(plant) if _is_single(each)}
-        has = {
-            actuator.joint().name(): actuator
-            for actuator in map(
-                plant.get_joint_actuator, plant.GetJointActuatorIndices()
-            )
-        }
+        has = {each.joint().name(): each for each in actuators_of(plant)}
         wanted = self.actuators or [*has] or [*joints]
         require(bool(wanted), "file", self.file, "a robot with joints that move")
         for name in wanted:
