@@ -21,7 +21,9 @@ from vcbf_drake.barriers import (
 )
 from vcbf_drake.simulation import simulate
 from vcbf_drake.viz import write_figures, write_replay
+from vcbf_drake.viz.scene_graph import rgba
 from vcbf_drake.viz.solids import Wall, hull, solids, solids_of, walls_of
+from vcbf_drake.viz.stage import set_stage
 
 
 @pytest.fixture(scope="module")
@@ -136,6 +138,11 @@ def test_hull_is_the_smallest_convex_polygon():
 def test_a_run_among_them_is_drawn(scenario, tmp_path):
     scenario.duration = 0.2
     result = simulate(scenario, step_time=False)
+    bodies = [b for b in set_stage([result]).bodies if b.path.startswith("walls")]
+    assert [len(body.parts) for body in bodies] == [1, 2, 2, 2]
+    for part in (part for body in bodies for part in body.parts):
+        # The page lets what is more opaque throw a shadow: a floor would hide them all.
+        assert 0.1 < rgba(part.color).a() <= 0.3
     page = write_replay([result], tmp_path / "page.html").read_text()
     assert len(page) > 1_000_000
     write_figures([result], tmp_path)

@@ -239,7 +239,7 @@ def _walls(scenario: Scenario, view: View) -> list[Moving]:
     for index, wall in enumerate(walls_of(scenario)):
         parts = []
         for name, thick, color in (
-            ("body", -0.004 * size, SHELL + "4d"),  # More would throw a shadow.
+            ("body", -0.004 * size, SHELL + "4c"),  # More would throw a shadow.
             ("keep_out", wall.margin, SHELL + "26"),
         ):
             if thick != 0.0:
