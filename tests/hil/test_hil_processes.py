@@ -412,6 +412,13 @@ def test_a_url_of_no_bus_between_processes_is_refused(url) -> None:
         check_bus(url, patience=0.1)
 
 
+@pytest.mark.parametrize("option", ["ttl=far", "ttl=256", "ttl=", "tll=1", "ttl"])
+def test_an_option_that_lcm_would_take_for_another_is_refused(option) -> None:
+    url = f"udpm://239.255.76.67:7667?{option}"
+    with pytest.raises(BusError, match=re.escape(f"{url}: no option {option}; there")):
+        check_bus(url)
+
+
 # The bus itself --------------------------------------------------------------------
 
 

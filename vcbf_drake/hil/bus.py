@@ -36,6 +36,8 @@ Tap = Callable[[int, str, bytes], None]
 _LEAST_KEY, _MOST_KEY = 16, 65_536  # Bytes.
 _LONGEST_NAME = 48  # LCM's channels have at most 63 characters.
 _CHECK_CHANNEL = "VCBF_BUS_CHECK"
+# LCM takes what it does not understand in an option for 0, or leaves the option out.
+_OPTION = re.compile(r"ttl=(1?\d?\d|2[0-4]\d|25[0-5])|recv_buf_size=\d{1,9}", re.ASCII)
 _NO_SERVER = (
     "no LCM server answers there; start one, for example lcm-tcpq-server or"
     " java -cp lcm.jar lcm.lcm.TCPService"
@@ -342,8 +344,12 @@ def check_bus(url: str, patience: float = 1.0) -> None:
         patience: How long to try [s].
 
     Raises:
-        BusError: Nothing arrived.
+        BusError: Nothing arrived, or the URL has an option that LCM does not know.
     """
+    for option in filter(None, url.partition("?")[2].split("&")):
+        if not _OPTION.fullmatch(option):
+            known = "ttl=0 to ttl=255 and recv_buf_size=BYTES"
+            raise BusError(f"{url}: no option {option}; there are {known}")
     arrived: list[bytes] = []
     token = f"{os.getpid()} {time.monotonic_ns()}".encode()
     deadline = time.monotonic() + patience
