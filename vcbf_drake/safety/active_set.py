@@ -57,9 +57,7 @@ def nearest_by_active_set(
     if near is None:
         near = np.arange(len(b))
     rows, sides = A[near].tolist(), b[near].tolist()
-    face = _Face(rows, sides, reference.tolist(), _INDEPENDENT)
-    conflict = face.moved_onto_all(_TOLERANCE)
-    return _projection(face, conflict, near, len(b))
+    return _Face(rows, sides, reference.tolist()).projection(near, len(b))
 
 
 def nearest_in_rationals(A: Array, b: Array, reference: Array) -> Projection:
@@ -74,9 +72,8 @@ def nearest_in_rationals(A: Array, b: Array, reference: Array) -> Projection:
         reference: The point that is projected, shape (m,).
     """
     rows = [_rational(row) for row in A]
-    face = _Face(rows, _rational(b), _rational(reference), 0.0)
-    conflict = face.moved_onto_all(0.0)
-    return _projection(face, conflict, np.arange(len(b)), len(b))
+    face = _Face(rows, _rational(b), _rational(reference), is_exact=True)
+    return face.projection(np.arange(len(b)), len(b))
 
 
 def _rational(values: Array) -> _Vector:
@@ -113,13 +110,14 @@ class _Face:
         A: Sequence[_Vector],
         b: _Vector,
         reference: _Vector,
-        independent: float,
+        is_exact: bool = False,
     ) -> None:
         self._A, self._b = A, b
-        self._least = independent**2
+        self._least = 0.0 if is_exact else _INDEPENDENT**2
+        self._tolerance = 0.0 if is_exact else _TOLERANCE
         # Where much cancels in floats, what is left is at a right angle, and a point
         # far away is where it should be, at the second time only.
-        self._passes = 2 if independent else 1
+        self._passes = 1 if is_exact else 2
         self._L: list[_Vector] = []
         self._Q: list[_Vector] = []
         self._squares: _Vector = []  # Of the rows of Q.
@@ -129,13 +127,14 @@ class _Face:
         self.point = self._reference
         self.multipliers: _Vector = []
 
-    def moved_onto_all(self, tolerance: float) -> _Vector | None:
-        """Makes rows active until the point violates none; returns a conflict if not.
+    def projection(self, near: NDArray[np.intp], num_rows: int) -> Projection:
+        """Makes rows active until the point violates none; returns where that ends.
 
         Args:
-            tolerance: By how much of the terms of a v - b a row may be violated.
+            near: Which rows these are.
+            num_rows: Of how many.
         """
-        conflict, joined = None, 0
+        conflict, tolerance, joined = None, self._tolerance, 0
         while not (conflict or (tolerance and joined == _PATIENCE * len(self._b))):
             worst, most = -1, 0
             for i, (a, b) in enumerate(zip(self._A, self._b, strict=True)):
@@ -147,18 +146,20 @@ class _Face:
                     worst, most = i, excess
             if worst < 0 or worst in self.rows:
                 break
-            conflict, joined = self.join(worst), joined + 1
-        return conflict
+            conflict, joined = self._join(worst), joined + 1
+        multipliers, proof = np.zeros(num_rows), None
+        multipliers[near[self.rows]] = self.multipliers
+        if conflict is not None:
+            proof = np.zeros(num_rows)
+            proof[near] = conflict
+        return Projection(np.array(self.point, dtype=float), multipliers, proof)
 
-    def join(self, row: int) -> _Vector | None:
+    def _join(self, row: int) -> _Vector | None:
         """Makes a violated row active, and those inactive that stand in its way.
 
         Along the active rows' span its multiplier takes over from theirs; what is left
         of the row, at a right angle to them, moves the point. Returns None, or the
         conflict where it cannot be met: n numbers.
-
-        Args:
-            row: Which.
         """
         a = self._A[row]
         excess = _dot(a, self.point) - self._b[row]
@@ -230,16 +231,3 @@ class _Face:
             for j, along in enumerate(self._L[i]):
                 y[j] -= along * y[i]
         return y
-
-
-def _projection(
-    face: _Face, conflict: _Vector | None, rows: NDArray[np.intp], num_rows: int
-) -> Projection:
-    """Where a face of some rows, of so many, ended."""
-    multipliers = np.zeros(num_rows)
-    multipliers[rows[face.rows]] = face.multipliers
-    proof = None
-    if conflict is not None:
-        proof = np.zeros(num_rows)
-        proof[rows] = conflict
-    return Projection(np.array(face.point, dtype=float), multipliers, proof)

@@ -166,21 +166,21 @@ class VolumeMeasure:
             return None
         inputs, rows, known = self._input_set, feasible.rows, feasible.known
         kappa, n, cut = self._widening, rows.num_states, feasible.cut_by(self._widening)
-        A, b = feasible.normals[cut], feasible.distance[cut] / kappa
-        found, weights = self._solver.free, np.zeros(len(cut))
+        found, touching = self._solver.free, list[int]()
         determinant, is_of_set = math.exp(found.log_det), True
         try:
             if len(cut):
+                A, b = feasible.normals[cut], feasible.distance[cut] / kappa
                 found = self._solver.solve(A, b)
                 determinant, is_of_set = math.exp(found.log_det), kappa == 1.0
                 multipliers = found.multipliers[feasible.num_input_rows :]
                 weights = determinant / kappa * multipliers
+                touching = weights.nonzero()[0].tolist()
         except EmptySetError:
             determinant, is_of_set = THINNEST**inputs.num_inputs, False
         except (SolverError, np.linalg.LinAlgError):
             return None
         extended, estimate, bound = np.zeros(n + 1), np.zeros(len(known.estimate)), 0.0
-        touching = weights.nonzero()[0].tolist()
         gradients = rows.gradients(cut[touching].tolist()) if touching else ()
         for i, gradient in zip(touching, gradients, strict=True):
             weight, w, margin = float(weights[i]), rows.w[cut[i]], known.estimate
