@@ -23,11 +23,13 @@ from vcbf_drake.safety import (
     METHODS,
     FilterSettings,
     FilterStatus,
+    decider,
     decider as decider_module,
     row_names,
     unpack_feasible_set,
 )
 from vcbf_drake.safety.ellipsoid import InscribedEllipsoidSolver
+from vcbf_drake.safety.tick_qp import VolumeRow
 from vcbf_drake.safety.volume import VolumeBarrier
 
 LIMITS = InputSet.box([-0.05, -0.2, -0.02], [0.25, 0.2, 0.02])
@@ -203,6 +205,20 @@ def test_a_volume_that_cannot_be_verified_is_said_and_its_row_left_out(
     monkeypatch.setattr(InscribedEllipsoidSolver, "solve", fail)
     context = fixed(safety_filter, CLOSE)
     assert np.isnan(evaluate(safety_filter, context, "volume")[0])
+    assert evaluate(safety_filter, context, "status")[0] == FilterStatus.FAILED
+    np.testing.assert_array_equal(evaluate(safety_filter, context, "command"), expected)
+
+
+@pytest.mark.parametrize("bound", [-np.inf, np.inf, np.nan])
+def test_a_volume_row_beyond_what_floats_hold_is_left_out_too(
+    model, monkeypatch, bound
+):
+    without = make_filter(model, method="dob-cbf-qp")
+    expected = evaluate(without, fixed(without, CLOSE), "command")
+    row = VolumeRow(np.array([-1.0, 0.3, 0.0]), bound, 1e3)
+    monkeypatch.setattr(decider, "volume_row", lambda *_: row)
+    safety_filter = make_filter(model)
+    context = fixed(safety_filter, CLOSE)
     assert evaluate(safety_filter, context, "status")[0] == FilterStatus.FAILED
     np.testing.assert_array_equal(evaluate(safety_filter, context, "command"), expected)
 

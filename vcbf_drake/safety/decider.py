@@ -65,6 +65,9 @@ class Decider:
             is_total = settings.corrections.total_derivative
             x, known, barrier = tick.state, tick.known, settings.volume
             row = volume_row(v, self._model, x, known, barrier, is_total)
+        is_known = v is not None and (row is None or row.is_finite)
+        if not is_known:  # The tick fails, and takes the input of the QP without it.
+            row = None
         decay_rates = self._decay_rates(feasible)
 
         def choose(margin: Array | None = None) -> FilterDecision:
@@ -82,7 +85,6 @@ class Decider:
             )
 
         decision = choose()
-        is_known = v is not None and (row is None or row.is_finite)
         if self._method.has_volume_row and not is_known:
             decision = FilterDecision(decision.input, FilterStatus.FAILED)
         elif self._row_holder is not None:
