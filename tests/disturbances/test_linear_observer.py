@@ -35,9 +35,14 @@ def test_error_is_under_its_bound_at_every_tick(name, period, rate):
     assert np.all(result.error <= result.bound + 1e-9)
 
 
-@pytest.mark.parametrize(("period", "rate"), [(1e-3, 4.0), (0.05, 4.0), (0.5, 7.0)])
+@pytest.mark.parametrize(
+    ("period", "rate"), [(1e-3, 4.0), (0.05, 4.0), (0.5, 7.0), (0.5, 0.01)]
+)
 def test_bound_is_exact_for_a_ramp(period, rate):
-    """From 0.5; the bound is for starts up to delta1, which the ramp never exceeds."""
+    """From 0.5; the bound is for starts up to delta1, which the ramp never exceeds.
+
+    The slowest observer is worse in the end than none: its bound rises.
+    """
     bounds = DisturbanceBounds(30.0, 0.8, 0.0)
     model = DragModel(1, linear=0.0, cubic=0.0)
     observer = LinearDisturbanceObserver(model, period, bounds, rate)

@@ -144,6 +144,20 @@ def test_a_car_at_rest_stays_within_its_cells_whatever_pushes_it():
             assert low <= s <= low + stop.cell
 
 
+def test_a_car_that_may_stop_on_the_end_of_a_cell_stays_within_its_plan():
+    """All numbers are exact: the weakest brakes stop it at 2.5, the end of a cell."""
+    limits, push, T = np.array([1.5, 1.0]), 0.5, 0.5
+    (stop,) = Car(CarParameters(1.0)).make_manoeuvres(-limits, limits, push, T)
+    assert stop.cell == 2.5
+    x = np.array([2.375, 0.0, 0.5, 0.0])
+    u = stop.input(x)
+    rate = u[0] + push
+    after = [x[0] + x[2] * T + 0.5 * rate * T**2, 0.0, x[2] + rate * T, 0.0]
+    before, following = stop.plan(x, 0.0, u), np.array(after)
+    for cell in cells(stop.plan(following, T, stop.input(following))):
+        assert is_within(cell, cells(before))
+
+
 def test_manoeuvres_are_none_where_the_wind_is_stronger():
     box = np.array([1.0, 1.0])
     assert Car().make_manoeuvres(-box, box, 0.6, 0.02) == []

@@ -53,7 +53,7 @@ def random_situation(rng):
         estimate=rng.normal(0.0, 0.2, 3),
         rate=rng.normal(0.0, 0.3, 3),
         bound=rng.uniform(0.0, 0.2),
-        bound_rate=-rng.uniform(0.0, 0.4),
+        bound_rate=rng.uniform(-0.4, 0.4),  # A slow linear observer's rises.
         gain=4.0,
     )
     return state, rng.uniform(0.0, 1.0), known

@@ -109,17 +109,18 @@ class BlimpClimb(Manoeuvre):
         ]
         most = (self._surge_most, self._surge_most, self._heave_most)
         bends = [
-            a + max(axis.drag * abs(axis.speed), a) + turned
+            a + max(axis.drag * abs(axis.speed), a) + turned * max(1.0, axis.drag * T)
             for axis, a in zip(axes, most, strict=True)
         ]
         anywhere = (-ANYWHERE, ANYWHERE)
 
         def box(i: int, k: int) -> Box:
-            span, ends = (k - i) * T, []
+            # Of many cells with each one's own, so that it contains their boxes.
+            spans, ends = ((k - i) ** 2 + (k - i > 1)) * T * T, []
             for axis, bend in zip(axes, bends, strict=True):
                 (low_i, high_i), (low_k, high_k) = axis.place(i), axis.place(k)
                 # A curve leaves its chord by no more than this.
-                slack = 0.125 * bend * span * span
+                slack = 0.125 * bend * spans
                 slack += _ROUNDING * (1.0 + abs(low_i) + abs(high_k))
                 ends.append((min(low_i, low_k) - slack, max(high_i, high_k) + slack))
             return [*ends, *5 * [anywhere], (time + i * T, time + k * T)]

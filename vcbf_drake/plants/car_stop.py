@@ -83,9 +83,10 @@ class CarStop(Manoeuvre):
             s - _stopping(-v, self._push_least), s + _stopping(v, self._brake_least)
         )
 
-        def room(a: float) -> float:
+        def room(a: float) -> tuple[float, bool]:
             ahead, back = self._reach(v, a)
-            return min(high * self.cell - s - ahead, s - back - low * self.cell)
+            before, behind = high * self.cell - s - ahead, s - back - low * self.cell
+            return min(before, behind), before > 0.0  # The upper end is not theirs.
 
         deadbeat = min(max(-v / self._period, -self._brake), self._push)
         ways = (deadbeat, -self._brake, self._push, self._delta, -self._delta)
@@ -105,9 +106,8 @@ class CarStop(Manoeuvre):
         )
 
     def _cells(self, low: float, high: float) -> tuple[int, int]:
-        """The cells that hold a stretch of the line; one at least."""
-        first = math.floor(low / self.cell)
-        return first, max(math.ceil(high / self.cell), first + 1)
+        """The cells that hold a stretch of the line; each is without its upper end."""
+        return math.floor(low / self.cell), math.floor(high / self.cell) + 1
 
     def plan(self, state: Array, time: float, u: Array) -> Plan:
         """Returns where an input leads; see `Manoeuvre`."""
