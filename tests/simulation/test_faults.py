@@ -7,6 +7,7 @@ from pydrake.systems.primitives import LogVectorOutput
 import pytest
 
 from vcbf_drake import ScenarioError, load_scenario, make_loop, simulate
+from vcbf_drake.errors import InvalidValueError
 from vcbf_drake.safety import FilterStatus
 from vcbf_drake.safety.assumptions import assumptions
 from vcbf_drake.simulation import check_assumptions
@@ -208,6 +209,22 @@ def test_an_obstacle_has_no_row_until_it_is_near():
     assert result.summary["min_barrier"] > 0.0
     squared = np.sum(away**2, axis=1) - (obstacle.radius + obstacle.margin) ** 2
     assert result.summary["audit"]["barrier"]["worst"] == pytest.approx(squared.min())
+
+
+def test_there_may_be_more_slots_than_obstacles_but_not_fewer():
+    overrides = "{{duration: 1.0, faults: {{sight: 5.0}}, hardware: {}}}".format
+    known = simulate(load_scenario(CAR, overrides("{obstacles: known}")))
+    slots = "{obstacles: perceived, most_obstacles: 4}"
+    more = simulate(load_scenario(CAR, overrides(slots)))
+    np.testing.assert_array_equal(more.log["input"], known.log["input"])
+    assert np.isnan(more.log["barriers"][:, 1:]).all()
+
+    spheres = [{"center": [x, 0.5], "radius": 0.1} for x in (3.0, 4.0)]
+    few = overrides("{obstacles: perceived, most_obstacles: 1}")
+    scenario = load_scenario(CAR, few)
+    scenario.obstacles = load_scenario(CAR, {"obstacles": spheres}).obstacles
+    with pytest.raises(InvalidValueError, match=r"most_obstacles: 1; .* at least 2"):
+        make_loop(scenario)
 
 
 @pytest.mark.parametrize(

@@ -595,6 +595,9 @@ def test_missing_file_suggests_shipped_names() -> None:
     assert message.startswith("blimp-single-obstacles: neither a file nor")
     assert all(name in message for name in SHIPPED)
     assert "did you mean blimp-single-obstacle" in message
+    # Each name once, whether one of them is near or not.
+    assert all(message.count(f" {name}") <= 2 for name in SHIPPED)
+    assert all(refusal("nope").count(name) == 1 for name in SHIPPED)
 
 
 @pytest.mark.parametrize(

@@ -240,7 +240,8 @@ class FilterSettings:
         numbers = []
         for name, default in settings.items():
             given = getattr(self, name) or [default] * count
-            require(len(given) == count, name, given, f"{count} numbers, one a barrier")
+            rule = f"{count} number{'s' * (count != 1)}, one a barrier"
+            require(len(given) == count, name, given, rule)
             numbers.append(np.array(given, dtype=float))
         return RowCosts(*numbers)
 

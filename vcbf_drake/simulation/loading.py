@@ -51,10 +51,10 @@ def scenario_path(name_or_path: str | Path) -> Path:
     if str(name_or_path) in shipped:
         return _DIRECTORY / f"{name_or_path}.yaml"
     if not path.exists():
-        raise ScenarioError(
-            f"{path}: neither a file nor a shipped scenario ({', '.join(shipped)});"
-            f" {did_you_mean(str(path), shipped)}"
-        )
+        names = f"allowed: {', '.join(shipped)}"
+        guess = did_you_mean(str(path), shipped)
+        hint = names if guess == names else f"{names}; {guess}"
+        raise ScenarioError(f"{path}: neither a file nor a shipped scenario; {hint}")
     return path
 
 

@@ -19,6 +19,7 @@ from pydrake.systems.primitives import LogVectorOutput, PassThrough
 
 from vcbf_drake.add_safety_filter import AddedSafetyFilter, AddSafetyFilter
 from vcbf_drake.barriers import BarrierSet
+from vcbf_drake.checks import require
 from vcbf_drake.disturbances import (
     DisturbanceBounds,
     DisturbanceObserver,
@@ -256,12 +257,16 @@ def obstacles_in_sight(
     """Returns the port of what is seen; None where all obstacles are known."""
     if scenario.faults.sight == 0.0 or not scenario.spheres:
         return None
+    slots = perceived_spheres(scenario)
+    rule = f"at least {len(scenario.spheres)}, the number of spheres"
+    where = ("hardware", "most_obstacles")
+    require(slots.capacity >= len(scenario.spheres), where, slots.capacity, rule)
     state = state_port_of(plant)
     seeing = builder.AddNamedSystem(
         "obstacles_in_sight",
         ObstaclesInSight(
             scenario.spheres,
-            perceived_spheres(scenario),
+            slots,
             state.size(),
             scenario.vehicle.positions,
             scenario.faults.sight,

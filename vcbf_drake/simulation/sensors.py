@@ -186,5 +186,5 @@ class ObstaclesInSight(LeafSystem):
         seen = np.linalg.norm(away, axis=1) - self._surfaces <= self._sight
         slots = self._spheres.pack(centers, self._velocities, self._radii)
         slots = slots.reshape(-1, self._spheres.slot_size)
-        slots[:, -1] = seen
+        slots[: len(seen), -1] = seen
         output.SetFromVector(slots.ravel())
