@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from tests.helpers.fixed_set import normalised
+from tests.helpers.fixed_set import fixed_set, normalised
 from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.errors import EmptySetError, SolverError
 from vcbf_drake.safety import (
@@ -234,6 +234,14 @@ def test_a_volume_row_that_holds_after_all_has_no_slack(monkeypatch):
     decision = choose(set_of([0.0, 1.0], 1.0), [-0.8, 1.5], row)
     assert decision.status == FilterStatus.FILTERED and decision.slack == 0.0
     np.testing.assert_allclose(decision.input, [-0.8, 1.0], atol=1e-9)
+
+
+def test_without_limits_and_hard_rows_the_least_violation_is_none():
+    unbounded = InputSet.box([-np.inf, -np.inf], [np.inf, np.inf])
+    feasible = fixed_set(unbounded, [[1.0, 0.0]], [-1.0], np.array([10.0]))
+    frame, reference = Frame.of(unbounded), np.array([2.0, 3.0])
+    u = least_violation(feasible, frame, reference, np.zeros(2))
+    np.testing.assert_allclose(u, reference)
 
 
 def test_without_any_solver_the_held_input_acts(monkeypatch):

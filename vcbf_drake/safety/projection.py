@@ -221,7 +221,8 @@ def _is_optimal(
     error, rounding = pull - y @ A, _ROUNDING * (np.abs(b) + 1.0)
     gap = float(y @ (b - product + rounding) + 0.5 * (error @ error))
     size = 1.0 + max(map(abs, pull.tolist()))
-    return gap <= _GAP * size and min((right - product).tolist()) >= -_EXCESS
+    spare = min((right - product).tolist(), default=0.0)
+    return gap <= _GAP * size and spare >= -_EXCESS
 
 
 def _raise_if_empty(found: Projection, rows: UnitRows, num_firm: int) -> None:
