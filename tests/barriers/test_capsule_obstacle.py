@@ -77,6 +77,7 @@ def test_rows_are_derivatives(start) -> None:
         ({"start": [1.0], "end": [2.0]}, "center: .* 2 or 3 numbers"),
         ({"end": [1.0, 2.0]}, "two different points of one size"),
         ({"end": [1.0, 2.0, 3.0]}, "two different points of one size"),
+        ({"start": np.ones(2), "end": np.ones(2)}, r"got \[1.0, 1.0\] and \[1.0, 1.0"),
         ({"end": [1.0, np.nan]}, r"end: .*finite numbers"),
         ({"velocity": [1.0]}, "velocity: .* a list of 2 numbers"),
         ({"radius": -1.0}, "radius: -1"),

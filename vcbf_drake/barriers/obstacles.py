@@ -296,9 +296,10 @@ class CapsuleObstacle(Obstacle):
     def __post_init__(self) -> None:
         super().__post_init__()
         if np.shape(self.start) != np.shape(self.end) or not self.half_length:
+            start, end = (np.array(each).tolist() for each in (self.start, self.end))
             raise ValueError(
                 "capsule: start and end must be two different points of one size,"
-                f" got {[*self.start]} and {[*self.end]}"
+                f" got {start} and {end}"
             )
 
     @property
