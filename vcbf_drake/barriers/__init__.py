@@ -1,4 +1,4 @@
-"""What must stay true: barriers and limits, and the rows they put on the input."""
+"""Barriers, limits on the input, and the rows that they impose on it."""
 
 from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.barrier_set import BarrierSet

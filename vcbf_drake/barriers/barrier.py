@@ -1,4 +1,4 @@
-"""A high-order control barrier function: what must stay non-negative."""
+"""High-order control barrier functions."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def arithmetic(function: _Function) -> _Function:
-    """Marks a barrier's function that uses +, -, *, / and ** alone.
+    """Marks a barrier's function that uses only +, -, *, / and **.
 
-    It can be read without pydrake's expressions, whose trees are as large as a formula
-    is when all that it uses twice is written twice.
+    Such a function is read without pydrake's expressions, whose trees repeat every
+    subexpression that a formula uses more than once.
     """
     function.arithmetic = True  # type: ignore[attr-defined]
     return function
@@ -41,11 +41,11 @@ def is_arithmetic(function: Callable[..., Any]) -> bool:
 
 @dataclass(frozen=True)
 class EarlyDisturbance:
-    """What is assumed of a disturbance that reaches h before the input does (E8).
+    """The bound of a disturbance that enters h before the input does (E8).
 
     Attributes:
         bound: delta1, the bound of its norm [m/s^2].
-        smoothing: What keeps the roots of (E8) smooth, in units of E' grad h.
+        smoothing: The length that smooths the roots of (E8), in units of E' grad h.
     """
 
     bound: float
@@ -53,16 +53,16 @@ class EarlyDisturbance:
 
 
 class Changes(Protocol):
-    """What gives a barrier new parameters at every tick."""
+    """The source of a barrier's parameters at every tick."""
 
     def parameters_at(
         self, t: float, obstacles: Array | None
     ) -> tuple[float, ...] | None:
-        """Returns the parameters at a time; None where there is nothing.
+        """Returns the parameters at a time; None for an empty slot.
 
         Args:
             t: The time [s].
-            obstacles: What is perceived then.
+            obstacles: The perceived obstacles at that time.
         """
 
 
@@ -81,13 +81,13 @@ class Barrier:
         decay_rates: The lambda_i of (E4), shape (r,) [1/s]; the largest comes first,
             which makes the sets S^k of (E3) as large as they can be (R21).
         parameters: The values of p, shape (k,).
-        name: What error messages and logs call it.
-        of_position: None if `function` takes the state x; k if it takes, in its place,
-            the first k coordinates of the position that the plant names.
-        early_disturbance: What `robust_to` was given; None without it.
-        class_k: What `with_class_k` was given; None for lambda_r phi.
-        changes: What makes the parameters new at every tick, so that its own are an
-            example; None where they stay.
+        name: Its name in error messages and logs.
+        of_position: None if `function` takes the state x; k if it takes the first k
+            coordinates of the plant's position instead.
+        early_disturbance: The arguments of `robust_to`; None without it.
+        class_k: The function given to `with_class_k`; None for lambda_r phi.
+        changes: The source of new parameters at every tick, for which `parameters` is
+            an example; None for constant parameters.
     """
 
     def __init__(
@@ -121,14 +121,16 @@ class Barrier:
 
     @typed
     def robust_to(self, bound: float, smoothing: float = 0.01) -> Barrier:
-        """Returns this barrier, made for a disturbance that comes before the input.
+        """Returns this barrier, robust to a disturbance that enters before the input.
 
-        Its chain has the disturbance's worst taken off at every level (E8), so that
-        only the last needs an observer. It keeps more distance than it otherwise would.
+        Every level of its chain subtracts the disturbance's worst case (E8), so that
+        only the last needs an observer. It keeps a larger distance than the plain
+        barrier.
 
         Args:
             bound: delta1, the bound of the disturbance's norm [m/s^2].
-            smoothing: What keeps the norms differentiable, in units of E' grad h.
+            smoothing: The length that keeps the norms differentiable, in units of E'
+                grad h.
 
         Raises:
             ValueError: The bound is negative, the smoothing not positive.
@@ -143,16 +145,16 @@ class Barrier:
         """Returns this barrier with another function in place of lambda_r phi (E10).
 
         Its row is d/dt phi^(r-1) >= -class_k(phi^(r-1)); the faster decay rates still
-        make the levels before. A cube lets the robot do as it likes far away and slows
-        it down near the boundary.
+        make the levels before. A cube leaves the robot free far from the boundary and
+        slows it down near it.
 
         Args:
             class_k: An extended class-K function, of a number or a symbol: 0 at 0, and
-                increasing. Write it with NumPy, smooth.
+                increasing. It must be smooth and written with NumPy.
 
         Raises:
-            ValueError: It is not 0 at 0, or does not increase: at 400 places of either
-                sign, from 0.001 to 1000, by value and slope.
+            ValueError: It is not 0 at 0, or its value or slope shows that it does not
+                increase, at one of 400 points of either sign from 0.001 to 1000.
         """
         _check_class_k(class_k, self.name)
         changed = copy.copy(self)
@@ -166,7 +168,7 @@ class Barrier:
 
     @property
     def constants(self) -> tuple[float, ...]:
-        """What its chain depends on beside x and t, as `Chain.constants` has it."""
+        """The constants of its chain, beside x and t: see `Chain.constants`."""
         early = self.early_disturbance
         worst = () if early is None else (early.bound, early.smoothing)
         return (*self.decay_rates.tolist(), *worst, *self.parameters.tolist())

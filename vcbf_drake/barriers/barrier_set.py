@@ -34,15 +34,15 @@ from vcbf_drake.typed import typed
 class BarrierSet:
     """The N rows of barriers and limits, in the order given.
 
-    A barrier that an input enters before its last derivative has a row for that level,
-    too, behind those of all that was given (E8a).
+    A barrier that an input enters before its last derivative has a further row for that
+    level, after the rows of all given barriers and limits (E8a).
 
     Attributes:
-        barriers: They themselves, and behind them what keeps early levels (E8a).
-        early: The numbers of the rows of the latter.
-        names: Their names, N of them; those of one name have a number behind it.
+        barriers: The given barriers and limits, then the limits of early levels (E8a).
+        early: The indices of the rows of early levels.
+        names: The N names of the rows; equal names are numbered.
         obstacles_size: How many numbers describe the perceived obstacles.
-        followed: The names of those that a trajectory carries along.
+        followed: The names of the barriers that follow a trajectory.
         num_entries: How many entries [A, b, w] a row has, m + 1 + q.
     """
 
@@ -54,18 +54,18 @@ class BarrierSet:
         *,
         by_chains: bool = True,
     ) -> None:
-        """Derives and compiles what was not compiled before.
+        """Derives and compiles the rows that are not in the cache.
 
         Args:
             model: The plant.
-            barriers: What must stay true.
-            by_chains: Whether the rows of their chains are what keeps them.
+            barriers: Barriers and limits.
+            by_chains: Whether the rows of their chains enforce them.
 
         Raises:
             ModelError: A barrier's function does not suit the model, or the input or
                 the disturbance enters it at another derivative than its gains say, or
-                pydrake's expressions give other numbers than it does; the message names
-                the barrier.
+                pydrake's expressions differ from it in numbers; the message names the
+                barrier.
             ValueError: One of them is neither a barrier nor a limit; or perceived
                 obstacles of different capacities or dimensions.
         """
@@ -120,7 +120,7 @@ class BarrierSet:
         Args:
             x: The state, shape (n,).
             t: The time [s].
-            obstacles: What is perceived then, shape (obstacles_size,).
+            obstacles: The perceived obstacles at that time, shape (obstacles_size,).
 
         Raises:
             ValueError: x or obstacles has another shape.
@@ -182,7 +182,8 @@ class BarrierSet:
         Args:
             x: The states, shape (T, n).
             t: The times, shape (T,) [s].
-            obstacles: What is perceived at those times, shape (T, obstacles_size).
+            obstacles: The perceived obstacles at those times, shape (T,
+                obstacles_size).
 
         Raises:
             ValueError: x, t or obstacles has another shape.
@@ -211,7 +212,7 @@ class BarrierSet:
         obstacles: Array | None,
         numbers: Callable[[list[float], Sequence[RowFunctions]], list[Any]],
     ) -> Array:
-        """Returns what the functions of all rows say along a trajectory."""
+        """Returns the values of the functions of all rows along a trajectory."""
         x, t = np.asarray(x, dtype=float), np.asarray(t, dtype=float)
         if t.ndim != 1 or x.shape != (len(t), self._num_states):
             raise ValueError(
@@ -246,7 +247,7 @@ class BarrierSet:
 
     @cached_property
     def _no_row(self) -> RowFunctions:
-        """What an empty slot has."""
+        """The row of an empty slot."""
         return no_row(self._model)
 
     def functions_at(
@@ -256,7 +257,7 @@ class BarrierSet:
 
         Args:
             t: The time for which obstacles are perceived [s].
-            obstacles: What is perceived then, shape (obstacles_size,).
+            obstacles: The perceived obstacles at that time, shape (obstacles_size,).
 
         Raises:
             ValueError: obstacles has another shape.
@@ -289,7 +290,7 @@ def _functions(
 
 
 def _numbered(names: Sequence[str]) -> tuple[str, ...]:
-    """The names, with numbers behind those that come more than once."""
+    """The names, numbered where they occur more than once."""
     many, seen = Counter(names), Counter[str]()
     numbered = []
     for name in names:

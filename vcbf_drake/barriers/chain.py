@@ -1,4 +1,4 @@
-"""The chain of a barrier: derivatives up to the one that the input enters."""
+"""The chain of a barrier: its levels up to the derivative that the input enters."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Symbols:
     """
 
     def __init__(self, model: ControlAffineModel, num_parameters: int) -> None:
-        """Makes symbols for a function of one model."""
+        """Makes the symbols for a function of the model."""
         self.model = model
         self.parameters = _nodes("p", num_parameters)
         self._time = Variable("t")
@@ -57,18 +57,18 @@ class Symbols:
 
     @property
     def points(self) -> dict[Node, PointOutput]:
-        """What stands for points of a MultibodyPlant that the function has."""
+        """The variables of the MultibodyPlant's points that the function depends on."""
         found = {} if self._outputs is None else self._outputs.points
         return {variable(v.get_name()): output for output, v in found.items()}
 
     def call(self, function: Callable[..., Any], of_position: int | None = None) -> Any:
-        """Returns function(x, t, p), in pydrake's expressions.
+        """Returns function(x, t, p) in pydrake's expressions, or in nodes.
 
-        Of an `arithmetic` function, in nodes: where it uses a result twice they have it
-        once, whereas expressions repeat it.
+        An `arithmetic` function is evaluated in nodes, which share common
+        subexpressions where expressions repeat them.
 
         Args:
-            function: A barrier's or limit's.
+            function: The function of a barrier or a limit.
             of_position: How many coordinates of the position it takes in place of x;
                 None for x.
 
@@ -88,7 +88,7 @@ class Symbols:
         return called(function, x, time, p)
 
     def read(self, values: Any) -> Nodes:
-        """Returns the formulas of what a function returned, of the same shape.
+        """Returns the values of a function as formulas, of the same shape.
 
         Raises:
             ModelError: A value is not an expression of x, t and p, or has no
@@ -113,7 +113,7 @@ class Symbols:
 
 
 def called(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Returns what a barrier's or limit's function makes of symbols.
+    """Returns a barrier's or limit's function, evaluated with symbols.
 
     Raises:
         ModelError: It raises.
@@ -140,7 +140,7 @@ def class_k_formula(function: Callable[[Any], Any] | None) -> Node | None:
     """Returns a barrier's class-K function as a formula of `LEVEL` (E10).
 
     Raises:
-        ModelError: It does not work on symbols, or has other values there.
+        ModelError: It does not accept symbols, or its values differ with them.
     """
     if function is None:
         return None
@@ -162,15 +162,16 @@ def class_k_formula(function: Callable[[Any], Any] | None) -> Node | None:
 
 
 class Formula(NamedTuple):
-    """All that a barrier's chain depends on; equal for barriers that read the same.
+    """The formula that a barrier's chain is derived from; equal for equal barriers.
 
     Attributes:
         h: The barrier.
         dynamics: The model's.
         parameters: The parameters of h.
         order: The relative degree r.
-        robust: Whether the disturbance may come before the input (E8).
-        class_k: What stands for lambda_r phi (E10), of `LEVEL`; None for that.
+        robust: Whether the disturbance may enter before the input (E8).
+        class_k: The class-K function (E10), a formula of `LEVEL`; None for lambda_r
+            phi.
     """
 
     h: Node
@@ -183,10 +184,10 @@ class Formula(NamedTuple):
 
 @contextmanager
 def _derived() -> Iterator[None]:
-    """Says what to write where a formula has not as many derivatives as needed.
+    """Explains, in an error, that a formula has too few derivatives.
 
     Raises:
-        ModelError: It has not.
+        ModelError: A derivative is missing.
     """
     try:
         yield
@@ -199,17 +200,17 @@ def _derived() -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """The functions phi^0 = h, ..., phi^(r-1), whose last derivative has the input.
+    """The functions phi^0 = h, ..., phi^(r-1); the input enters the last one's rate.
 
-    Each is the last one's rate along the extended drift and lambda times it (E3); of a
-    robust chain less the worst that a bounded disturbance does to it (E8). The plain
+    Each is the previous one's rate along the extended drift plus lambda times it (E3);
+    a robust chain subtracts the worst case of a bounded disturbance (E8). The plain
     chain is the robust one with the bound 0.
 
     Attributes:
-        formula: What it was derived from.
+        formula: The formula that it was derived from.
         levels: phi^0, ..., phi^(r-1).
-        constants: What they depend on beside x and t: the decay rates lambda_i, of a
-            robust chain the bound and the smoothing, the parameters.
+        constants: The numbers that they depend on beside x and t: the decay rates
+            lambda_i, the bound and the smoothing of a robust chain, the parameters.
     """
 
     formula: Formula
@@ -223,7 +224,7 @@ class Chain:
         """Derives the chain.
 
         Raises:
-            ModelError: The barrier has not as many derivatives.
+            ModelError: The barrier has too few derivatives.
         """
         dynamics, robust = formula.dynamics, formula.robust
         rates = _nodes("lambda", formula.order)
@@ -261,9 +262,9 @@ class Chain:
         """Returns a function of x, t and the constants.
 
         Args:
-            outputs: What it returns.
+            outputs: The outputs of the function.
             name: Its name.
-            variables: What it takes in the place of x.
+            variables: The variables that replace x.
         """
         x = variables or self.formula.dynamics.x
         return compile_nodes([*x, TIME, *self.constants], outputs, name)
@@ -277,7 +278,7 @@ class Chain:
 
     @cached_property
     def written(self) -> NDArray[np.bool_]:
-        """Whether each channel is in the formula of each level's rate, (r, m + q)."""
+        """Whether each level's rate contains each channel, shape (r, m + q)."""
         dynamics = self.formula.dynamics
         rates = [
             [*dynamics.input_rates(level), *dynamics.disturbance_rates(level)]
@@ -310,11 +311,11 @@ def compiled_chain(
 
     Args:
         formula: The barrier's.
-        moving: x of `row` and `gradient`: the state, or how outputs of it move.
-        of_h: x of `value`.
+        moving: The x of `row` and `gradient`: the state, or the jets of its outputs.
+        of_h: The x of `value`.
 
     Raises:
-        ModelError: The barrier has not as many derivatives.
+        ModelError: The barrier has too few derivatives.
     """
     chain = Chain.of(formula)
     entries = chain.row()

@@ -1,4 +1,4 @@
-"""Compiled barriers and limits beside the functions that a user wrote, in numbers."""
+"""Numerical comparison of compiled barriers and limits with the user's functions."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ def require_same_numbers(
     model: ControlAffineModel,
     compiled: Iterable[tuple[Barrier | StateInputLimit, RowFunctions]],
 ) -> None:
-    """Compares what was compiled of each barrier with its ``function(x, t, p)``.
+    """Compares each compiled barrier with its ``function(x, t, p)``.
 
     Args:
         model: The plant.
         compiled: Barriers and limits, each with its functions.
 
     Raises:
-        ModelError: One of them has other numbers; the message names it.
+        ModelError: A compiled barrier differs from its function; the message names it.
     """
     formulas, vectors = set(), set()
     for barrier, functions in compiled:
@@ -82,12 +82,12 @@ def _compare(
 
 
 def _written(barrier: Barrier | StateInputLimit, x: Array, t: float) -> list[Any]:
-    """The numbers of ``function(x, t, p)`` itself: h, or a limit's row and bound."""
+    """The values of ``function(x, t, p)`` itself: h, or a limit's row and bound."""
     function, p = barrier.function, barrier.parameters
     try:
         values = function(np.array(x), np.float64(t), np.array(p))
     except (AttributeError, TypeError, RuntimeError):
-        # It takes expressions only. Those without a variable are numbers at each step.
+        # The function takes expressions only; without variables they are numbers.
         values = function(as_expressions(x), Expression(t), as_expressions(p))
     if isinstance(barrier, Barrier):
         return [np.asarray(values, dtype=object).item()]

@@ -18,8 +18,8 @@ def carried(formula: BarrierFunction, size: int, order: int) -> BarrierFunction:
     """Returns h(position - c(t), t, p) with p = (formula's, t0, coefficients of c).
 
     Args:
-        formula: A shape's.
-        size: In how many dimensions.
+        formula: The formula of a shape.
+        size: The number of dimensions.
         order: The degree of the polynomial c in t - t0.
     """
 
@@ -37,14 +37,14 @@ def carried(formula: BarrierFunction, size: int, order: int) -> BarrierFunction:
 
 @dataclass(frozen=True)
 class Followed:
-    """What changes a `carried` barrier whose shape is where a trajectory is.
+    """The parameters of a `carried` barrier whose shape follows a trajectory.
 
-    At each tick the trajectory is its Taylor polynomial there (E13): place, velocity,
-    acceleration and as many derivatives as rows and their gradients have, so these are
-    exact at the tick, whatever the trajectory is made of.
+    At each tick the trajectory is replaced by its Taylor polynomial (E13), with every
+    derivative that the rows and their gradients contain, so these are exact at the tick
+    for any trajectory.
 
     Attributes:
-        trajectory: Of the shape's place, in k dimensions.
+        trajectory: The trajectory of the shape's position, in k dimensions.
         order: The degree of the polynomial.
         fixed: The shape's own parameters.
     """
@@ -54,7 +54,7 @@ class Followed:
     fixed: tuple[float, ...]
 
     def parameters_at(self, t: float, obstacles: Array | None) -> tuple[float, ...]:
-        """Returns the parameters; before its start and after its end it stands."""
+        """Returns the parameters; outside its interval the trajectory is at rest."""
         trajectory, start = self.trajectory, self.trajectory.start_time()
         within = start <= t <= trajectory.end_time()
         place = trajectory.value(min(max(t, start), trajectory.end_time()))

@@ -1,4 +1,4 @@
-"""Limits: of one state, and of the input as the state has it."""
+"""Limits of one state, and limits of the input that depend on the state."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class StateInputLimit:
         function: ``function(x, t, p)`` returns the row (m,) and its bound, symbolic in
             the state x (n,), the time t [s] and the parameters p (k,).
         parameters: The values of p, shape (k,).
-        name: What error messages and logs call it.
+        name: Its name in error messages and logs.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class StateInputLimit:
 
 
 class EarlyInputLimit(StateInputLimit):
-    """What keeps a level of a barrier's chain that an input enters early (E8a).
+    """The limit for a level of a barrier's chain that an input enters early (E8a).
 
     `BarrierSet` makes it where the relative degree of a barrier is mixed.
 
@@ -60,7 +60,7 @@ class EarlyInputLimit(StateInputLimit):
     """
 
     def __init__(self, barrier: Barrier, level: int, row: int) -> None:
-        """Takes a barrier, the number of a derivative, and the barrier's row."""
+        """Stores a barrier, the number of a derivative, and the barrier's row."""
         name = f"{barrier.name} (derivative {level})"
         super().__init__(_no_function, barrier.parameters, name)
         self.barrier, self.level, self.row = barrier, level, row
@@ -89,10 +89,10 @@ def ackermann_limit(
     Args:
         curvature: One over the radius of the smallest circle [1/m].
         smoothing_speed: Positive [m/s].
-        speed_state: Which state is the speed v [m/s].
-        turn_rate_input: Which input is the turn rate omega [rad/s].
-        num_inputs: How many inputs the model has.
-        name: What error messages and logs call it.
+        speed_state: The index of the speed v [m/s].
+        turn_rate_input: The index of the turn rate omega [rad/s].
+        num_inputs: The number of inputs of the model.
+        name: Its name in error messages and logs.
 
     Raises:
         ValueError: The curvature or the smoothing speed is not positive and finite,
@@ -135,7 +135,7 @@ def _turn_rate_limit(
 class StateLimit:
     """The range ``lower <= x_i <= upper`` of one state, such as a speed or a height.
 
-    One smooth barrier a side, in the state's unit::
+    One smooth barrier per side, in the state's unit::
 
         h = x_i - lower,    h = upper - x_i
 
@@ -168,11 +168,11 @@ class StateLimit:
     def barriers(
         self, gains: Sequence[float] | Array | None = None, name: str = "state limit"
     ) -> list[Barrier]:
-        """Returns one barrier a side.
+        """Returns one barrier per side.
 
         Args:
             gains: K of (E4) in place of the limit's own.
-            name: What error messages and logs call it; "low" or "high" is added.
+            name: Its name in error messages and logs; "low" or "high" is added.
 
         Raises:
             ValueError: Bad gains, or the state is a name.

@@ -1,7 +1,8 @@
-"""Rows of barriers on a MultibodyPlant: functions of outputs that Drake moves.
+"""Barrier rows on a MultibodyPlant: functions of outputs that Drake evaluates.
 
-To a barrier the plant is a chain of integrators, of its outputs (E14, rows of outputs)
-or of these and their rates (E15, rows of their rates), driven by numbers of the state.
+For a barrier the plant is a chain of integrators of its outputs (E14, rows of outputs),
+or of these and their rates (E15, rows of their rates), whose inputs are numbers that
+depend on the state.
 """
 
 from __future__ import annotations
@@ -35,11 +36,11 @@ from vcbf_drake.model.outputs import (
 
 @dataclass(frozen=True)
 class MultibodyRow:
-    """One barrier's numbers at a state, as `RowFunctions` has them.
+    """The functions of one barrier's row at a state, as in `RowFunctions`.
 
     Attributes:
         model: The plant.
-        outputs: z, k of them.
+        outputs: The k outputs z.
         order: The relative degree r, 1 or 2.
         functions: h of (z, t, p), and its row of (jets, t, constants).
     """
@@ -87,8 +88,8 @@ def multibody_row(
 
     Args:
         model: The plant.
-        formula: A function of its positions, velocities and points.
-        points: The points' nodes there.
+        formula: The barrier, a function of positions, velocities and points.
+        points: The nodes of the points in the formula.
         constants: The values of the chain's constants.
 
     Raises:
@@ -139,7 +140,7 @@ def _rows(nodes: Nodes) -> tuple[tuple[Node, ...], ...]:
 def _require_order(
     model: MultibodyModel, outputs: Sequence[Output], order: int
 ) -> None:
-    """Checks that the number of gains is the derivative that forces enter."""
+    """Checks that the number of gains is the derivative order that forces enter."""
     if not outputs:
         raise ModelError(_no_authority(model, order))
     has_velocity = any(

@@ -33,7 +33,7 @@ class Obstacle(SmoothShape):
 
     Attributes:
         center: Its centre at t = 0, shape (k,) with k = 2 or 3 [m].
-        velocity: Shape (k,) [m/s]; None or empty: it stands.
+        velocity: Shape (k,) [m/s]; None or empty for an obstacle at rest.
     """
 
     center: Sequence[float] | Array
@@ -54,7 +54,7 @@ class Obstacle(SmoothShape):
 
     @abstractmethod
     def centered(self) -> tuple[ShapeFunction, list[float]]:
-        """Returns h(z, t, p) of the position z from the centre, and p's values."""
+        """Returns h(z, t, p), for the position z from the centre, and p's values."""
 
     def formula(self) -> tuple[int, ShapeFunction, list[float]]:
         """Returns k, h(position, t, p) with p = (of `centered`, path), and p."""
@@ -65,7 +65,7 @@ class Obstacle(SmoothShape):
 
     @property
     def motion(self) -> Array:
-        """Its centre at t = 0 and its velocity, shape (2, k) [m, m/s]."""
+        """The centre at t = 0 and the velocity, shape (2, k) [m, m/s]."""
         center = np.array(self.center, dtype=float)
         is_given = self.velocity is not None and len(self.velocity)
         return np.array([center, self.velocity if is_given else 0.0 * center])
@@ -94,7 +94,8 @@ class SphereObstacle(Obstacle):
     Attributes:
         center: The centre at t = 0, shape (k,) with k = 2 or 3 [m].
         radius: The obstacle's own radius [m].
-        velocity: The centre's velocity, shape (k,) [m/s]; None or empty: it stands.
+        velocity: The centre's velocity, shape (k,) [m/s]; None or empty for an obstacle
+            at rest.
         margin: Distance to keep from the obstacle's surface [m].
         form: "distance" or "squared"; None for "distance", in a scenario for the form
             of its other spheres (`barrier.form`).
@@ -155,9 +156,10 @@ class EllipsoidObstacle(Obstacle):
     Attributes:
         center: The centre at t = 0, shape (k,) with k = 2 or 3 [m].
         semi_axes: a, shape (k,) [m].
-        rotation: R, whose columns are the axes' directions, shape (k, k); None: they
-            are the coordinate axes.
-        velocity: The centre's velocity, shape (k,) [m/s]; None or empty: it stands.
+        rotation: R, whose columns are the axes' directions, shape (k, k); None for the
+            coordinate axes.
+        velocity: The centre's velocity, shape (k,) [m/s]; None or empty for an obstacle
+            at rest.
         margin: The distance to keep from the surface, at least [m].
     """
 
@@ -215,9 +217,10 @@ class BoxObstacle(Obstacle):
     Attributes:
         center: The centre at t = 0, shape (k,) with k = 2 or 3 [m].
         half_widths: a, shape (k,); 0 for a plate [m].
-        rotation: R, whose columns are the box's own axes, shape (k, k); None: they are
-            the coordinate axes.
-        velocity: The centre's velocity, shape (k,) [m/s]; None or empty: it stands.
+        rotation: R, whose columns are the box's own axes, shape (k, k); None for the
+            coordinate axes.
+        velocity: The centre's velocity, shape (k,) [m/s]; None or empty for an obstacle
+            at rest.
         margin: The distance to keep from the surface [m].
         smoothing: The length e [m].
     """
@@ -240,7 +243,7 @@ class BoxObstacle(Obstacle):
 
     @property
     def gap(self) -> float:
-        """How much less than the exact distance h is, at most [m]."""
+        """The largest amount by which h is below the exact distance [m]."""
         a = np.asarray(self.half_widths, dtype=float)
         return float(np.linalg.norm(smooth_excess(a, a, self.smoothing)))
 
@@ -280,7 +283,8 @@ class CapsuleObstacle(Obstacle):
         start: One end of the segment at t = 0, shape (k,) with k = 2 or 3 [m].
         end: The other end at t = 0, shape (k,) [m].
         radius: The distance of the surface from the segment [m].
-        velocity: The segment's velocity, shape (k,) [m/s]; None or empty: it stands.
+        velocity: The segment's velocity, shape (k,) [m/s]; None or empty for an
+            obstacle at rest.
         margin: The distance to keep from the surface [m].
         smoothing: The length e [m].
     """
@@ -316,7 +320,7 @@ class CapsuleObstacle(Obstacle):
 
     @property
     def gap(self) -> float:
-        """How much less than the exact distance h is, at most [m]."""
+        """The largest amount by which h is below the exact distance [m]."""
         a = self.half_length
         return float(smooth_excess(a, a, self.smoothing))
 
@@ -349,7 +353,7 @@ def rotation_matrix(
     Args:
         rotation: R, or None for the identity.
         size: The number k of dimensions.
-        name: What it turns, for the error message.
+        name: The name of the shape, for the error message.
 
     Raises:
         ValueError: It has another shape, or its columns are not orthonormal.

@@ -1,4 +1,4 @@
-"""Spheres that perception reports while the filter runs."""
+"""Spheres that perception reports at every tick."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ class PerceivedSpheres:
 
     * valid = 1: a sphere. Its barrier is that of a `SphereObstacle` which is there now
       and keeps its velocity; rows and volume row include that motion (E2).
-    * valid = 0: nothing, whatever else is in the slot. It has no part in the tick.
-    * Anything else, a negative radius, or a number of a valid slot that is not finite:
-      the slot's row is nan, and the filter answers with `FilterStatus.FAILED`.
+    * valid = 0: an empty slot, whatever its other numbers. It has no part in the tick.
+    * Any other `valid`, a negative radius, or a number of a valid slot that is not
+      finite: the slot's row is nan, and the filter answers with `FilterStatus.FAILED`.
 
     Source: ours.
 
     Attributes:
-        capacity: How many slots there are.
-        dimensions: k, 2 or 3.
+        capacity: The number of slots.
+        dimensions: The number k of dimensions, 2 or 3.
         form: "distance" or "squared", as in `SphereObstacle`.
         margin: The distance to keep from every surface [m].
     """
@@ -58,7 +58,7 @@ class PerceivedSpheres:
 
     @property
     def slot_size(self) -> int:
-        """How many numbers a slot has."""
+        """The number of numbers in a slot."""
         return 2 * self.dimensions + 2
 
     @property
@@ -73,16 +73,17 @@ class PerceivedSpheres:
         position: Position | None = None,
         name: str = "perceived",
     ) -> list[Barrier]:
-        """Returns one barrier a slot.
+        """Returns one barrier per slot.
 
         Args:
             gains: K of (E4); their number is the relative degree.
-            position: Which states are the position, or a function from the symbolic
-                state x to it; None where the plant says it.
-            name: What error messages and logs call it; the slot's number is added.
+            position: The indices of the position, or a function from the symbolic state
+                x to it; None for the position that the plant names.
+            name: Its name in error messages and logs; the slot's number is added.
 
         Raises:
-            ValueError: `position` has not one index a dimension, or bad gains.
+            ValueError: `position` has not one index per dimension, or the gains are
+                invalid.
         """
         barriers = [
             self._example().barrier(gains, position, f"{name} {i}")
@@ -96,7 +97,7 @@ class PerceivedSpheres:
     def pack(
         self, centers: ArrayLike, velocities: ArrayLike, radii: ArrayLike
     ) -> Array:
-        """Returns what to write to the port for n obstacles, shape (size,).
+        """Returns the value of the port for n obstacles, shape (size,).
 
         Args:
             centers: Shape (n, k) [m].
@@ -121,18 +122,18 @@ class PerceivedSpheres:
         return slots.ravel()
 
     def _example(self) -> SphereObstacle:
-        """A sphere in a slot; its velocity only says that they move."""
+        """An example of a slot's sphere, with a velocity, since the sphere may move."""
         zero, one = np.zeros(self.dimensions), np.ones(self.dimensions)
         return SphereObstacle(zero, 1.0, one, self.margin, self.form)
 
 
 @dataclass(frozen=True)
 class Slot:
-    """What changes the barrier of one slot.
+    """The parameters of the barrier of one slot.
 
     Attributes:
-        spheres: What the slot is one of.
-        number: Which, from 0.
+        spheres: The spheres that the slot belongs to.
+        number: The slot's number, from 0.
     """
 
     spheres: PerceivedSpheres

@@ -1,4 +1,4 @@
-"""Polygons in the plane to stay clear of, convex or not."""
+"""Polygonal obstacles in the plane, convex or not."""
 
 from __future__ import annotations
 
@@ -24,16 +24,17 @@ _Piece = list[int]  # Indices of vertices, anticlockwise.
 class PolygonObstacle(SmoothShape):
     """A polygon in the plane, or a pillar of that outline in space; convex or not.
 
-    A convex one is left where the position is beyond one of its sides: with the outward
-    unit normals n_i and the offsets o_i, the barrier is the smooth maximum (E12)::
+    A position is outside a convex polygon if it is beyond one of its sides: with the
+    outward unit normals n_i and the offsets o_i, the barrier is the smooth maximum
+    (E12)::
 
         h = smooth max_i (n_i . p - o_i) - margin    [m]
 
-    Any other is cut into convex pieces, whose smooth minimum (E11) is the barrier; or
-    each has its own, by `barriers`, which loses nothing where two of them meet. h is
-    smooth everywhere and conservative: outside it never exceeds the distance to the
-    polygon less the margin, and inside it is negative. Relative degree 2 for a position
-    that forces accelerate (`Car`). Source: ours.
+    A polygon that is not convex is cut into convex pieces, whose smooth minimum (E11)
+    is the barrier. `barriers` gives each piece its own, which is exact where two of
+    them meet. h is smooth everywhere and conservative: outside it never exceeds the
+    distance to the polygon less the margin, and inside it is negative. Relative degree
+    2 for a position that forces accelerate (`Car`). Source: ours.
 
     Attributes:
         vertices: In order, either way round, shape (n, 2) [m].
@@ -70,7 +71,7 @@ class PolygonObstacle(SmoothShape):
 
     @property
     def pieces(self) -> list[Array]:
-        """Convex polygons that make it up, anticlockwise, shapes (n_i, 2)."""
+        """The convex pieces of the polygon, anticlockwise, shapes (n_i, 2)."""
         corners = _anticlockwise(np.array(self.vertices, dtype=float))
         if _is_convex(corners):
             return [corners]
@@ -112,7 +113,7 @@ def _sides(piece: Array) -> Array:
 
 
 def _turn(a: Array, b: Array, c: Array) -> float:
-    """Twice the area of a triangle; positive anticlockwise."""
+    """Twice the area of a triangle, positive if anticlockwise."""
     (x, y), (u, v) = b - a, c - a
     return float(x * v - y * u)
 
@@ -175,7 +176,7 @@ def _holds(a: Array, b: Array, c: Array, p: Array) -> bool:
 
 
 def _merged(corners: Array, pieces: list[_Piece]) -> list[_Piece]:
-    """Joins neighbours as long as what they make is convex (Hertel and Mehlhorn)."""
+    """Joins neighbours as long as their union is convex (Hertel and Mehlhorn)."""
     pieces = list(pieces)
     while True:
         for first, second in combinations(pieces, 2):

@@ -1,4 +1,4 @@
-"""Which derivative of a barrier each input and each disturbance enters first."""
+"""Relative degree: the first derivative of h that each input and disturbance enters."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from vcbf_drake.errors import ModelError
 from vcbf_drake.model.control_affine import ControlAffineModel
 
 _NUM_SAMPLES = 8
-_SEARCHED_BEYOND = 2  # How many more derivatives an error message looks at.
+_SEARCHED_BEYOND = 2  # Further derivatives that an error message considers.
 
 
 def early_levels(
@@ -24,14 +24,15 @@ def early_levels(
 ) -> tuple[int, ...]:
     """Returns which derivatives of h below the last an input enters (E8a).
 
-    None in general. One input at least must be left to which the last is the first; the
-    disturbance must come no earlier than that, unless the chain is robust (R2), (E8).
+    In general there are none. At least one input must enter the r-th derivative first;
+    the disturbance must enter no earlier than that, unless the chain is robust (R2),
+    (E8).
 
     Args:
         model: The plant.
         chain: phi^0, ..., phi^(r-1).
-        barrier: What it was derived from.
-        part: The part of the plant that the chain is about.
+        barrier: The barrier of the chain.
+        part: The part of the plant that the chain depends on.
 
     Raises:
         ModelError: All inputs enter earlier or later, or the disturbance earlier.
@@ -100,7 +101,7 @@ def _entered(
 ) -> NDArray[np.bool_]:
     """Returns which channel enters the derivative of which level, (r, m + q).
 
-    It does not where its formula is zero, or else where it is at every sample, up to
+    A channel does not enter where its formula is zero, or is zero at every sample up to
     rounding. Where no sample can be evaluated, the formula alone decides.
     """
     slopes, n = chain.slopes, model.num_states

@@ -1,4 +1,4 @@
-"""The rows that barriers put on the input: their numbers, and what computes them."""
+"""Barrier rows: their numbers, and the functions that compute them."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ from vcbf_drake.model.multibody_model import MultibodyModel
 class BarrierRows:
     """N rows ``A u <= b + w d`` and their derivatives by xbar = [x; t], read-only.
 
-    Few rows touch the ellipsoid at a time, and most of a row's numbers are its
-    derivatives: they are evaluated when they are asked for.
+    Few rows touch the ellipsoid at a time, and most of a row's numbers are derivatives:
+    these are evaluated on demand.
 
     Rows of a barrier are (E7), (E45); rows of a limit on the input have w = 0 and no
     value. A row is not finite where its barrier is singular.
@@ -51,7 +51,7 @@ class BarrierRows:
         num_states: n.
         gradients: ``gradients(rows)`` returns the derivatives of the entries [A, b, w]
             of the rows with these indices, shape (len(rows), m + 1 + q, n + 1).
-        early: Which rows keep an early level: no input satisfies them, too (E8a).
+        early: Which rows keep an early level; the zero input satisfies them (E8a).
     """
 
     value: Array
@@ -88,7 +88,7 @@ class BarrierRows:
         Infinite for the rows of early levels, which need not be moved.
 
         Args:
-            scale: What counts as one of each input, shape (m,).
+            scale: The unit of each input, shape (m,).
         """
         authority: Array = np.linalg.norm(self.A * scale, axis=1)
         authority[list(self.early)] = np.inf
@@ -116,16 +116,17 @@ class RowsAlong(NamedTuple):
 
 @dataclass(frozen=True)
 class RowFunctions:
-    """One barrier's or limit's numbers as functions of plain floats.
+    """The row of one barrier or limit as functions of plain floats.
 
     Attributes:
         row: ``row(*x, t, *constants)`` returns a flat list: the entries [A, b, w]
             (m + 1 + q), then for a barrier phi^0, ..., phi^(r-1).
         gradient: ``gradient(*x, t, *constants)`` returns the entries' derivatives by
             [x; t] in C order.
-        constants: What follows x and t: decay rates and the like, then parameters.
+        constants: The arguments after x and t: decay rates and the like, then
+            parameters.
         value: ``value(*x, t, *parameters)`` returns [h]; [] for a limit.
-        parameters: What follows x and t there.
+        parameters: The arguments of `value` after x and t.
         relative_degree: r; 0 for a limit.
         early_levels: Which derivatives of h below the r-th an input enters (E8a).
     """
@@ -187,10 +188,10 @@ def early_functions(model: ControlAffineModel, limit: EarlyInputLimit) -> RowFun
 
 
 def barrier_formula(model: ControlAffineModel, barrier: Barrier) -> Formula:
-    """Returns what a barrier's rows are derived from.
+    """Returns the formula that a barrier's rows are derived from.
 
     Raises:
-        ModelError: Its function returns no formula.
+        ModelError: The barrier's function returns no formula.
     """
     return _read(model, barrier)[1]
 
@@ -247,7 +248,7 @@ def limit_functions(model: ControlAffineModel, limit: StateInputLimit) -> RowFun
 def _compile_limit(
     entries: tuple[Node, ...], dynamics: Dynamics, constants: tuple[Node, ...]
 ) -> ChainFunctions:
-    """Returns the functions of a row that has no chain, and so no value."""
+    """Returns the functions of a row without a chain, which has no value."""
     no_disturbance = map(number, np.zeros(len(dynamics.E[0])))
     outputs, xbar = [*entries, *no_disturbance], [*dynamics.x, TIME]
     slopes, arguments = gradients(outputs, xbar), [*xbar, *constants]

@@ -1,4 +1,4 @@
-"""Shapes in space, of which each makes barriers for a position."""
+"""Shapes in space, and their barriers for a position."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ _AXES = "xyz"
 
 
 class Shape(ABC):
-    """What a position keeps clear of, or inside, by a margin.
+    """A shape that a position stays outside of, or inside, by a margin.
 
     Attributes:
-        kind: What its barriers are called.
+        kind: The name of its barriers.
         margin: The distance to keep from its surface [m].
     """
 
@@ -42,16 +42,16 @@ class Shape(ABC):
 
     @abstractmethod
     def parts(self) -> Mapping[str, SmoothShape]:
-        """Returns its smooth parts, by what is put behind the shape's name."""
+        """Returns its smooth parts, by the suffix of each part's name."""
 
     @property
     def dimensions(self) -> int:
-        """In how many dimensions it is."""
+        """The number of dimensions."""
         return next(iter(self.parts().values())).formula()[0]
 
     @property
     def moves(self) -> bool:
-        """Whether it moves at all."""
+        """Whether it moves."""
         return False
 
     @typed
@@ -61,18 +61,19 @@ class Shape(ABC):
         position: Position | None = None,
         name: str | None = None,
     ) -> list[Barrier]:
-        """Returns its barriers h >= 0, one each of its smooth parts.
+        """Returns the barriers h >= 0 of its smooth parts.
 
         Args:
             gains: K of (E4); their number is the relative degree.
-            position: Which states are the position, or a function from the symbolic
-                state x to it; None where the plant says it (`Blimp`, `Car`, plants
-                whose states are called x, y and z).
-            name: What error messages and logs call it; None for the kind of shape. What
-                tells its parts apart is put behind it.
+            position: The indices of the position, or a function from the symbolic state
+                x to it; None for the position that the plant names (`Blimp`, `Car`,
+                plants whose states are called x, y and z).
+            name: Its name in error messages and logs, followed by the suffix of a part;
+                None for the kind of shape.
 
         Raises:
-            ValueError: `position` has not one index a dimension, or bad gains.
+            ValueError: `position` has not one index per dimension, or the gains are
+                invalid.
         """
         return [
             part.barrier(gains, position, f"{name or self.kind}{end}")
@@ -127,12 +128,12 @@ class SmoothShape(Shape):
     ) -> Barrier:
         """Returns the barrier of the shape, carried along a Drake `Trajectory`.
 
-        The trajectory's value is added to the shape's own place. Between ticks its rows
-        cannot be certified.
+        The trajectory's value is added to the shape's own position. Between ticks its
+        rows cannot be certified.
 
         Args:
             trajectory: (k, 1), with as many derivatives as there are gains and one more
-                (PiecewisePolynomial, BsplineTrajectory, ...) [m]; the shape stands
+                (PiecewisePolynomial, BsplineTrajectory, ...) [m]; the shape is at rest
                 before its start and after its end.
             gains: As for `barriers`, like position and name.
             position: Likewise.
@@ -140,7 +141,7 @@ class SmoothShape(Shape):
 
         Raises:
             ValueError: A trajectory of other dimensions or without derivatives,
-                `position` has not one index a dimension, or bad gains.
+                `position` has not one index per dimension, or the gains are invalid.
         """
         size, formula, parameters = self.formula()
         name = name or self.kind
@@ -165,7 +166,7 @@ def _barrier(
     position: Position | None,
     name: str,
 ) -> Barrier:
-    """The barrier of a formula of the position: the plant's, or one that is given."""
+    """The barrier of a formula of the plant's position, or of a given position."""
     if position is None:
         return Barrier(formula, gains, parameters, name, of_position=size)
     at = position_function(position, size, name)
@@ -263,7 +264,7 @@ def _half_space(position: Expressions, t: Expression, p: Expressions) -> Express
 class Geofence(Shape):
     """The box ``lower <= p <= upper`` that the position p must stay in.
 
-    One `HalfSpace` a side, so one smooth barrier a side::
+    One `HalfSpace` per side, each with one smooth barrier::
 
         h = p_i - lower_i - margin,    h = upper_i - p_i - margin    [m]
 
@@ -304,7 +305,7 @@ class Geofence(Shape):
 
     @property
     def half_spaces(self) -> dict[str, HalfSpace]:
-        """Its sides: "x low", "x high", "y low" and so on; open ones are left out."""
+        """Its sides "x low", "x high", "y low" and so on, without the open ones."""
         axes = np.eye(len(self.lower))
         sides = {}
         for letter, axis, low, high in zip(
@@ -323,7 +324,7 @@ class Geofence(Shape):
 
 @dataclass(frozen=True)
 class PairDistance:
-    """Two positions p and q of one stacked state that keep a distance D.
+    """The minimum distance D of two positions p and q in one stacked state.
 
     Its barrier is::
 
@@ -354,13 +355,13 @@ class PairDistance:
         second: Sequence[int],
         name: str = "pair",
     ) -> Barrier:
-        """Returns the barrier that keeps the two apart.
+        """Returns the barrier of the distance.
 
         Args:
             gains: K of (E4); their number is the relative degree.
-            first: Which states are the position p.
-            second: Which states are the position q, as many.
-            name: What error messages and logs call it.
+            first: The indices of the position p.
+            second: The indices of the position q, as many.
+            name: Its name in error messages and logs.
 
         Raises:
             ValueError: The two positions are not of one size, or the same, or bad

@@ -1,4 +1,4 @@
-"""The robot among many that a barrier is about: its formula is derived once for all."""
+"""The subsystem that a barrier depends on: equal robots share one derivation."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from vcbf_drake.model.graph import ZERO, Node, substitute, variable, variables_o
 
 @dataclass(frozen=True)
 class PlacedFunction:
-    """A function of a few states as one of the plant's, whose other numbers are 0.
+    """A function of a subsystem, extended by zeros to a function of the plant.
 
     Attributes:
-        inner: The function of the few.
-        states: Which of the plant's they are.
-        num_states: How many the plant has.
-        places: Where the inner function's numbers are among those of this one.
-        size: How many numbers this one returns.
+        inner: The function of the subsystem.
+        states: The indices of its states in the plant.
+        num_states: The number of states of the plant.
+        places: The indices of the inner function's numbers in the result.
+        size: The number of numbers in the result.
     """
 
     inner: CompiledFunction
@@ -44,7 +44,7 @@ class PlacedFunction:
 
 @dataclass(frozen=True)
 class Subsystem:
-    """The states of a plant that a barrier's chain depends on, and what moves them.
+    """The states that a barrier's chain depends on, with the channels that enter them.
 
     Attributes:
         states: Their indices.
@@ -60,8 +60,8 @@ class Subsystem:
     def of(formula: Formula) -> tuple[Formula, Subsystem]:
         """Returns a formula of the subsystem's own states, and the subsystem.
 
-        Robots that are alike have the same. Where it is more than half of the plant, or
-        nothing, it is the plant.
+        Equal robots have equal formulas. A subsystem of more than half of the plant, or
+        of no state, is replaced by the plant.
         """
         x, f, g, E = formula.dynamics
         n, m, q = len(x), len(g[0]), len(E[0])
@@ -105,7 +105,7 @@ class Subsystem:
 
         Args:
             functions: A row, its gradient and its value.
-            levels: How many levels of a chain follow the row's entries.
+            levels: The number of levels of the chain that follow the row's entries.
         """
         n, m, q = self.shape
         if len(self.states) == n:

@@ -1,4 +1,4 @@
-"""Several barriers in one: all of them, or any of them, smoothly."""
+"""Smooth minimum and maximum of several barriers."""
 
 from __future__ import annotations
 
@@ -14,36 +14,37 @@ from vcbf_drake.model.compiled import Expressions
 
 
 def all_of(barriers: Sequence[Barrier], smoothing: float, name: str = "all") -> Barrier:
-    """Returns one barrier that is positive only where all are: a smooth minimum (E11).
+    """Returns the smooth minimum of barriers, positive only where all are (E11).
 
-    Clear of a union of obstacles, by one row. It is below each h, by at most half the
-    smoothing for two of them, and half more each time their number doubles.
+    It keeps clear of a union of obstacles by one row. It is below each h: two barriers
+    differ from the exact minimum by at most half the smoothing, and each doubling of
+    their number adds another half.
 
     Args:
         barriers: At least one, of the same gains; without parameters that change.
         smoothing: The length e over which two of them blend, in the unit of h.
-        name: What error messages and logs call it.
+        name: Its name in error messages and logs.
 
     Raises:
-        ValueError: Nothing to combine, other gains, or a smoothing that is not above 0.
+        ValueError: There is no barrier, gains differ, or the smoothing is not positive.
     """
     return _combined(barriers, smoothing, name, smooth_minimum)
 
 
 def any_of(barriers: Sequence[Barrier], smoothing: float, name: str = "any") -> Barrier:
-    """Returns one barrier that is positive only where one is: a smooth maximum (E12).
+    """Returns the smooth maximum of barriers, positive only where one of them is (E12).
 
-    Inside a union of rooms, or outside a polygon. It is never above the greatest h, and
-    below it by at most half the smoothing for two of them, and half more each time
-    their number doubles.
+    It keeps inside a union of rooms, or outside a polygon. It is never above the
+    greatest h: for two barriers it is below by at most half the smoothing, and each
+    doubling of their number adds another half.
 
     Args:
         barriers: At least one, of the same gains; without parameters that change.
         smoothing: The length e over which two of them blend, in the unit of h.
-        name: What error messages and logs call it.
+        name: Its name in error messages and logs.
 
     Raises:
-        ValueError: Nothing to combine, other gains, or a smoothing that is not above 0.
+        ValueError: There is no barrier, gains differ, or the smoothing is not positive.
     """
     return _combined(barriers, smoothing, name, smooth_maximum)
 
@@ -59,7 +60,7 @@ def smooth_maximum(a: Any, b: Any, smoothing: Any) -> Any:
 
 
 def in_pairs(values: Sequence[Any], smoothing: Any, combine: Any) -> Any:
-    """Combines values two by two, then the results, which keeps the error least."""
+    """Combines values in pairs, then the results, which keeps the error small."""
     values = list(values)
     while len(values) > 1:
         pairs = [values[i : i + 2] for i in range(0, len(values), 2)]

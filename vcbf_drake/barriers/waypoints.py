@@ -1,4 +1,4 @@
-"""Obstacles that go from waypoint to waypoint."""
+"""Obstacles that move along waypoints."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ CarriedShape: TypeAlias = (
 
 @dataclass
 class MovingObstacle(Shape):
-    """A shape that goes from waypoint to waypoint, along a cubic spline.
+    """A shape that moves along waypoints, on a cubic spline.
 
-    It stands before the first and after the last of them. Its velocity is continuous,
-    its acceleration between the two.
+    It is at rest before the first and after the last of them. Its velocity is
+    continuous everywhere, its acceleration in between.
 
     Attributes:
         shape: The shape, without a velocity of its own.
@@ -61,16 +61,16 @@ class MovingObstacle(Shape):
 
     @property
     def kind(self) -> str:  # type: ignore[override]
-        """What its barriers are called."""
+        """The name of its barriers."""
         return self.shape.kind
 
     @property
     def moves(self) -> bool:
-        """Whether it moves at all: it does."""
+        """True: it moves."""
         return True
 
     def parts(self) -> Mapping[str, SmoothShape]:
-        """Returns the shape's parts at their own places."""
+        """Returns the shape's parts at their own positions."""
         return self.shape.parts()
 
     def grown(self, distance: float) -> MovingObstacle:
@@ -89,7 +89,7 @@ class MovingObstacle(Shape):
         position: Position | None = None,
         name: str | None = None,
     ) -> list[Barrier]:
-        """Returns its barriers, one each of its parts; see `Shape`."""
+        """Returns the barriers of its parts; see `Shape`."""
         path = self.trajectory()
         return [
             part.barrier_along(path, gains, position, f"{name or self.kind}{end}")
@@ -97,14 +97,14 @@ class MovingObstacle(Shape):
         ]
 
     def trajectory(self) -> PiecewisePolynomial:
-        """Returns how far it is from its own place, (k, 1) [m], at rest at its ends."""
+        """Returns its displacement as a trajectory, (k, 1) [m], at rest at both ends."""
         rest = np.zeros(self.dimensions)
         return PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
             self.times, np.transpose(self.waypoints), rest, rest
         )
 
     def offset_at(self, time: float) -> Array:
-        """Returns how far it is from its own place at a time [s], shape (k,) [m]."""
+        """Returns its displacement at a time [s], shape (k,) [m]."""
         start, end = self.times[0], self.times[-1]
         offset: Array = self.trajectory().value(min(max(time, start), end)).ravel()
         return offset

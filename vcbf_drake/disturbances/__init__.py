@@ -1,4 +1,4 @@
-"""What pushes the plant, and what estimates the push."""
+"""Disturbance signals and disturbance observers."""
 
 from vcbf_drake.disturbances.bounds import (
     Condition,

@@ -1,4 +1,4 @@
-"""What is known about a disturbance, and about an estimate of it."""
+"""Bounds of a disturbance, and its estimate with an error bound."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 from vcbf_drake.checks import Array
 from vcbf_drake.typed import Checked, NotNegative
 
-# What a bound of an estimate's error rests on: a ``proven`` inequality for exact
-# measurements; nothing but |d| <= delta1, also proven (``worst case``); formulas that
-# simulations ``calibrated``; or the ``published`` inequality, false in sampled time.
+# The basis of an error bound: a ``proven`` inequality for exact measurements; only |d|
+# <= delta1, also proven (``worst case``); formulas that simulations ``calibrated``; or
+# the ``published`` inequality, false in sampled time.
 Basis = Literal["proven", "worst case", "calibrated", "published"]
 
 
@@ -40,9 +40,9 @@ class ErrorBound:
     """A bound of an estimate's error, ``amplitude exp(-rate t) + floor``.
 
     Attributes:
-        amplitude: What decays [m/s^2].
-        rate: How fast [1/s].
-        floor: What stays [m/s^2].
+        amplitude: The decaying part [m/s^2].
+        rate: Its rate of decay [1/s].
+        floor: The constant part [m/s^2].
     """
 
     amplitude: float
@@ -83,7 +83,7 @@ class DisturbanceEstimate(NamedTuple):
         rate: The known part of d(dhat)/dt, shape (..., q) [m/s^3].
         error_bound: A bound of abs(d - dhat), Euclidean, shape (...) [m/s^2].
         error_bound_rate: Its time derivative, shape (...) [m/s^3].
-        refused_intervals: How many intervals were refused so far, for the measured
+        refused_intervals: The number of intervals refused so far, because the measured
             state jumped or was missing (E43, a jump of the state), shape (...).
         quadrature_error: The largest error of an interval's mean so far (E42), shape
             (...) [m/s^2].

@@ -64,7 +64,7 @@ class LinearDisturbanceObserver(DisturbanceObserver):
             model: Gives f, g and E.
             period: Time between measurements [s].
             bounds: delta1, delta2 and delta3 of the disturbance (E16).
-            rate: l, how fast the estimate follows [1/s].
+            rate: l, the rate at which the estimate follows [1/s].
             noise: Standard deviation of the measured disturbed channels [m/s].
             longest_interval: The longest time between measurements that is bridged,
                 and that the bound is for, whatever shorter ones come [s]. By default

@@ -1,4 +1,4 @@
-"""What disturbance observers share: ports, memory, and what an interval tells."""
+"""Disturbance observers: their ports, memory and mean disturbance of an interval."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from vcbf_drake.disturbances.bounds import (
 )
 from vcbf_drake.model import ControlAffineModel
 
-# By how much an interval's mean may exceed delta1 before it is refused.
+# The amount by which an interval's mean may exceed delta1 before it is refused.
 _EXCEEDED = 1.05
 # Two measurements differ by less than this, in deviations of each, but for one of 10^8.
 _JUMP_SIGMAS = 10.0
-# What rounding and integrators leave of a state, relative.
+# The relative accuracy of a state after rounding and integration.
 _ROUNDING = 1e-9
-# By which share the curvature of f + g u changes within an interval, but for what the
-# plant's own rate makes of it (E42, the mean's quadrature).
+# The share by which the curvature of f + g u changes within an interval, apart from the
+# effect of the plant's own rate (E42, the mean's quadrature).
 _CHANGE = 0.05
-# Of a function's values at both ends and in the middle: its mean, and its bend.
+# Weights of a function's values at both ends and in the middle: mean and bend.
 _SIMPSON = np.array((1.0, 4.0, 1.0)) / 6.0
 _SECOND_DIFFERENCE = np.array((1.0, -2.0, 1.0))
 # Step of the numeric derivative, relative.
@@ -43,12 +43,12 @@ _DIFFERENCE = 1e-6
 
 
 class IntervalMean(NamedTuple):
-    """What the states at both ends of an interval tell of the disturbance in it.
+    """The mean disturbance of an interval, from the states at both of its ends.
 
     Attributes:
-        disturbance: Its mean, shape (q,) [m/s^2].
-        quadrature: How far off that may be, for f + g u is known at a few points only
-            (E42) [m/s^2].
+        disturbance: The mean, shape (q,) [m/s^2].
+        quadrature: The bound of its quadrature error, for f + g u is known at a few
+            points only (E42) [m/s^2].
     """
 
     disturbance: Array
@@ -56,14 +56,15 @@ class IntervalMean(NamedTuple):
 
 
 class _Posterior(NamedTuple):
-    """What an observer knows with the last measurement in.
+    """The state of an observer after the last measurement.
 
     Attributes:
-        memory: Of the observer's kind.
-        since: When the bound began to decay [s]; nan before the first measurement.
-        excess: The size of the estimate then [m/s^2].
+        memory: The memory of the observer's kind.
+        since: The time at which the bound began to decay [s]; nan before the first
+            measurement.
+        excess: The size of the estimate at that time [m/s^2].
         quadrature: The largest error of a mean so far [m/s^2].
-        refused: How many intervals were refused so far.
+        refused: The number of intervals refused so far.
     """
 
     memory: Array
@@ -91,7 +92,7 @@ class DisturbanceObserver(LeafSystem):
     | --- | --- | --- |
     | ``state`` | n | the measured state |
     | ``input`` | m | the input held since the last tick |
-    | ``reset`` | 1 | not 0 at a tick: all that was measured is forgotten there |
+    | ``reset`` | 1 | not 0 at a tick: all measurements are forgotten there |
     | ``estimate`` | 2q + 4 | a `DisturbanceEstimate`, with its error bound |
     | ``disturbance_estimate`` | q | dhat alone, for controllers [m/s^2] |
 
@@ -100,18 +101,17 @@ class DisturbanceObserver(LeafSystem):
     ticks they are as if the next tick were now. They are feedthrough of both inputs:
     `input` has to come from a hold. The first tick only takes the state.
 
-    An interval that begins or ends with a state that is not finite tells nothing, and
-    neither does one whose mean disturbance is beyond what bounds, noise and quadrature
-    allow: the measured state jumped. It is refused: the estimate keeps its value, and
-    the error bound is re-armed, to what is known of an estimate of that size (E43), and
-    decays from there. After a longer interval than `longest_interval`, or when time
-    goes back, the observer begins anew: its estimate is 0 and its error bound is what
-    it was at first. Angles that come round are no jumps, where the model names them
-    (`ControlAffineModel.wrapping_periods`).
+    An interval is refused if it begins or ends with a state that is not finite, or if
+    its mean disturbance exceeds what bounds, noise and quadrature allow, because the
+    measured state jumped. The estimate then keeps its value, and the error bound
+    restarts from the bound for an estimate of that size (E43). After a longer interval
+    than `longest_interval`, or when time goes back, the observer restarts with the
+    estimate 0 and its first error bound. A wrapping angle is no jump if the model names
+    it (`ControlAffineModel.wrapping_periods`).
 
     Attributes:
         bounds: delta1, delta2 and delta3 (E16, bounds of the disturbance).
-        basis: What the error bound rests on; only ``proven`` and ``worst case`` are
+        basis: The basis of the error bound; only ``proven`` and ``worst case`` are
             certain.
         period: Time between measurements [s].
         estimate_gain: How the unknown error drives the estimate [1/s] (E60):
@@ -137,13 +137,14 @@ class DisturbanceObserver(LeafSystem):
         noise: float = 0.0,
         longest_interval: float | None = None,
     ) -> None:
-        """Initialises what all observers share.
+        """Initialises the parts that all observers share.
 
         Args:
             model: Gives f, g and E.
             period: Time between measurements [s].
             bounds: delta1, delta2 and delta3 of the disturbance (E16).
-            memory_size: How many numbers the observer remembers, all 0 at the start.
+            memory_size: The number of numbers that the observer remembers, all 0 at the
+                start.
             error_bound: The bound of its error.
             basis: See the attribute.
             estimate_gain: See the attribute.
@@ -159,7 +160,7 @@ class DisturbanceObserver(LeafSystem):
         self.longest_interval = max(period, longest_interval or math.inf)
         self._model = model
         self.period = period
-        # What is nearer together is one time [s].
+        # Times that are nearer together count as one [s].
         self._instant = 1e-6 * period
         self._error_bound = error_bound
         self._noise = noise
@@ -213,7 +214,7 @@ class DisturbanceObserver(LeafSystem):
         """Returns the inequalities that the error bound rests on.
 
         Args:
-            quadrature: How far off a mean may be [m/s^2].
+            quadrature: The bound of a mean's quadrature error [m/s^2].
         """
         return ()
 
@@ -230,7 +231,7 @@ class DisturbanceObserver(LeafSystem):
 
         Args:
             excess: The size of the estimate at that start [m/s^2].
-            quadrature: How far off a mean may be [m/s^2].
+            quadrature: The bound of a mean's quadrature error [m/s^2].
         """
         raise NotImplementedError
 
@@ -265,7 +266,7 @@ class DisturbanceObserver(LeafSystem):
     def _plausible_mean(
         self, x_0: Array, x_1: Array, u: Array, elapsed: float
     ) -> IntervalMean | None:
-        """Returns an interval's mean; None where nothing or too much was measured."""
+        """Returns an interval's mean disturbance; None for a refused interval."""
         if not (_is_finite(x_0) and _is_finite(x_1)):
             return None
         mean, delta1 = self.mean_disturbance(x_0, x_1, u, elapsed), self.bounds.delta1
@@ -278,7 +279,7 @@ class DisturbanceObserver(LeafSystem):
         return mean if is_plausible and tells_something else None
 
     def _re_armed(self, known: _Posterior, now: float) -> _Posterior:
-        """Keeps the estimate, forgets how good it was (E43)."""
+        """Keeps the estimate and restarts its error bound (E43)."""
         estimate = self._estimate(known.memory)
         return known._replace(
             memory=self._started_at(estimate),

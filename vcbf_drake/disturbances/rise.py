@@ -61,7 +61,7 @@ class ObserverSettings(Checked):
     linear_rate: Positive = 4.0
 
 
-# The shortest interval that is counted on where intervals differ, in periods.
+# The shortest interval assumed where intervals differ, in periods.
 _SHORTEST = 0.9
 
 
@@ -260,7 +260,7 @@ def _resolved(
 ) -> tuple[RiseGains, Intervals]:
     """Returns the gains, and the intervals that their bound is proven for.
 
-    Equal ones if unequal ones do not come, or are not proven.
+    The intervals are equal if unequal ones do not occur, or are not proven.
     """
     even = Intervals(longest, longest)
     uneven = Intervals(_SHORTEST * period, longest) if longest > period else even
@@ -273,7 +273,7 @@ def _resolved(
 
 
 def _refusal(gains: RiseGains, failed: list[Condition]) -> str:
-    """Returns one line on gains whose error bound could not be proven."""
+    """Returns the line that explains why gains have no proven error bound."""
     broken = "; ".join(
         f"{each.name} needs {each.left:.4g} > {each.right:.4g}" for each in failed
     )

@@ -26,7 +26,7 @@ ObserverStep = Literal["implicit", "saturated", "explicit"]
 
 # The explicit step's peaks over the law (E27) were 0.86 to 1.18 in simulations.
 _CHATTER_MARGIN = 1.2
-# By how much a computed beta exceeds the least that (E32) allows.
+# The factor by which a computed beta exceeds the least that (E32) allows.
 _GAIN_MARGIN = 1.1
 
 
@@ -57,8 +57,9 @@ class RiseGains(Checked):
     ) -> RiseGains:
         """Returns gains whose beta satisfies (E32), whatever the disturbance's unit.
 
-        beta is the paper's 6 where that does, else 10 % above the least (E36). In the
-        implicit step a large beta costs nothing: the bound (E33) does not contain it.
+        beta is the paper's 6 where that satisfies (E32), else 10 % above the least
+        (E36). In the implicit step a large beta costs nothing: the bound (E33) does not
+        contain it.
 
         Args:
             bounds: Bounds of the disturbance.
@@ -86,7 +87,7 @@ class RiseGains(Checked):
 
 
 class Intervals(NamedTuple):
-    """The times that may lie between one measurement and the next.
+    """The range of times between one measurement and the next.
 
     Attributes:
         shortest: The shortest [s].
@@ -100,7 +101,7 @@ class Intervals(NamedTuple):
 def least_beta(
     gains: RiseGains, bounds: DisturbanceBounds, intervals: Intervals
 ) -> float:
-    """Returns what beta has to exceed, (E32) or (E35); at once, (E20) [m/s^3]."""
+    """Returns the lower limit of beta, by (E32), (E35) or (E20) [m/s^3]."""
     shortest, longest = intervals
     size, change = bounds.delta2, bounds.delta3
     if longest > shortest:
@@ -116,14 +117,14 @@ def least_beta(
 def gain_conditions(
     gains: RiseGains, bounds: DisturbanceBounds, intervals: Intervals, step: str
 ) -> tuple[Condition, ...]:
-    """Returns what (E20) asks of the gains, in sampled time (E32), (E35).
+    """Returns the gain conditions (E20), in sampled time (E32), (E35).
 
     Args:
         gains: The gains.
         bounds: Bounds of the disturbance.
         intervals: The times between measurements.
-        step: Which step; the explicit one has the conditions of continuous time, and
-            its linear part has to be stable (E37).
+        step: The observer's step; the explicit one has the conditions of continuous
+            time, and its linear part has to be stable (E37).
     """
     alpha, beta, gamma = gains.alpha, gains.beta, gains.gamma
     sampled = step != "explicit"
@@ -150,11 +151,11 @@ def gain_conditions(
 def with_quadrature(
     bounds: DisturbanceBounds, quadrature: float, period: float
 ) -> DisturbanceBounds:
-    """Returns bounds of a disturbance whose measured means are off a little (E42).
+    """Returns bounds of a disturbance that includes the means' quadrature error (E42).
 
     Args:
         bounds: Bounds of the disturbance.
-        quadrature: How far off a mean is at most [m/s^2].
+        quadrature: The bound of a mean's quadrature error [m/s^2].
         period: Time between measurements, the shortest if they differ [s].
     """
     return DisturbanceBounds(
@@ -179,7 +180,7 @@ def error_bound(
         gains: The gains.
         bounds: Bounds of the disturbance.
         period: Time between measurements [s].
-        step: Which step the observer takes.
+        step: The observer's step.
         boundary_layer: phi, where the saturated step's sign is linear [m/s].
         noise: Standard deviation of each disturbed channel's measurement [m/s].
         num_disturbances: q.
@@ -202,9 +203,9 @@ def error_bound(
 def _layer_floor(
     gains: RiseGains, bounds: DisturbanceBounds, period: float, layer: float
 ) -> float:
-    """Returns what a boundary layer adds to the bound (E38)."""
+    """Returns the contribution of a boundary layer to the bound (E38)."""
     alpha, kappa = gains.alpha, gains.decay_rate
-    if layer == 0.0 or kappa == 0.0:  # Without decay nothing is certified anyway.
+    if layer == 0.0 or kappa == 0.0:  # Without decay there is no certificate.
         return 0.0
     c = (alpha - kappa) * bounds.delta2 + (1.0 + kappa * period) * bounds.delta3
     square = bounds.delta2**2 + c**2 / (kappa * (2.0 * alpha - kappa))
@@ -214,7 +215,7 @@ def _layer_floor(
 def noise_response(
     gains: RiseGains, period: float, boundary_layer: float, noise: float
 ) -> tuple[float, float]:
-    """Returns what white noise does to the implicit or saturated step (E39).
+    """Returns the response of the implicit or saturated step to white noise (E39).
 
     The step's s = clip(w / (C phi + dt^2 beta), -1, 1) is replaced by k w + r, with the
     gain k and the uncorrelated rest r that it has for a normal w, and r taken as white.

@@ -35,7 +35,7 @@ class Tones:
 
     @property
     def size(self) -> int:
-        """How many channels it has, q."""
+        """The number q of channels."""
         return self.amplitude.shape[1]
 
     def derivative(self, t: float | Array, order: int = 0) -> Array:
@@ -52,7 +52,7 @@ class Tones:
         return float(size @ np.abs(self.frequency) ** order)
 
     def system(self) -> System:
-        """Returns unit sines of Drake's behind the matrix of amplitudes."""
+        """Returns Drake's unit sines, followed by the matrix of amplitudes."""
         if self.size == 0:
             return ConstantVectorSource([])
         builder = DiagramBuilder()
@@ -89,7 +89,8 @@ class Pieces:
         )
         middle, half = (times[1:] + times[:-1]) / 2, np.diff(times) / 2
         bounds = [0.0]
-        # At mid-piece, and what half a piece can add; exact for the third, a constant.
+        # The value at mid-piece plus the most that half a piece can add; exact for the
+        # third derivative, which is constant.
         for order in (3, 2, 1, 0):
             at_middle = path.derivative(order).vector_values(middle)
             size = np.linalg.norm(at_middle, axis=0) + half * bounds[0]
@@ -98,7 +99,7 @@ class Pieces:
 
     @property
     def size(self) -> int:
-        """How many channels it has, q."""
+        """The number q of channels."""
         return int(self._derivatives[0].rows())
 
     def derivative(self, t: float | Array, order: int = 0) -> Array:
@@ -131,7 +132,7 @@ def supremum(curves: Sequence[Curve], order: int, horizon: float) -> float:
     this ends early, because a signal is a thousand times faster than its horizon.
 
     Args:
-        curves: What is added up.
+        curves: The curves to add up.
         order: 0 (the value) to 2.
         horizon: End of the time interval [s].
     """
@@ -145,7 +146,7 @@ def supremum(curves: Sequence[Curve], order: int, horizon: float) -> float:
         size = np.linalg.norm(values, axis=1)
         upper = size + half * slope
         largest = max(largest, float(size.max()))
-        # Signals that cancel have no largest value to be relative to.
+        # Signals that cancel have no largest value for a relative tolerance.
         wide = upper > largest + 0.01 * max(largest, 0.001 * ceiling)
         if middle.size > _MAX_INTERVALS:
             wide[:] = False

@@ -231,7 +231,7 @@ class DisturbanceSource(Diagram):
             *(supremum(self._curves, order, horizon) for order in range(3))
         )
         builder = DiagramBuilder()
-        # All of it Drake's own: integrators ask for it at every stage of every step.
+        # Drake's own systems compute it, since integrators evaluate it at every stage.
         total = builder.AddNamedSystem(
             "sum", Adder(len(self._curves), self._curves[0].size)
         )

@@ -1,10 +1,9 @@
-"""Numbers of a derived function beside those of the function it was derived from.
+"""Numerical comparison of a derived function with its origin.
 
 Symbolic expressions are simplified as they are built, and not always rightly: pydrake
 turns ``((x - a)**2)**0.5`` into ``x - a``, a wall's distance into one that is negative
-behind it. So whatever was derived is compared in plain numbers, which nothing
-simplifies, with its origin: at points near and far, of both signs, at and around the
-places that matter.
+behind it. So every derived function is compared with its origin in plain numbers: at
+points near and far, of both signs, and at and around given places.
 """
 
 from __future__ import annotations
@@ -25,9 +24,9 @@ NumberFunction: TypeAlias = Callable[[Array], Iterable[Any]]
 # Far enough for coordinates of a map; a few for what was compared at many before.
 MANY_SCALES = tuple(np.geomspace(1e-2, 1e7, 36).tolist())
 FEW_SCALES = (0.3, 3.0)
-# How far two ways of calculating one number may be apart, relative to it.
+# The largest relative difference of two ways to calculate one number.
 _TOLERANCE = 1e-6
-# What a relative change of the arguments by next to nothing shows of the rounding.
+# A relative change of the arguments that shows the effect of rounding.
 _NEXT_TO_NOTHING = 1e-13
 _ROUNDING_FACTOR = 100.0
 # Fewer points than this are too few to say that two functions agree.
@@ -45,14 +44,13 @@ def sample_points(
 ) -> Iterator[Array]:
     """Yields arguments to compare at, shape (size,); the same ones every time.
 
-    They come in pairs, opposite each other: around 0 at first, then around vectors of
-    the places and their negatives, from nearest to farthest. Each comes after the place
-    itself.
+    They come in opposite pairs: around 0 first, then around vectors of the places and
+    their negatives, from nearest to farthest, each after the place itself.
 
     Args:
         size: How many arguments there are.
         places: Values of arguments that matter, such as an obstacle's coordinates.
-        scales: How far from the middle each pair is.
+        scales: The distance of each pair from its middle.
     """
     random = np.random.default_rng(0)
     around = np.concatenate([[0.0], places, np.negative(places)])
@@ -81,13 +79,13 @@ def require_agreement(
     Args:
         derived: Returns k numbers, or raises.
         origin: Returns the k numbers that are right, or raises.
-        points: Where to compare them.
+        points: The points of comparison.
         describe: Returns a point in words.
-        names: What the k numbers are called; one name for all of them.
+        names: The names of the k numbers; one name for all of them.
 
     Raises:
-        ModelError: They differ; the message has the point, both values and the way out.
-            Or the origin has other numbers each time.
+        ModelError: They differ; the message has the point, both values and a remedy. Or
+            the origin's values differ from call to call.
     """
     compared = passed_over = 0
     for point in points:
@@ -131,7 +129,7 @@ def _require_repeatable(
     describe: Callable[[Array], str],
     names: Sequence[str],
 ) -> None:
-    """Refuses what counts its calls or draws: its formula would be that of one call."""
+    """Refuses a function whose values differ from call to call."""
     second = _numbers(origin, point)
     if second is None or not (second == first).all():
         k = 0 if second is None else int((second != first).argmax())
@@ -154,7 +152,7 @@ def plain_numbers(values: Any) -> list[float]:
 
 
 def _numbers(function: NumberFunction, point: Array) -> Array | None:
-    """The function's numbers, nan where they are not real; None without any."""
+    """The function's values, nan where they are not real; None if it raises."""
     try:
         with np.errstate(all="ignore"):
             return np.array(plain_numbers(function(point)))
@@ -169,7 +167,7 @@ def _numbers(function: NumberFunction, point: Array) -> Array | None:
 def _agree_nearby(
     derived: NumberFunction, origin: NumberFunction, point: Array
 ) -> bool:
-    """Whether a point without a value is alone: both agree on all sides of it."""
+    """Whether a point without a value is isolated: both functions agree around it."""
     random = np.random.default_rng(0)
     for _ in range(8):
         beside = point + 1e-3 * random.normal(size=point.shape)
@@ -188,7 +186,7 @@ def _tolerance(found: Array, expected: Array) -> Array:
 
 
 def _rounding(function: NumberFunction, point: Array, values: Array) -> Array:
-    """How far rounding may have moved a function's values, shape (k,)."""
+    """The bound of the rounding error of a function's values, shape (k,)."""
     random = np.random.default_rng(0)
     changes = [np.zeros_like(values)]
     for _ in range(4):

@@ -1,4 +1,4 @@
-"""Formulas compiled to one fast function of plain floats."""
+"""Compilation of formulas to one fast function of plain floats."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from vcbf_drake.model.graph import COMPARISONS, Node, variables_of
 Expressions: TypeAlias = NDArray[np.object_]
 CompiledFunction: TypeAlias = Callable[..., list[float]]
 
-# What generated code may call.
+# The functions that generated code may call.
 _NAMES: dict[str, Any] = {
     **{name: value for name, value in vars(math).items() if name[0] != "_"},
     "abs": abs,
@@ -35,14 +35,14 @@ def compile_nodes(
     The function takes one positional ``float`` per argument and returns the values of
     the outputs as a list: ``values = function(*x.tolist())``. Common subexpressions are
     computed once. Its results are the same in every process, whatever PYTHONHASHSEED
-    is, bit for bit. A singular point is the caller's to handle: the function raises
-    what Python's own float arithmetic raises there, ZeroDivisionError (1 / 0),
-    ValueError (sqrt(-1)) or OverflowError (exp(1000)). Arguments must be ``float``, not
+    is, bit for bit. The caller handles singular points: the function raises what
+    Python's own float arithmetic raises there, ZeroDivisionError (1 / 0), ValueError
+    (sqrt(-1)) or OverflowError (exp(1000)). Arguments must be ``float``, not
     ``numpy.float64``, which is slower and warns instead.
 
     Args:
         arguments: Variables, in the order the function takes them.
-        outputs: What to compute, in the order in which the function returns it.
+        outputs: The nodes to compute, in the order in which the function returns them.
         name: The function's name, for messages.
 
     Raises:
@@ -80,7 +80,7 @@ def function_of(
 
 
 def _code(arguments: Sequence[Node], outputs: Sequence[Node]) -> str:
-    """The function's text: what is used more than once has a name of its own."""
+    """The function's source code, with a name for every repeated subexpression."""
     order = _depth_first(outputs)
     uses = Counter(parent for node in order for parent in node.parents)
     uses.update(outputs)
@@ -102,7 +102,7 @@ def _code(arguments: Sequence[Node], outputs: Sequence[Node]) -> str:
 
 
 def _depth_first(outputs: Sequence[Node]) -> list[Node]:
-    """All nodes, arguments first, in an order that is the formula's own."""
+    """All nodes, arguments first, in an order that depends on the formula alone."""
     order: dict[Node, None] = {}
     stack = list(reversed(outputs))
     while stack:

@@ -41,7 +41,7 @@ from vcbf_drake.typed import typed
 
 
 class Dynamics(NamedTuple):
-    """The formulas of dx/dt = f + g u + E d; equal for models that read the same.
+    """The formulas of dx/dt = f + g u + E d; equal for equal models.
 
     Attributes:
         x: The state's variables, n nodes.
@@ -69,7 +69,7 @@ class Dynamics(NamedTuple):
         return self._rates(phi, self.E)
 
     def _rates(self, phi: Node, columns: Sequence[Sequence[Node | float]]) -> Nodes:
-        """Returns grad phi times the columns, of those states alone that phi has."""
+        """Returns grad phi times the columns, summed over the states in phi."""
         slopes = gradients([phi], self.x)[0]
         moves = [i for i, slope in enumerate(slopes) if slope is not ZERO] or [0]
         return slopes[moves] @ np.array([columns[i] for i in moves], dtype=object)
@@ -83,13 +83,14 @@ class ControlAffineModel:
         drift: f(x), shape (n,), expressions over `state`.
         input_matrix: g(x), shape (n, m), expressions over `state`.
         disturbance_matrix: E, shape (n, q), constant, of full column rank.
-        state_names: What the states are called; None for x0, x1, ...
-        name: What the model is called in messages.
-        effort_limits: Where the plant itself clamps its inputs; None for nowhere.
+        state_names: The names of the states; None for x0, x1, ...
+        name: The model's name in messages.
+        effort_limits: The limits at which the plant itself clamps its inputs; None for
+            none.
         wrapped_states: The names of angles that may jump by 2 pi; or of states that
             jump by other periods, with these.
-        position: Which states are the position, or a function from x to it; None for
-            those called x, y and z, if there are.
+        position: The indices of the position, or a function from x to it; None for the
+            states called x, y and z, if any.
 
     Attributes:
         num_states: n.
@@ -98,17 +99,17 @@ class ControlAffineModel:
         state: The state's variables, shape (n,).
         dynamics: The formulas of f, g and E.
         disturbance_matrix: E, shape (n, q).
-        state_names: What the states are called, n names.
-        name: What the model is called in messages.
-        effort_limits: How large |u_j| may be, shape (m,): beyond it the plant clamps
-            its input (a MultibodyPlant does) and is not this model. Infinite for most.
-        wrapping_periods: After how much a state is the same again, shape (n,); infinite
-            for most.
-        position: Which states are the position, or a function from x to it; None where
-            the plant does not say.
-        speed_matrix: S of the speed v = S x that a brake takes off, shape (k, n): the
-            velocities of a MultibodyPlant; of others E⁺, for the states that a
-            disturbance acts on, and where none does Drake's generalized velocities.
+        state_names: The n names of the states.
+        name: The model's name in messages.
+        effort_limits: The greatest |u_j|, shape (m,): beyond it the plant clamps its
+            input (as a MultibodyPlant does), and the model does not hold. Usually
+            infinite.
+        wrapping_periods: The period of each state, shape (n,); usually infinite.
+        position: The indices of the position, or a function from x to it; None if the
+            plant names none.
+        speed_matrix: S of the speed v = S x that a brake reduces, shape (k, n): the
+            velocities of a MultibodyPlant; for other plants E⁺, the states that a
+            disturbance acts on, or without one Drake's generalized velocities.
         make_manoeuvres: Makes the plant's backup manoeuvres; None where it has none.
 
     Raises:
@@ -200,9 +201,9 @@ class ControlAffineModel:
     ) -> ControlAffineModel:
         """Derives the model of a Drake System or Diagram.
 
-        A MultibodyPlant, also in a Diagram without further states, stays what it is:
-        see `MultibodyModel`. Of any other System f, g and E are read off symbolically,
-        so it has to convert to symbolic.
+        A MultibodyPlant, also in a Diagram without further states, gives a
+        `MultibodyModel`. For any other System f, g and E are derived symbolically, so
+        it has to convert to symbolic.
 
         Args:
             system: The System; all its state must be continuous.
@@ -214,9 +215,9 @@ class ControlAffineModel:
             context: Holds the parameters, and values for the other input ports; None
                 for the defaults. Other ports without a value are left unconnected if
                 the System tolerates it, and held at 0 if not.
-            symbolic: Whether a MultibodyPlant is read off symbolically too, as
-                certificates between ticks, and barriers of other relative degrees than
-                1 and 2, need it. It takes long beyond six joints.
+            symbolic: Whether a MultibodyPlant is derived symbolically too, as
+                certificates between ticks and relative degrees other than 1 and 2
+                require. It takes long beyond six joints.
 
         Raises:
             ModelError: The System is not symbolic, has a state that is not continuous
@@ -224,7 +225,7 @@ class ControlAffineModel:
                 constant or lacks rank, the ports are not what is needed, or pydrake's
                 expressions give other rates than the System itself.
         """
-        # The one import upwards: this class is what a MultibodyPlant's model extends.
+        # The only import upwards: the model of a MultibodyPlant extends this class.
         from vcbf_drake.model.multibody_model import MultibodyModel
 
         disturbance = find_disturbance_port(system, disturbance_port)
@@ -276,10 +277,10 @@ class ControlAffineModel:
 
         Args:
             x: The state, shape (n,).
-            size: How many coordinates.
+            size: The number of coordinates.
 
         Raises:
-            ModelError: The plant does not say where it is, or in fewer dimensions.
+            ModelError: The plant names no position, or one of fewer dimensions.
         """
         way_out = (
             f"say where it is: position=[{', '.join('ijk'[:size])}], the {size} states,"

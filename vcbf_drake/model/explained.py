@@ -1,4 +1,4 @@
-"""Errors of pydrake's symbols, in one sentence that names the way out."""
+"""Explanations of errors that pydrake's symbols raise, with a remedy."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ _SYMBOL = "pydrake.symbolic.Expression"
 
 
 def explained(error: BaseException) -> str:
-    """Returns what an error says that a user's function raised on symbols.
+    """Returns the explanation of an error that a user's function raised on symbols.
 
     Args:
-        error: What it raised.
+        error: The error.
     """
     text = first_line(error)
     if "__bool__" in text:
@@ -50,6 +50,6 @@ def explained(error: BaseException) -> str:
 
 
 def first_line(error: BaseException) -> str:
-    """Returns the first line of an error's text that says anything."""
+    """Returns the first informative line of an error's text."""
     lines = (line.strip(" :") for line in str(error).splitlines())
     return next(filter(None, lines), type(error).__name__)

@@ -1,9 +1,9 @@
 """Formulas as graphs: each subexpression once, however often it is used.
 
-pydrake's expressions are trees to whoever walks them, and derivatives of trees repeat
-what they share without end. A `Node` is made once for each operation and arguments, so
-equal formulas are the same node, derivatives are as long as the formula, and code
-computes each part once.
+pydrake's expressions can only be read as trees, and derivatives of trees repeat common
+subexpressions. A `Node` is made once for each operation and arguments, so equal
+formulas are the same node, derivatives are as long as the formula, and code computes
+each part once.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _serial = count()
 def _with_number(
     operator: Callable[[Node, Node], Node],
 ) -> Callable[[Node, Node | float], Node]:
-    """An operator that takes numbers too, and leaves arrays to NumPy."""
+    """An operator that also accepts numbers, and leaves arrays to NumPy."""
 
     def applied(self: Node, other: Node | float) -> Node:
         if isinstance(other, np.ndarray):
@@ -43,7 +43,7 @@ class Node:
     Attributes:
         operation: "number", "variable", "+", "*", "/", "neg", "pow", the name of a
             function of `math`, "abs", "max", "min", "if", or a comparison.
-        arguments: What it is applied to; of a number or a variable, its value or name.
+        arguments: Its operands; the value of a number, the name of a variable.
         serial: Greater than that of every argument.
     """
 
@@ -200,7 +200,7 @@ def choose(condition: Node, a: Node, b: Node) -> Node:
 
 
 def _cases(a: Node, b: Node, of_a: Node, of_b: Node) -> tuple[Node, ...]:
-    """The derivatives of max, 1 for the greater, or of min, 0 for that."""
+    """The derivatives of max (1 for the greater argument) or of min (0 for it)."""
     a_is_greater = apply(">", a, b)
     return choose(a_is_greater, of_a, of_b), choose(a_is_greater, of_b, of_a)
 
@@ -233,7 +233,7 @@ LOGIC = ("and", "or", "not")
 
 
 def apply(operation: str, *arguments: Node) -> Node:
-    """Returns a function's or a comparison's node, its number if it has only those."""
+    """Returns the node of a function or comparison; a number if all arguments are."""
     node = Node.of(operation, *arguments)
     function = getattr(math, operation, None)
     return node if function is None else _folded(function, node)
@@ -248,7 +248,7 @@ def _folded(function: Callable[..., float], node: Node) -> Node:
 
 
 def in_order(nodes: Iterable[Node]) -> list[Node]:
-    """Returns nodes and all they are made of, arguments first."""
+    """Returns the nodes and all their subexpressions, arguments first."""
     found: set[Node] = set()
     stack = list(nodes)
     while stack:
@@ -268,7 +268,7 @@ def along(nodes: Iterable[Node], rates: Mapping[Node, Node]) -> list[Node]:
     """Returns the derivatives of nodes whose variables have these rates.
 
     Args:
-        nodes: What to differentiate.
+        nodes: The nodes to differentiate.
         rates: The derivative of each variable; 0 where there is none.
 
     Raises:
@@ -299,7 +299,7 @@ def gradients(nodes: Iterable[Node], variables: Iterable[Node]) -> Nodes:
         ValueError: One of them has no derivative.
     """
     nodes = list(nodes)
-    # A robot among many is in few of the formulas: most columns are known.
+    # One robot among many occurs in few of the formulas: most columns are zero.
     known, none = variables_of(nodes), [ZERO] * len(nodes)
     columns = [along(nodes, {v: ONE}) if v in known else none for v in variables]
     return np.array(columns, dtype=object).T.reshape(len(nodes), -1)

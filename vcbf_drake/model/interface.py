@@ -1,4 +1,4 @@
-"""A System's interface: its ports, and what it says of its states and limits."""
+"""A System's interface: its ports, declared states and effort limits."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True)
 class DeclaredStates:
-    """What a System's attributes say of its continuous states.
+    """The description of a System's continuous states by its attributes.
 
     Attributes:
         names: ``state_names``, or a MultibodyPlant's, or x0, x1, ...
-        periods: ``wrapped_states``: after how much each of these is the same again.
-        position: ``position_indices``: which states are the position; None where the
-            System does not say.
-        velocities: Which of the states Drake has as generalized velocities v.
+        periods: ``wrapped_states``: the period of each of these states.
+        position: ``position_indices``: the indices of the position; None if the System
+            names none.
+        velocities: The indices of Drake's generalized velocities v.
     """
 
     names: tuple[str, ...]
@@ -46,9 +46,9 @@ class DeclaredStates:
 
 
 def declared_states(system: System) -> DeclaredStates:
-    """Returns what a System says; a Diagram says what the Systems in it do.
+    """Returns the declarations of a System, or of the Systems in a Diagram.
 
-    Where several of these have states, their names come before those of the states.
+    If several of these have states, their names precede those of the states.
     """
     if isinstance(system, Diagram) and not hasattr(system, "state_names"):
         parts = [each for each in system.GetSystems() if each.num_continuous_states()]
@@ -76,7 +76,7 @@ def declared_states(system: System) -> DeclaredStates:
 
 
 def wrapping(wrapped_states: Any) -> Mapping[str, Any]:
-    """Returns the periods of wrapped states: 2 pi where they are names alone."""
+    """Returns the periods of wrapped states: 2 pi where only names are given."""
     if isinstance(wrapped_states, Mapping):
         return wrapped_states
     return dict.fromkeys(wrapped_states, 2.0 * math.pi)
@@ -99,7 +99,7 @@ def unit_quaternions(x: Array, names: Sequence[str]) -> Array:
 
 
 def name_of(system: System) -> str:
-    """Returns what a System is called in messages."""
+    """Returns a System's name in messages."""
     return str(system.get_name() or system.GetSystemType())
 
 
@@ -136,7 +136,7 @@ def find_input_port(
 
 
 def find_disturbance_port(system: System, choice: PortChoice = None) -> Port:
-    """Returns the port of d; None where none is chosen and none is called so.
+    """Returns the port of d; None if none is chosen or named ``disturbance``.
 
     Raises:
         ModelError: There is no such port, or it carries no vector.
@@ -210,7 +210,7 @@ def actuators_of(system: System) -> list[Any]:
 
 
 def effort_limits_of(system: System, port: Port) -> Array:
-    """Returns how large inputs may be before a MultibodyPlant clamps them, (m,)."""
+    """Returns the effort limits at which a MultibodyPlant clamps inputs, (m,)."""
     actuators = actuators_of(system)
     if actuators and port is not system.get_actuation_input_port():
         actuators = [
@@ -259,7 +259,7 @@ def copy_values(
 
 
 def with_ports_held(system: System, context: Context, calc: Callable[[], _T]) -> _T:
-    """Returns what a System calculates; ports without a value are 0 if they must."""
+    """Returns a System's result, with unconnected ports held at 0 if it needs them."""
     try:
         return calc()
     except Exception:  # A System's own code may raise anything.

@@ -1,4 +1,4 @@
-"""Backup manoeuvre: how a plant gets to safety by itself, and where that leads it."""
+"""Backup manoeuvres: control laws that lead a plant to safety, and their tubes."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from vcbf_drake.model.compiled import Expressions
 Box: TypeAlias = list[tuple[float, float]]
 """Least and greatest value of every state and, last, of the time [s]: n + 1 pairs."""
 
-# Stands for "for ever" and "anywhere": intervals have finite ends.
+# The bound that represents infinity: intervals have finite ends.
 FOREVER = 1e9
 ANYWHERE = 1e6
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Where a plant can be while an input is held, and on a manoeuvre after it.
+    """The tube of a plant while an input is held, and on a manoeuvre after it.
 
-    It holds for every disturbance within its bound, for ever (E89). The motion is cut
-    into cells; the plan of the next tick has none that do not lie in one of these.
+    It holds for every disturbance within its bound, for all time (E89). The motion is
+    cut into cells; every cell of the next tick's plan lies in one of these.
 
     Attributes:
-        num_cells: How many cells it is cut into, at most.
+        num_cells: The number of cells, at most.
         box: ``box(first, last)`` encloses [x; t] in the cells from `first` to before
             `last`. A wider span's box contains a narrower one's.
-        beyond: ``beyond(cell)`` encloses [x; t] from the start of a cell on for ever;
-            None if the cells are all there is, or if nothing encloses it.
+        beyond: ``beyond(cell)`` encloses [x; t] from the start of a cell on, for all
+            time; None if there is nothing beyond the cells, or no enclosure.
     """
 
     num_cells: int
@@ -39,14 +39,14 @@ class Plan:
 
 
 class Manoeuvre(ABC):
-    """A law that leads the plant to safety, with a tube around where it leads.
+    """A control law that leads the plant to safety, with a tube around the motion.
 
     Attributes:
-        horizon: For how long method backup follows the law [s]; 0 where it has none.
-        first: Which inputs give way first where a plan is not safe: the others keep
-            what the filter chose, if that helps.
-        aside: Which of the others may go to a limit instead, where the first ones then
-            give way less: a car steers round what it would brake before.
+        horizon: The time for which method backup follows the law [s]; 0 without a law.
+        first: The indices of the inputs that give way first where a plan is not safe:
+            the others keep the filter's values, if that suffices.
+        aside: The indices of other inputs that may go to a limit, so that the first
+            ones give way less: a car steers around an obstacle before it brakes.
     """
 
     first: tuple[int, ...]
@@ -63,11 +63,11 @@ class Manoeuvre(ABC):
 
     @abstractmethod
     def plan(self, state: Array, time: float, u: Array) -> Plan:
-        """Returns where an input leads, held for a period, and the manoeuvre after it.
+        """Returns the plan of an input, held for a period, and the manoeuvre after it.
 
         Args:
             state: x at a tick, shape (n,).
-            time: When that is [s].
+            time: The time of that tick [s].
             u: The input, shape (m,).
         """
 

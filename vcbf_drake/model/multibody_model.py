@@ -24,21 +24,21 @@ from vcbf_drake.model.interface import (
 )
 from vcbf_drake.model.numeric_dynamics import NumericDynamics
 
-# How many seeded states a constant or an affine form is looked for at.
+# The number of seeded states at which a constant or an affine form is checked.
 _NUM_SAMPLES = 6
 
 
 class MultibodyModel(ControlAffineModel):
     """The functions f, g and E of a MultibodyPlant of any size (E1, the plant).
 
-    Nothing is written out in symbols, which multiply out beyond two or three joints: f
-    and g are the plant's own time derivatives at no input and at unit inputs, and their
+    It has no symbolic formulas, which grow too large beyond two or three joints: f and
+    g are the plant's own time derivatives at no input and at unit inputs, and their
     sensitivities are Drake's with AutoDiffXd. Barriers on it are functions of
     *outputs*: positions and velocities of the state, and points of its bodies.
 
     Attributes:
         plant: The MultibodyPlant.
-        num_positions: How many of the states are positions q; velocities v follow.
+        num_positions: The number of positions q in the state; the velocities v follow.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class MultibodyModel(ControlAffineModel):
         disturbance_port: Port,
         context: Context | None,
     ) -> None:
-        """Looks at the System's numbers at a few seeded states.
+        """Checks the System at a few seeded states.
 
         Args:
             system: The MultibodyPlant, or a Diagram whose state is its.
@@ -105,7 +105,7 @@ class MultibodyModel(ControlAffineModel):
         return _regular_state(self.state_names, random, scale)
 
     def at(self, x: Array) -> Motion:
-        """Returns how the bodies move at a state x (n,); kept until the next one."""
+        """Returns the bodies' motion at a state x (n,); cached for one state."""
         key = x.tobytes()
         if self._motion is None or self._motion.key != key:
             self._motion = Motion(
@@ -138,10 +138,10 @@ class MultibodyModel(ControlAffineModel):
 
 
 class Motion:
-    """How the bodies of a MultibodyPlant move at one state.
+    """The motion of a MultibodyPlant's bodies at one state.
 
     Attributes:
-        key: What tells the state from another.
+        key: The key of the state.
     """
 
     def __init__(
@@ -163,13 +163,13 @@ class Motion:
         return self._dynamics.in_autodiff.sensitivity(self._x, self.parts)
 
     def place(self, frame: str, offset: tuple[float, ...]) -> Array:
-        """Returns where a point of a frame is, shape (3,) [m]."""
+        """Returns the position of a point of a frame, shape (3,) [m]."""
         numbers = self._dynamics
         numbers.set_state(self._x)
         return numbers.place(frame, offset)
 
     def point(self, frame: str, offset: tuple[float, ...]) -> Array:
-        """Returns how a point moves: d^2p/dt^2 = a + b u + c d, its place being p.
+        """Returns the motion of a point p: d^2p/dt^2 = a + b u + c d.
 
         Args:
             frame: The name of the frame or body.

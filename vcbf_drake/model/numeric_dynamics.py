@@ -192,7 +192,7 @@ class NumericDynamics:
     def kinematics(
         self, frame: str, offset: tuple[float, ...]
     ) -> tuple[Array, Array, Array]:
-        """Returns a point's place p (3,), Jacobian J (3, nv) and bias dJ/dt v (3,).
+        """Returns a point's position p (3,), Jacobian J (3, nv) and bias dJ/dt v (3,).
 
         Args:
             frame: The name of the frame or body that it moves with.
@@ -210,7 +210,7 @@ class NumericDynamics:
         return self.place(frame, offset), J, np.ravel(bias)
 
     def place(self, frame: str, offset: tuple[float, ...]) -> Array:
-        """Returns where a point of a frame is, shape (3,) [m]."""
+        """Returns the position of a point of a frame, shape (3,) [m]."""
         plant, point = self._plant, np.array(offset).reshape(3, 1)
         moving, world = plant.GetFrameByName(frame), plant.world_frame()
         places = plant.CalcPointsPositions(self._plant_context, moving, point, world)
@@ -218,7 +218,7 @@ class NumericDynamics:
 
 
 def _solve(M: Array, right: Array) -> Array:
-    """Solves M X = right, of a matrix of inertia.
+    """Solves M X = right for a mass matrix M.
 
     Raises:
         ArithmeticError: M is singular.
@@ -244,7 +244,7 @@ def _port_forces(
 ) -> tuple[Array, Array] | None:
     """B (nv, m) and B_d (nv, q) of a plant's generalised forces tau = B u + B_d d.
 
-    None where its ports are no such forces, or others have a value.
+    None if its ports are no such forces, or other ports have a value.
     """
     if not isinstance(system, MultibodyPlant):
         return None
@@ -276,7 +276,7 @@ def _force_map(plant: Any, port: Any) -> Array | None:
 
 
 def plant_of(system: Any) -> Any:
-    """Returns the MultibodyPlant that a System is, or that has all its state."""
+    """Returns the MultibodyPlant that a System is, or that contains all its state."""
     if isinstance(system, MultibodyPlant):
         return system
     inside: Sequence[Any] = getattr(system, "GetSystems", lambda: ())()

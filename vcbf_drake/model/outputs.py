@@ -1,4 +1,4 @@
-"""Outputs of a MultibodyPlant, which barriers are functions of, and their jets."""
+"""Outputs of a MultibodyPlant, the arguments of barriers, and their jets."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class StateOutput:
     """One entry of the state: a position or a velocity.
 
     Attributes:
-        index: Which.
+        index: The index of the entry.
     """
 
     index: int
@@ -46,7 +46,7 @@ class StateOutput:
         return np.vstack([unit[self.index], unit[i], f_x[i], g_x[i], still])
 
     def _moved(self, model: MultibodyModel, order: int) -> int:
-        """The state whose derivative the inputs are in, up to an order."""
+        """The state whose derivative contains the inputs, up to an order."""
         if order == 1:
             return self.index
         if self.index not in model.velocity_of_position:
@@ -65,7 +65,7 @@ class PointOutput:
     Attributes:
         frame: The name of the frame or body that the point moves with.
         offset: The point in that frame, shape (3,) [m].
-        axis: Which coordinate.
+        axis: The index of the coordinate.
     """
 
     frame: str
@@ -97,10 +97,9 @@ Output = StateOutput | PointOutput
 def jets(
     model: MultibodyModel, x: Array, outputs: Iterable[Output], order: int
 ) -> Array:
-    """Returns how outputs move, [z, dz/dt, a, b, c] each, shape (k, 3 + m + q).
+    """Returns the jets [z, dz/dt, a, b, c] of outputs, shape (k, 3 + m + q).
 
-    The derivative of that order is a + b u + c d: of order 1 of z itself, of order 2
-    its second one.
+    The derivative of z of the given order, 1 or 2, is a + b u + c d.
     """
     return np.array([each.jet(model, x, order) for each in outputs])
 
@@ -113,10 +112,10 @@ def jets_by_state(
 
 
 class OutputSymbols(np.ndarray):
-    """The symbolic state of a MultibodyPlant, which knows variables for its points.
+    """The symbolic state of a MultibodyPlant, with variables for its points.
 
-    A `point_position` of the same plant asks it for a variable a coordinate, in place
-    of the formula, which multiplies out.
+    A `point_position` of the same plant takes one variable per coordinate from it, in
+    place of a formula that would grow too large.
     """
 
     plant: Any

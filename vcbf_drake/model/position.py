@@ -1,4 +1,4 @@
-"""Where a robot is: some of its states, or a function of them."""
+"""The position of a robot: some of its states, or a function of them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Position: TypeAlias = Sequence[int] | PositionFunction
 
 
 def named_position(state_names: Sequence[str]) -> tuple[int, ...] | None:
-    """Returns which states are called x and y, or x, y and z; None where none are.
+    """Returns the indices of the states x and y, or x, y and z; None without them.
 
     A MultibodyPlant names those of a planar or free body "body_x", "body_y", "body_z".
     """
@@ -55,14 +55,14 @@ def point_position(
 ) -> PositionFunction:
     """Returns the world position of a body's point as a function of the state.
 
-    It is what barriers take as ``position``: a half-space, a sphere or a box then holds
-    for that point of a robot arm. The state begins with the plant's positions q.
+    Barriers accept it as ``position``: a half-space, a sphere or a box then applies to
+    that point of a robot arm. The state begins with the plant's positions q.
 
     Args:
         plant: A finalised MultibodyPlant.
         frame: The name of the frame, or body, that the point moves with.
         point: The point's coordinates in that frame, shape (3,) [m].
-        axes: Which world coordinates to return.
+        axes: The world coordinates to return.
 
     Raises:
         ModelError: The plant has no such frame; when the position is called, that it

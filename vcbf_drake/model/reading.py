@@ -1,4 +1,4 @@
-"""pydrake's expressions read as graphs."""
+"""Conversion of pydrake's expressions to graphs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Reader:
     """
 
     def __init__(self, variables: Mapping[Variable, Node]) -> None:
-        """Takes the variables' nodes."""
+        """Stores the variables' nodes."""
         self.variables = {v.get_id(): node for v, node in variables.items()}
 
     def read(self, values: Any) -> Nodes:

@@ -34,7 +34,7 @@ from vcbf_drake.model.interface import (
 )
 from vcbf_drake.model.reading import Reader
 
-# Next to nothing, for bodies that newer Drake would divide by [kg].
+# A negligible mass, for massless bodies that newer Drake would divide by [kg].
 _MASS = 1e-15
 
 
@@ -43,8 +43,8 @@ def symbolic_dynamics(
 ) -> tuple[Expressions, Nodes, Nodes, Array]:
     """Derives the dynamics of a System, or Diagram, that converts to symbolic.
 
-    They are read off the implicit form (CalcImplicitTimeDerivativesResidual), which is
-    symbolic for a MultibodyPlant of several joints too; its explicit form is not.
+    They are derived from the implicit form (CalcImplicitTimeDerivativesResidual), which
+    is symbolic for a MultibodyPlant of several joints too; its explicit form is not.
 
     Args:
         system: The System; all its state must be continuous.
@@ -111,7 +111,7 @@ def _force_and_mass(residual: Nodes, rate: Nodes) -> tuple[Nodes, Nodes]:
     """F and M of the residual M dx/dt - F, which is linear in the rates."""
     at_rest = dict.fromkeys(rate, ZERO)
     force = -np.array(substitute(residual, at_rest), dtype=object)
-    # A rate in it is there only for want of simplification.
+    # A rate in it remains only because it is not simplified.
     mass = substitute(gradients(residual, rate).ravel(), at_rest)
     return force, np.array(mass, dtype=object).reshape(len(residual), len(rate))
 
@@ -139,7 +139,7 @@ def _affine_row(force: Node, x: Nodes, w: Nodes) -> Nodes | None:
     except ValueError:
         return None
     row = np.array(substitute([force, *gradient], dict.fromkeys(w, ZERO)), dtype=object)
-    # A gradient may hold w only for want of simplification: numbers tell.
+    # A gradient may contain w only because it is not simplified: numbers decide.
     structural = variables_of(gradient).isdisjoint(w)
     return row if structural or _agree(force, row, [*x], [*w]) else None
 
@@ -214,7 +214,7 @@ def to_symbolic(system: System, name: str) -> Any:
 
     Args:
         system: The System.
-        name: What it is called in messages.
+        name: Its name in messages.
 
     Raises:
         ModelError: It does not convert.
@@ -263,7 +263,7 @@ def _require_time_invariant(
 
 
 def give_mass(system: Any, context: Any) -> bool:
-    """Gives massless bodies of a symbolic MultibodyPlant next to no mass.
+    """Gives massless bodies of a symbolic MultibodyPlant a negligible mass.
 
     A body that only carries a frame, such as a tool's tip or a stand, often has none.
 

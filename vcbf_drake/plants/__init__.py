@@ -1,4 +1,4 @@
-"""Vehicles, and the two that come with the package: the blimp and the car."""
+"""Vehicles: their contract, the shipped blimp and car, and robots from files."""
 
 from vcbf_drake.plants.blimp import (
     Blimp,

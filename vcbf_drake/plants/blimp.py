@@ -123,7 +123,7 @@ def _blimp_state_rate(
     ]
 
 
-# Told its scope, Drake need not look for it by inspecting the stack, which is slow.
+# With the scope given, Drake need not inspect the stack for it, which is slow.
 @TemplateSystem.define(  # type: ignore[untyped-decorator]
     "Blimp_", scope=sys.modules[__name__]
 )
@@ -205,10 +205,10 @@ class BlimpControllerParameters(Checked):
         height_gain: k_z, from height error to heave speed [1/s].
         yaw_gain: k_ψ, from heading error to yaw moment [N m/rad].
         yaw_rate_gain: k_r, from yaw rate to yaw moment [N m s/rad].
-        drift_gain: k_s, how far the heading leans against sideways drift: ours. 0 is
-            the law as the paper prints it, which circles its target.
-        surge_speed_cap: The highest surge speed asked for [m/s].
-        height_error_cap: The largest height error acted on [m].
+        drift_gain: k_s, from sideways drift to the lean of the heading against it:
+            ours. 0 is the law as the paper prints it, which circles its target.
+        surge_speed_cap: The largest surge speed reference [m/s].
+        height_error_cap: The largest height error that the law uses [m].
     """
 
     surge_gain: NotNegative = 0.35
@@ -225,9 +225,9 @@ class BlimpControllerParameters(Checked):
 class BlimpController(TargetController):
     """Steers the blimp to a target and stops it there (E81).
 
-    With v_w = min(k_x, cap / e_d) (p_t - p) the horizontal velocity that is wanted, v
-    the one there is, v_n its component across the line of sight to the target, and ψ_w
-    the direction of v_w - k_s v_n::
+    With v_w = min(k_x, cap / e_d) (p_t - p) the desired horizontal velocity, v the
+    actual one, v_n its component across the line of sight to the target, and ψ_w the
+    direction of v_w - k_s v_n::
 
         f_x = k_v (v_w - v) . (cos ψ, sin ψ) - m_x (dhat_x cos ψ + dhat_y sin ψ)
         f_z = -k_w (dz/dt + k_z e_z)         - m_z dhat_z
@@ -243,7 +243,7 @@ class BlimpController(TargetController):
         reference (3), output: surge force [N], heave force [N], yaw moment [N m].
 
     Args:
-        target: Where to go, (x, y, z) [m].
+        target: The target position (x, y, z) [m].
         parameters: Gains and caps; the defaults if None.
         plant_parameters: The blimp's parameters; the defaults if None.
 
@@ -304,7 +304,7 @@ class BlimpVehicle(BlimpParameters, Vehicle):
 
     position = Blimp.position_indices
     heading = 3
-    length = 0.77  # Of its envelope, without the fins [m].
+    length = 0.77  # The length of the envelope, without the fins [m].
 
     def make_plant(self) -> System:
         """Returns the blimp."""

@@ -1,6 +1,6 @@
-"""The blimp's backup manoeuvres: it climbs, or sinks, until nothing is above or below.
+"""The blimp's backup manoeuvres: climbing or sinking until the way is clear.
 
-Sway has no actuator, so that no law keeps a blimp at rest in a wind. Heave has one.
+Sway has no actuator, so no law keeps a blimp at rest in a wind; heave has one.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from vcbf_drake.model.manoeuvre import ANYWHERE, FOREVER, Box, Manoeuvre, Plan
 if TYPE_CHECKING:
     from vcbf_drake.plants.blimp import BlimpParameters
 
-# How far ahead the way up or down is followed [s].
+# The horizon over which the way up or down is followed [s].
 _HORIZON = 12.0
 _ROUNDING = 1e-12
 
@@ -25,16 +25,16 @@ _ROUNDING = 1e-12
 class BlimpClimb(Manoeuvre):
     """Full heave and no surge (E94, a blimp's drift): a motion that no heading changes.
 
-    Each coordinate then moves by itself, p'' = a - c p' + d, and what |d| <= delta1 can
-    do to it is known exactly. Once it rises, it rises for ever: where nothing is above,
-    it is safe.
+    Each coordinate then moves independently, p'' = a - c p' + d, and its range for |d|
+    <= delta1 is known exactly. Once the blimp rises, it rises for all time: it is safe
+    where nothing is above it.
 
     Args:
         parameters: Of a blimp with equal masses, and drags, in surge and sway.
         lower: Least surge force [N], heave force [N] and yaw moment [N m].
         upper: Greatest ones.
         disturbance_bound: delta1 [m/s^2].
-        period: For how long an input is held [s].
+        period: The hold period [s].
         is_up: Whether it climbs; else it sinks.
     """
 
@@ -85,12 +85,12 @@ class BlimpClimb(Manoeuvre):
         return np.array([0.0, self._heave, moment])
 
     def law(self, x: Expressions) -> list[Any]:
-        """Returns the heave that is left in the worst wind; see `Manoeuvre`."""
+        """Returns the heave that remains in the worst wind; see `Manoeuvre`."""
         wind = self._heave_mass * self._delta
         return [0.0, self._heave - wind if self._is_up else self._heave + wind, 0.0]
 
     def plan(self, state: Array, time: float, u: Array) -> Plan:
-        """Returns where an input leads; see `Manoeuvre`."""
+        """Returns the plan of an input; see `Manoeuvre`."""
         *places, yaw, vx, vy, vz, yaw_rate = state.tolist()
         surge, heave, moment = u.tolist()
         T, thrust = self._period, surge / self._mass
@@ -128,7 +128,7 @@ class BlimpClimb(Manoeuvre):
         def beyond(i: int) -> Box | None:
             slowest, fastest = axes[2].velocity(i)
             if not (slowest > 0.0 if self._is_up else fastest < 0.0):
-                return None  # It does not go the right way yet.
+                return None  # It does not move in the right direction yet.
             # From the end of its cell, chord's slack and all, as later cells have one.
             low, high = box(i, i + 1)[2]
             height = (low, ANYWHERE) if self._is_up else (-ANYWHERE, high)
@@ -160,7 +160,7 @@ class _Axis:
         self._speed = decay * speed + first * held
 
     def place(self, cell: int) -> tuple[float, float]:
-        """Where it is at the start of a cell, at least and at most."""
+        """The range of the position at the start of a cell."""
         _, _, spread = _moments(self.drag, cell * self._period)
         spread *= self._disturbance
         if cell == 0:
@@ -171,7 +171,7 @@ class _Axis:
         return p - spread, p + spread
 
     def velocity(self, cell: int) -> tuple[float, float]:
-        """How fast it is at the start of a cell; of a cell after the first."""
+        """The range of the velocity at the start of a cell after the first."""
         _, spread, _ = _moments(self.drag, cell * self._period)
         decay, first, _ = _moments(self.drag, max(cell - 1, 0) * self._period)
         v = decay * self._speed + first * self._led
@@ -182,7 +182,7 @@ class _Axis:
 def _moments(drag: float, t: float) -> tuple[float, float, float]:
     """exp(-c t), and its first and second integral over [0, t]."""
     decay, z = math.exp(-drag * t), drag * t
-    if z < 1e-3:  # By series, where the closed form cancels.
+    if z < 1e-3:  # A series is used where the closed form cancels.
         first = t * (1.0 - z / 2.0 + z * z / 6.0 - z**3 / 24.0)
         return decay, first, t * t * (0.5 - z / 6.0 + z * z / 24.0 - z**3 / 120.0)
     first = -math.expm1(-z) / drag

@@ -53,7 +53,7 @@ class CarParameters(Checked):
     mass: Positive = 2.0
 
 
-# Told its scope, Drake need not look for it by inspecting the stack, which is slow.
+# With the scope given, Drake need not inspect the stack for it, which is slow.
 @TemplateSystem.define(  # type: ignore[untyped-decorator]
     "Car_", scope=sys.modules[__name__]
 )
@@ -150,7 +150,7 @@ class CarController(TargetController):
         reference (2), output: force [N], turn rate [rad/s].
 
     Args:
-        target: Where to go, (x, y) [m].
+        target: The target position (x, y) [m].
         parameters: Gains; the defaults if None.
         plant_parameters: The car's parameters; the defaults if None.
 

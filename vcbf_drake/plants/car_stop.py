@@ -1,4 +1,4 @@
-"""The car's backup manoeuvre: it brakes straight ahead and stays where it stops."""
+"""The car's backup manoeuvre: braking on a straight line, then rest."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vcbf_drake.checks import Array
 from vcbf_drake.model.compiled import Expressions
 from vcbf_drake.model.manoeuvre import FOREVER, Box, Manoeuvre, Plan
 
-# The least length of a cell [m]; and what rounding may move a box's ends by.
+# The least length of a cell [m], and the bound of rounding at a box's ends.
 _SHORTEST_CELL = 5e-4
 _ROUNDING = 1e-12
 # Below this speed the smooth law brakes less [m/s].
@@ -27,16 +27,15 @@ class CarStop(Manoeuvre):
 
     .. math:: R_+(v) = \max(v, 0)^2 / (2 B_-), \quad R_-(v) = \max(-v, 0)^2 / (2 B_+)
 
-    The line is cut into cells. Those that meet [s - R_-, s + R_+] are the car's own; it
-    never leaves them, for the law takes the acceleration that keeps most clear of both
-    their ends.
+    The line is cut into cells. The car never leaves the cells that meet [s - R_-, s +
+    R_+], for the law takes the acceleration with the largest clearance from their ends.
 
     Args:
-        mass: Of the car [kg].
+        mass: The mass of the car [kg].
         lower: Least force [N] and turn rate [rad/s].
         upper: Greatest ones.
         disturbance_bound: delta1 [m/s^2].
-        period: For how long an input is held [s].
+        period: The hold period [s].
 
     Attributes:
         cell: Length of a cell [m].
@@ -62,7 +61,7 @@ class CarStop(Manoeuvre):
 
     @staticmethod
     def is_possible(lower: Array, upper: Array, mass: float, delta: float) -> bool:
-        """Returns whether the brakes, and the drive, are stronger than d; both ways."""
+        """Returns whether brakes and drive are both stronger than d."""
         weakest = min(-float(lower[0]), float(upper[0])) / mass
         return weakest > delta and lower[1] <= 0.0 <= upper[1] and weakest < math.inf
 
@@ -76,7 +75,7 @@ class CarStop(Manoeuvre):
         return back + ahead
 
     def input(self, state: Array) -> Array:
-        """Returns the brakes' and the drive's force; see `Manoeuvre`."""
+        """Returns the force of the brakes or the drive; see `Manoeuvre`."""
         x, y, v, psi = state.tolist()
         s = x * math.cos(psi) + y * math.sin(psi)
         low, high = self._cells(
@@ -98,7 +97,7 @@ class CarStop(Manoeuvre):
         return [-self._mass * weakest * tanh(x[2] / _SLOW), 0.0]
 
     def _reach(self, v: float, a: float) -> tuple[float, float]:
-        """How far ahead and back the car gets, holding a and stopping after (E92)."""
+        """The reach ahead and back of a car that holds a and then stops (E92)."""
         T, delta = self._period, self._delta
         return (
             _farthest(v, a + delta, self._brake_least, T),
@@ -110,7 +109,7 @@ class CarStop(Manoeuvre):
         return math.floor(low / self.cell), math.floor(high / self.cell) + 1
 
     def plan(self, state: Array, time: float, u: Array) -> Plan:
-        """Returns where an input leads; see `Manoeuvre`."""
+        """Returns the plan of an input; see `Manoeuvre`."""
         x, y, v, psi = state.tolist()
         force, omega = u.tolist()
         T, a, delta = self._period, force / self._mass, self._delta
@@ -118,7 +117,7 @@ class CarStop(Manoeuvre):
         c, s = math.cos(psi + turn), math.sin(psi + turn)
         along, across = x * c + y * s, y * c - x * s
         ahead, back = self._reach(v, a)
-        # What turning adds: the path bends, so it is shorter and beside the line.
+        # The effect of turning: the path bends, so it is shorter and beside the line.
         fastest = abs(v) + (abs(a) + delta) * T
         shorter, beside = fastest * T * turn**2, 0.5 * fastest * T * abs(turn)
         first, last = self._cells(along - back - shorter, along + ahead + shorter)
@@ -145,12 +144,12 @@ class CarStop(Manoeuvre):
 
 
 def _stopping(v: float, weakest: float) -> float:
-    """R(v): how far a speed carries against the weakest braking [m]."""
+    """The stopping distance R(v) of the weakest braking [m]."""
     return v * v / (2.0 * weakest) if v > 0.0 else 0.0
 
 
 def _farthest(v: float, w: float, weakest: float, T: float) -> float:
-    """The farthest that v t + w t^2 / 2 + R(v + w t) gets in [0, T] (E92)."""
+    """The maximum of v t + w t^2 / 2 + R(v + w t) over [0, T] (E92)."""
     times = [0.0, T]
     if v * w < 0.0 and -v / w < T:
         times.append(-v / w)
@@ -160,7 +159,7 @@ def _farthest(v: float, w: float, weakest: float, T: float) -> float:
 def _rotated(
     a: tuple[float, float], b: tuple[float, float], p: float, q: float
 ) -> tuple[float, float]:
-    """Where p a + q b is, for a and b in intervals; rounded outwards."""
+    """The interval of p a + q b for a and b in intervals, rounded outwards."""
     least = min(p * a[0], p * a[1]) + min(q * b[0], q * b[1])
     most = max(p * a[0], p * a[1]) + max(q * b[0], q * b[1])
     slack = _ROUNDING * (1.0 + abs(least) + abs(most))

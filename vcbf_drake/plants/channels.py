@@ -1,4 +1,4 @@
-"""Channels: what a plant's states and inputs are called, and their units."""
+"""Channels: the names and units of a plant's states, inputs and disturbances."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from vcbf_drake.model.interface import actuators_of, find_input_port, state_port
 
 @dataclass(frozen=True)
 class Channels:
-    """The names of a plant's channels, each with its unit; empty where it has none.
+    """The names of a plant's channels, each with its unit if it has one.
 
     Attributes:
-        states: Of the states, n of them.
-        inputs: Of the inputs, m of them.
-        disturbances: Of the disturbances, q of them.
+        states: The names of the n states.
+        inputs: The names of the m inputs.
+        disturbances: The names of the q disturbances.
     """
 
     states: dict[str, str]
@@ -39,22 +39,22 @@ class Channels:
 
     @property
     def angles(self) -> tuple[int, ...]:
-        """Which states are angles [rad]."""
+        """The indices of the states that are angles [rad]."""
         units = self.states.values()
         return tuple(i for i, unit in enumerate(units) if unit == "rad")
 
     @property
     def quaternions(self) -> tuple[int, ...]:
-        """Where the quaternions of a MultibodyPlant's states begin."""
+        """The first indices of the quaternions in a MultibodyPlant's state."""
         return tuple(i for i, each in enumerate(self.states) if each.endswith("_qw"))
 
 
 def channels_of(plant: System) -> Channels:
     """Returns a plant's channels.
 
-    A `MultibodyPlant` knows those of its joints and actuators; any other system says
-    them in its attributes ``state_names``, ``state_units``, and so for ``input`` and
-    ``disturbance``. Without names they are called x0, ..., u0, ... and d0, ...
+    A `MultibodyPlant` knows those of its joints and actuators; any other system names
+    them in its attributes ``state_names``, ``state_units``, and likewise for ``input``
+    and ``disturbance``. Without names they are called x0, ..., u0, ... and d0, ...
 
     Args:
         plant: With ports ``input`` (or ``actuation``), ``state`` and, if anything

@@ -1,4 +1,4 @@
-"""The contract of a vehicle: what its members return, checked before they are used."""
+"""The contract of a vehicle: checks of what its members return."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ _COLOR = re.compile("#[0-9a-fA-F]{6}")
 
 
 def checked_plant(vehicle: Vehicle) -> System:
-    """Returns a vehicle's plant, if its parameters, channels and position are sound.
+    """Returns a vehicle's plant after checks of parameters, channels and position.
 
     Raises:
-        InvalidValueError: They are not.
+        InvalidValueError: A check fails.
     """
     _check_parameters(vehicle)
     plant = vehicle.make_plant()
@@ -61,7 +61,7 @@ def num_coordinates(vehicle: Vehicle, state: Sequence[float]) -> int:
     """Returns how many coordinates a vehicle's position has, in a state (n,).
 
     Raises:
-        InvalidValueError: Its function returns something else than coordinates.
+        InvalidValueError: Its function does not return coordinates.
     """
     at = vehicle.position
     if not callable(at):
@@ -79,7 +79,7 @@ def num_coordinates(vehicle: Vehicle, state: Sequence[float]) -> int:
 def check_returns(
     vehicle: Vehicle, state: Array, target: Sequence[float], inputs: Sequence[Array]
 ) -> None:
-    """Checks what a vehicle's other members return at the start of a run.
+    """Checks the results of a vehicle's other members at the start of a run.
 
     Args:
         vehicle: The vehicle.
@@ -140,7 +140,7 @@ def _check_parameters(vehicle: Vehicle) -> None:
 
 
 def _is_parameter(hint: Any) -> bool:
-    """Whether a scenario file can hold what has a type."""
+    """Whether a scenario file can hold values of a type."""
     return all(map(_is_member, members_of(hint)))
 
 
@@ -161,7 +161,7 @@ def _is_index(value: Any, size: int) -> bool:
 
 def _check_names(plant: Any) -> None:
     """Checks that a plant's channels have one name and one unit each, or none."""
-    if isinstance(plant, MultibodyPlant):  # It has names of its own.
+    if isinstance(plant, MultibodyPlant):  # The plant has names of its own.
         return
     sizes = {
         "state": state_port_of(plant).size(),
@@ -179,7 +179,7 @@ def _check_names(plant: Any) -> None:
 
 
 def _check_motion(vehicle: Vehicle, state: Array, inputs: Sequence[Array]) -> None:
-    """Checks that the plant's derivatives are numbers: that no mass is 0, say."""
+    """Checks that the plant's derivatives are finite: a zero mass, for example."""
     plant = vehicle.make_plant()
     context = plant.CreateDefaultContext()
     if context.num_continuous_states() != len(state):
@@ -202,7 +202,7 @@ def _check_motion(vehicle: Vehicle, state: Array, inputs: Sequence[Array]) -> No
 
 
 def _check_numbers(made: Any) -> None:
-    """Checks that no field is nan, and what `Vehicle.altered` scales."""
+    """Checks that no field is nan, and that `Vehicle.altered` can scale its fields."""
     for each in fields(made):
         value = getattr(made, each.name)
         if is_dataclass(value):

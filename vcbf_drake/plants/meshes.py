@@ -1,4 +1,4 @@
-"""What a robot's file shows: which of its shapes Drake draws, and STL meshes for it."""
+"""The geometry of a robot's file that Drake draws, with STL meshes converted."""
 
 from __future__ import annotations
 
@@ -13,22 +13,21 @@ from pydrake.multibody.parsing import PackageMap
 from vcbf_drake.checks import Array
 
 _STL = ".stl"
-_CELLS = 100  # How finely a mesh is drawn: places along its longest side.
+_CELLS = 100  # The resolution of a drawn mesh: positions along its longest side.
 # The meshes that are drawn: those of Meshcat, and STL, which is converted.
 DRAWN = (".obj", ".gltf", ".glb", _STL)
 
 
 def draw(link: Element, packages: PackageMap | None) -> bool:
-    """Leaves a link of URDF or SDFormat the shapes that are drawn, STL as Wavefront.
+    """Keeps a link's shapes that Drake draws, STL meshes as Wavefront.
 
-    Where none of what it shows is drawn, its collision shapes are.
+    If none of its visual shapes can be drawn, the collision shapes replace them.
 
     Args:
         link: The link, which is changed.
-        packages: Where the URLs of meshes lead; None where nothing is drawn.
+        packages: The packages of the meshes' URLs; None for no geometry.
 
-    Returns:
-        Whether anything is left of what it shows.
+    Returns: Whether a shape remains.
     """
     visuals, collisions = link.findall("visual"), link.findall("collision")
     for each in [*visuals, *collisions]:
@@ -45,7 +44,7 @@ def draw(link: Element, packages: PackageMap | None) -> bool:
 
 
 def _is_drawn(shape: Element, packages: PackageMap) -> bool:
-    """Whether a shape's meshes are there and drawn; those of STL are converted."""
+    """Whether a shape's meshes exist and are drawn; STL meshes are converted."""
     for mesh in shape.iter("mesh"):
         uri = mesh.find("uri")
         url = str(mesh.get("filename") if uri is None else uri.text)
@@ -66,7 +65,7 @@ def _is_drawn(shape: Element, packages: PackageMap) -> bool:
 
 @cache
 def _folder() -> tempfile.TemporaryDirectory[str]:
-    """Where converted meshes are, until the process ends."""
+    """The folder of converted meshes, removed when the process ends."""
     return tempfile.TemporaryDirectory(prefix="vcbf_drake_")
 
 
@@ -74,8 +73,7 @@ def _folder() -> tempfile.TemporaryDirectory[str]:
 def _wavefront(file: Path) -> Path:
     """Returns the path of a Wavefront file with the triangles of an STL file.
 
-    Corners nearer to each other than a picture shows become one, so that a replay stays
-    small.
+    Corners that a picture cannot distinguish are merged, so that a replay stays small.
     """
     found = _corners(file)
     cell = max(float(np.ptp(found, axis=0).max()) / _CELLS, 1e-9)
@@ -92,10 +90,10 @@ def _wavefront(file: Path) -> Path:
 
 
 def _corners(file: Path) -> Array:
-    """The triangles' corners, three after three, shape (3 k, 3), of an STL file."""
+    """The corners of an STL file's k triangles, shape (3 k, 3)."""
     data = file.read_bytes()
     count = int.from_bytes(data[80:84], "little")
-    if len(data) == 84 + 50 * count:  # Else it is the format in words.
+    if len(data) == 84 + 50 * count:  # Otherwise the file is in the text format.
         triangle = np.dtype([("normal", "<f4", 3), ("at", "<f4", (3, 3)), ("", "<u2")])
         found = np.frombuffer(data, triangle, offset=84)["at"]
         return found.reshape(-1, 3).astype(float)

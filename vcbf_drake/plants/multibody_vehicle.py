@@ -32,7 +32,7 @@ from vcbf_drake.plants.shapes import Part
 from vcbf_drake.plants.vehicle import Vehicle
 from vcbf_drake.typed import NotNegative, Positive, check_fields
 
-_BALL = 0.02  # What stands for the point in pictures [m].
+_BALL = 0.02  # The radius of the ball that marks the point in pictures [m].
 
 
 @dataclass
@@ -60,7 +60,7 @@ class MultibodyVehicle(Vehicle):
         drag: Ratio of joint dampings to those of the file.
     """
 
-    # Where the values of keys are that older files have.
+    # The new keys of values in older files.
     MOVED: ClassVar[dict[str, str]] = {
         "stiffness": "vehicle.controller.stiffness",
         "damping": "vehicle.controller.damping",
@@ -114,7 +114,7 @@ class MultibodyVehicle(Vehicle):
         return point_position(self._plant, self.frame, self.point)
 
     def position(self, x: Any) -> Any:
-        """Returns where the point is in the world."""
+        """Returns the position of the point in the world."""
         return self._place(x)
 
     def moved(self, state: Array, offset: Array) -> Array:
@@ -125,7 +125,7 @@ class MultibodyVehicle(Vehicle):
         return found
 
     def body_position(self, point: Sequence[float], frame: str = "") -> Position:
-        """Returns where a point of one of its frames is; see `Vehicle`."""
+        """Returns the position of a point of one of its frames; see `Vehicle`."""
         if not frame:
             return point_position(
                 self._plant, self.frame, np.add(self.point, point or [0.0] * 3)
@@ -133,11 +133,11 @@ class MultibodyVehicle(Vehicle):
         return point_position(self._plant, frame, point or [0.0] * 3)
 
     def make_controller(self, target: Sequence[float]) -> System:
-        """Returns Drake's controller, told of a posture whose point is at the target.
+        """Returns Drake's controller, towards a posture with the point at the target.
 
         Raises:
             InvalidValueError: No posture within the joints' ranges reaches it, or the
-                controller is not for such a robot.
+                controller does not suit the robot.
         """
         plant, law = self._plant, self.controller
         near = self.posture or plant.num_positions() * [0.1]  # Off singularities.
@@ -165,12 +165,12 @@ class MultibodyVehicle(Vehicle):
                 found += limit.barriers([self.speed_gain], f"{name} speed")
         return [*found]
 
-    length = 2.0 * _BALL  # Of what stands for the point.
+    length = 2.0 * _BALL  # The diameter of the ball that marks the point [m].
 
     def geometry(self, color: str) -> list[Part]:
-        """Returns what the file shows, body by body, and a ball for the point.
+        """Returns the file's geometry, body by body, and a ball for the point.
 
-        A body of which it shows nothing that Drake draws is rods between its joints.
+        A body without geometry that Drake draws is shown as rods between its joints.
         """
         scene_graph = SceneGraph()
         plant = self._robot.plant(scene_graph)
@@ -199,14 +199,14 @@ class MultibodyVehicle(Vehicle):
         return self._plant.CreateDefaultContext()
 
     def pose(self, state: Array) -> RigidTransform:
-        """Returns where the point is, turned as its frame, from the state (n,)."""
+        """Returns the point's pose, with its frame's rotation, at a state (n,)."""
         plant, context = self._plant, self._context
         plant.SetPositions(context, state[: plant.num_positions()])
         frame = plant.GetFrameByName(self.frame).CalcPoseInWorld(context)
         return frame @ RigidTransform(self.point)
 
     def poses(self, state: Array) -> dict[str, RigidTransform]:
-        """Returns where every body is, from the state (n,)."""
+        """Returns the pose of every body at the state (n,)."""
         plant, context = self._plant, self._context
         plant.SetPositions(context, state[: plant.num_positions()])
         return super().poses(state) | {

@@ -1,4 +1,4 @@
-"""Postures of a robot: where its joints are when a point of it is at a place."""
+"""Postures of a robot: inverse kinematics, and the effort at rest."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from vcbf_drake.checks import Array
 from vcbf_drake.errors import InvalidValueError
 
 _TRIES = 20
-_NEAR = 0.005  # How near the target the posture has to come [m].
+_NEAR = 0.005  # The tolerance of the posture at the target [m].
 
 
 class Posture(NamedTuple):
-    """Where a robot rests.
+    """A posture in which a robot rests.
 
     Attributes:
         positions: q, shape (nq,).
-        effort: The input that holds it there, shape (m,); 0 where none was asked for.
+        effort: The input that holds it there, shape (m,); 0 if not requested.
     """
 
     positions: Array
@@ -41,18 +41,18 @@ def posture_at(
 ) -> Posture:
     """Returns a posture within the joints' ranges whose point is at the target.
 
-    A floating base stays where the file has it.
+    A floating base keeps the file's pose.
 
     Args:
         plant: The robot.
         frame: The name of the frame or body that carries the point.
         point: The point in that frame, shape (3,) [m].
-        target: Where it has to be, shape (3,) [m].
-        near: Which of several postures: one near these q, shape (nq,).
+        target: The position for the point, shape (3,) [m].
+        near: The positions near which a posture is chosen, shape (nq,).
         at_rest: Whether the motors must be able to hold it.
 
     Raises:
-        InvalidValueError: There is none.
+        InvalidValueError: There is no such posture.
     """
     kinematics = InverseKinematics(plant)
     q, program = kinematics.q(), kinematics.prog()
@@ -87,7 +87,7 @@ def posture_at(
 
 
 def _guesses(plant: MultibodyPlant, seed: Array) -> Iterator[Array]:
-    """Where to look from: a posture, then seeded ones within the joints' ranges."""
+    """The initial guesses: a posture, then seeded ones within the joints' ranges."""
     low = np.fmax(plant.GetPositionLowerLimits(), -np.pi)
     high = np.fmin(plant.GetPositionUpperLimits(), np.pi)
     yield np.clip(seed, low, high)
@@ -97,7 +97,7 @@ def _guesses(plant: MultibodyPlant, seed: Array) -> Iterator[Array]:
 
 
 class _StaticBalance:
-    """The generalised forces that are left over at rest, of [q; u]; 0 in balance."""
+    """The residual generalised forces at rest, a function of [q; u]; 0 in balance."""
 
     def __init__(self, plant: MultibodyPlant) -> None:
         self._plants = {float: plant, object: plant.ToAutoDiffXd()}

@@ -1,4 +1,4 @@
-"""Drake's own controllers for a robot from a file, as a scenario file has them."""
+"""Drake's own controllers for a robot from a file, as in scenario files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from vcbf_drake.typed import Checked, NotNegative, Positive
 
 @dataclass
 class InverseDynamics(Checked):
-    """Computed torque: every joint's error decays alike, whatever it carries.
+    """Computed torque: every joint's error decays alike, for any load.
 
     It needs a motor at every joint and a base that does not float.
 
@@ -43,7 +43,7 @@ class InverseDynamics(Checked):
     damping: list[Positive] = field(default_factory=lambda: [6.0])
 
     def check(self, plant: MultibodyPlant) -> None:
-        """Checks that it is for such a robot, and has as many numbers."""
+        """Checks that it suits the robot, and has as many numbers."""
         n = plant.num_velocities()
         if not is_driven(plant):
             problem = f"!InverseDynamics needs {n} motors for {n} velocities; there are"
@@ -68,7 +68,7 @@ class InverseDynamics(Checked):
 class JointStiffness(Checked):
     """A spring and a damper at every actuated joint, with gravity compensation.
 
-    Where joints without a motor are among them, nothing is taken off.
+    With joints without a motor there is no gravity compensation.
 
     Attributes:
         stiffness: Stiffness of the joints, one for all or one each [N m/rad].
@@ -80,7 +80,7 @@ class JointStiffness(Checked):
     damping: list[Positive] = field(default_factory=lambda: [20.0])
 
     def check(self, plant: MultibodyPlant) -> None:
-        """Checks that it is for such a robot, and has as many numbers."""
+        """Checks that it suits the robot, and has as many numbers."""
         _check_sizes(self, ("stiffness", "damping"), plant.num_actuators())
 
     def make(self, plant: MultibodyPlant, posture: Posture) -> System:
@@ -107,8 +107,8 @@ class JointStiffness(Checked):
 class Lqr(Checked):
     """Drake's linear-quadratic regulator about rest at the target.
 
-    It needs no motor at every joint, but a start from which the linear law holds. A
-    base that floats it cannot hold: inner forces do not move a centre of mass.
+    It does not need a motor at every joint, but a start from which the linear law
+    holds. It cannot hold a floating base: inner forces do not move a centre of mass.
 
     Attributes:
         state_weights: Q, its diagonal, (n,); empty for 1 each.
@@ -120,7 +120,7 @@ class Lqr(Checked):
     input_weights: list[Positive] = field(default_factory=list)
 
     def check(self, plant: MultibodyPlant) -> None:
-        """Checks that it is for such a robot, and has as many numbers."""
+        """Checks that it suits the robot, and has as many numbers."""
         for body in map(plant.get_body, plant.GetFloatingBaseBodies()):
             problem = (
                 f"!Lqr: the base {body.name()} floats, and no motor of a joint moves"
@@ -178,7 +178,7 @@ def _check_sizes(law: object, names: Sequence[str], size: int) -> None:
 
 
 def _steered(law: System, goal: Array) -> System:
-    """A controller's diagram that wants one and the same state."""
+    """The diagram of a controller with a constant desired state."""
     builder = DiagramBuilder()
     builder.AddNamedSystem("law", law)
     wanted = builder.AddNamedSystem("posture", ConstantVectorSource(goal))

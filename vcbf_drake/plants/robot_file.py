@@ -23,7 +23,7 @@ from vcbf_drake.errors import InvalidValueError
 from vcbf_drake.model.interface import actuators_of
 from vcbf_drake.plants.meshes import DRAWN, draw
 
-_KINDS = (".urdf", ".sdf", ".xml", ".yaml")  # What Drake's Parser reads.
+_KINDS = (".urdf", ".sdf", ".xml", ".yaml")  # The formats that Drake's Parser reads.
 _CHANGEABLE = (".urdf", ".sdf")
 _LOGGER = logging.getLogger("vcbf_drake")
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
@@ -31,16 +31,16 @@ _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 @dataclass(frozen=True)
 class RobotFile:
-    """A robot as its file has it, and what is changed of that.
+    """A robot's file, and the changes made to it.
 
     Attributes:
         file: The file, or its URL (``package://NAME/...``).
-        weld: The body that is fixed to the world; empty for none beside the file's.
-        actuators: The joints that have a motor; empty for those of the file, all where
-            it says nothing of motors.
-        fixed: The joints that do not move at all.
-        mass: Masses and inertias over those of the file.
-        drag: Dampings of the joints over those of the file.
+        weld: The body to fix to the world; empty for none besides the file's.
+        actuators: The joints with a motor; empty for those of the file, or all joints
+            if it declares none.
+        fixed: The locked joints.
+        mass: Ratio of masses and inertias to those of the file.
+        drag: Ratio of joint dampings to those of the file.
     """
 
     file: str
@@ -54,7 +54,7 @@ class RobotFile:
         """Returns the robot's continuous plant, finalised.
 
         Args:
-            scene_graph: What its geometry is registered with, if with any.
+            scene_graph: The scene graph of its geometry, if any.
 
         Raises:
             InvalidValueError: There is no such file, body or joint, Drake does not read
@@ -96,7 +96,7 @@ class RobotFile:
         return plant
 
     def _path(self, packages: PackageMap) -> Path:
-        """Where the file is, after the packages around it have been found."""
+        """The path of the file, after the packages around it have been found."""
         packages.Add("vcbf_drake", str(files("vcbf_drake")))
         packages.PopulateFromRosPackagePath()
         rule = f"a URDF or SDFormat file ({', '.join(_KINDS)}) that there is"
@@ -114,9 +114,9 @@ class RobotFile:
         require(path.is_file() and path.suffix in _KINDS, "file", self.file, rule)
         for above in path.parents[:-1]:
             if (above / "package.xml").is_file():
-                with suppress(RuntimeError):  # Another package has its name.
+                with suppress(RuntimeError):  # Another package has the same name.
                     packages.AddPackageXml(str(above / "package.xml"))
-        for above in path.parents[:-1]:  # Installed, a package often is its folder.
+        for above in path.parents[:-1]:  # An installed package is often its folder.
             if not packages.Contains(above.name):
                 packages.Add(above.name, str(above))
         return path
@@ -129,12 +129,12 @@ class RobotFile:
     def _changed(self, path: Path, packages: PackageMap | None) -> str:
         """The file's text with joints fixed, other masses and other dampings.
 
-        Of its geometry what can be drawn is left, if that is asked for: all else is not
-        even read, since Drake refuses a file for some of it.
+        It keeps only geometry that can be drawn, if requested: Drake would reject a
+        file for some other geometry.
 
         Args:
             path: The file.
-            packages: Where meshes are looked for; None for no geometry at all.
+            packages: The packages of meshes; None for no geometry.
         """
         robot = ElementTree.parse(path).getroot()
         if robot.tag == "robot" and not robot.get("name"):
@@ -156,11 +156,11 @@ class RobotFile:
         return ElementTree.tostring(robot, "unicode")
 
     def _fix_joints(self, robot: ElementTree.Element) -> None:
-        """Fixes joints; those that mimic others Drake has in discrete time alone."""
+        """Fixes joints; Drake has those that mimic others only in discrete time."""
         joints = {
             each.attrib["name"]: each
             for each in robot.iter("joint")
-            if "type" in each.attrib  # A transmission names its joint in one, too.
+            if "type" in each.attrib  # A transmission names its joint too.
         }
         for name in self.fixed:
             require_choice("fixed", name, [*joints])
@@ -181,7 +181,7 @@ class RobotFile:
             raise InvalidValueError("fixed", f"{problem} {', '.join(mimics)}")
 
     def _choose_actuators(self, plant: MultibodyPlant, path: Path) -> None:
-        """Gives the wanted joints, and them alone, a motor."""
+        """Gives a motor to the chosen joints alone."""
         joints = {each.name(): each for each in joints_of(plant) if _is_single(each)}
         has = {each.joint().name(): each for each in actuators_of(plant)}
         wanted = self.actuators or [*has] or [*joints]
@@ -209,19 +209,19 @@ class RobotFile:
 
 @cache
 def _tell(message: str) -> None:
-    """Says it in the log, once."""
+    """Logs a message once."""
     _LOGGER.warning(message)
 
 
 def how_to_fix(plant: MultibodyPlant) -> str:
-    """Returns what a message says of how each floating base would be fixed."""
+    """Returns a message's advice on how to fix each floating base."""
     bases = map(plant.get_body, plant.GetFloatingBaseBodies())
     return "".join(f"; weld: {each.name()} fixes the floating base" for each in bases)
 
 
 @contextmanager
 def _warned_once(file: str) -> Iterator[None]:
-    """Leaves Drake's warnings about a file away when it is read again."""
+    """Suppresses Drake's warnings about a file when it is read again."""
     logger = logging.getLogger("drake")
     level = logger.level
     if file in _READ:
@@ -237,7 +237,7 @@ _READ: set[str] = set()
 
 
 def bodies_of(plant: MultibodyPlant) -> list[RigidBody]:
-    """Returns all bodies but the world."""
+    """Returns all bodies except the world."""
     return [
         plant.get_body(index)
         for instance in range(1, plant.num_model_instances())
@@ -265,7 +265,7 @@ def _multiply(element: ElementTree.Element, factor: float) -> None:
 
 
 def _efforts(path: Path) -> dict[str, float]:
-    """The effort limits of a file's joints, which Drake keeps for motors alone."""
+    """The effort limits of a file's joints, which Drake keeps only for motors."""
     if path.suffix not in _CHANGEABLE:
         return {}
     found = {}

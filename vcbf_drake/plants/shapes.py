@@ -1,4 +1,4 @@
-"""Parts of a robot's body as pictures show them: shapes of Drake, placed, coloured."""
+"""Parts of a robot's body for pictures: Drake's shapes with poses and colours."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pydrake.math import RigidTransform
 
 from vcbf_drake.checks import Array
 
-PAINT = "paint"  # The material of a model that gets the colour asked for.
+PAINT = "paint"  # The material of a model that takes the given colour.
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class Part:
         name: The piece's name.
         shape: One of Drake's shapes: `Sphere`, `Box`, `Mesh` of a file, ...
         color: A hexadecimal colour; None for a file with colours of its own.
-        pose: Where the shape is in the body frame.
-        body: Which body's, of a robot that has several; see `Vehicle.poses`.
+        pose: The pose of the shape in the body frame.
+        body: The name of its body, for a robot of several; see `Vehicle.poses`.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Part:
 
 
 def painted_model(name: str, color: str) -> Mesh:
-    """Returns a glTF model of this package with its paint in a colour.
+    """Returns a glTF model of this package, painted in a colour.
 
     Args:
         name: The file's name in `vcbf_drake/models`, without its ending.
@@ -69,7 +69,7 @@ def of_body(parts: Iterable[Part], body: str = "") -> list[Part]:
 def bounding_box(parts: Iterable[Part]) -> tuple[Array, Array]:
     """Returns the corners of a box around parts in the body frame, shape (3,) each [m].
 
-    Shapes without an end, such as a `HalfSpace`, are left out.
+    Unbounded shapes, such as a `HalfSpace`, are left out.
     """
     scene_graph = SceneGraph()
     source, inspector = scene_graph.RegisterSource(), scene_graph.model_inspector()
@@ -78,7 +78,7 @@ def bounding_box(parts: Iterable[Part]) -> tuple[Array, Array]:
         instance = GeometryInstance(part.pose, part.shape, part.name)
         instance.set_illustration_properties(IllustrationProperties())
         geometry = scene_graph.RegisterAnchoredGeometry(source, instance)
-        hull = inspector.GetConvexHull(geometry)  # Of meshes only.
+        hull = inspector.GetConvexHull(geometry)  # For meshes only.
         box = inspector.GetObbInGeometryFrame(geometry)
         if hull is not None:
             inside = np.transpose([hull.vertex(i) for i in range(hull.num_vertices())])
@@ -92,7 +92,7 @@ def bounding_box(parts: Iterable[Part]) -> tuple[Array, Array]:
 
 
 def _linear(color: str) -> list[float]:
-    """The red, green and blue of a hexadecimal sRGB colour as glTF has them."""
+    """The linear red, green and blue of a hexadecimal sRGB colour, as in glTF."""
     channels = np.array([int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5)])
     dark, bright = channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4
     linear: list[float] = np.where(channels <= 0.04045, dark, bright).round(5).tolist()

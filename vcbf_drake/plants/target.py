@@ -10,13 +10,13 @@ from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from vcbf_drake.checks import finite_array, require
 
-# Nearer than this the direction to the target means nothing, and the heading is left
-# as it is [m] (R39).
+# Nearer than this, the direction to the target is meaningless and the heading is kept
+# [m] (R39).
 NEAR = 0.05
 
 
 class TargetController(LeafSystem):
-    """A law from the state and the disturbance's estimate to the input it wants.
+    """A control law from the state and the disturbance estimate to the input.
 
     Ports:
         state (n): the vehicle's state.
@@ -24,8 +24,8 @@ class TargetController(LeafSystem):
         reference (m), output: the input.
 
     Args:
-        target: Where to go, shape (k,) [m].
-        plant: The class of the plant, which says its position and its channels' names.
+        target: The target position, shape (k,) [m].
+        plant: The class of the plant, which names its position and its channels.
 
     Raises:
         ValueError: The target is not k finite numbers.
@@ -54,7 +54,7 @@ class TargetController(LeafSystem):
         output.SetFromVector(self._law(state, estimate))
 
     def _law(self, state: list[float], estimate: list[float]) -> list[float]:
-        """Returns the input that is wanted, m numbers."""
+        """Returns the reference input, m numbers."""
         raise NotImplementedError
 
 

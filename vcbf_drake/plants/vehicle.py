@@ -1,4 +1,4 @@
-"""Vehicle: what a scenario, a study, a replay and a hardware loop know of a robot."""
+"""Vehicle: the interface of a robot for scenarios, studies, replays and hardware."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ from vcbf_drake.typed import tag_of, typed
 
 
 class Vehicle(ABC):
-    """A robot: its plant, its controller, where it is, and its own limits.
+    """A robot: its plant, controller, position and own limits.
 
     A subclass is a dataclass: its fields are the robot's parameters, in a scenario file
     too, where ``vehicle: !Name {...}`` makes a `Name` (or `NameVehicle`).
 
     Attributes:
-        position: Which states are the vehicle's position, or a function from the state
-            (n,) to it, of pydrake's operations and those of ``pydrake.math``.
-        heading: Which state turns the body about the vertical, for pictures.
+        position: The indices of the vehicle's position, or a function from the state
+            (n,) to it, in operations of pydrake and ``pydrake.math``.
+        heading: The index of the state that turns the body about the vertical, for
+            pictures.
     """
 
     position: Position
@@ -40,15 +41,15 @@ class Vehicle(ABC):
         """Returns the plant, a control-affine system.
 
         Its ports are ``input``, ``state`` and, if anything disturbs it,
-        ``disturbance``. What its channels are called, and their units, stand in its
-        attributes ``state_names``, ``state_units``, ``input_names``, ``input_units``.
+        ``disturbance``. The names and units of its channels are its attributes
+        ``state_names``, ``state_units``, ``input_names``, ``input_units``.
         """
 
     @abstractmethod
     def make_controller(self, target: Sequence[float]) -> System:
-        """Returns a controller that steers to a target and knows nothing of obstacles.
+        """Returns a controller that steers to a target, regardless of obstacles.
 
-        Its ports are ``state``, ``reference`` (the input it wants) and, if it
+        Its ports are ``state``, ``reference`` (the reference input) and, if it
         compensates the disturbance, ``disturbance_estimate``.
 
         Args:
@@ -56,7 +57,7 @@ class Vehicle(ABC):
         """
 
     def input_limits(self) -> tuple[list[float], list[float]] | None:
-        """Returns the least and greatest inputs; None where a scenario has to say."""
+        """Returns the least and greatest inputs; None if a scenario gives them."""
         return None
 
     def barriers(self) -> list[Barrier | StateInputLimit]:
@@ -64,15 +65,15 @@ class Vehicle(ABC):
         return []
 
     def body_position(self, point: Sequence[float], frame: str = "") -> Position:
-        """Returns where a point of the body is, as `position` does of the vehicle.
+        """Returns the position of a point of the body, a function as `position` is.
 
         Args:
-            point: From the position, turned by the heading if there is one; empty for
-                the position itself [m].
-            frame: What it moves with; empty for the body.
+            point: The offset from the position, turned by the heading if there is one;
+                empty for the position itself [m].
+            frame: The frame that it moves with; empty for the body.
 
         Raises:
-            InvalidValueError: There is no such frame, or not one number a dimension.
+            InvalidValueError: There is no such frame, or not one number per dimension.
         """
         rule = f"empty, for {tag_of(type(self))} is one body"
         require(not frame, "frame", frame, rule)
@@ -81,11 +82,11 @@ class Vehicle(ABC):
         return _PointOfBody(self.position, tuple(point), self.heading)
 
     def altered(self, mass: float, drag: float) -> Vehicle:
-        """Returns the vehicle that is really there when it is not as modelled.
+        """Returns the true vehicle, where it differs from the modelled one.
 
         Args:
-            mass: Its true mass over the modelled one, the field ``mass``.
-            drag: Its true drag over the modelled one, the field ``drag``.
+            mass: The ratio of its true mass to the modelled one, the field ``mass``.
+            drag: The ratio of its true drag to the modelled one, the field ``drag``.
 
         Raises:
             InvalidValueError: The vehicle has no such field.
@@ -99,24 +100,24 @@ class Vehicle(ABC):
         return replace(self, **changes)  # type: ignore[type-var]
 
     def geometry(self, color: str) -> list[Part]:
-        """Returns how the vehicle looks, in its body frame: a ball by default.
+        """Returns the parts that show the vehicle in its body frame: by default a ball.
 
-        A part is one of Drake's shapes, a `Mesh` of a glTF or Wavefront file say. Of a
-        robot that has several bodies, each part says which it belongs to.
+        A part is one of Drake's shapes, such as a `Mesh` of a glTF or Wavefront file.
+        For a robot of several bodies, each part names its body.
 
         Args:
-            color: What it is told apart by, a hexadecimal colour.
+            color: A hexadecimal colour that identifies the vehicle.
         """
         return [Part("ball", Sphere(0.1), color)]
 
     @property
     def length(self) -> float:
-        """How long the vehicle is, seen from above [m]."""
+        """The length of the vehicle, seen from above [m]."""
         low, high = bounding_box(of_body(self.geometry("#000000")))
         return float((high - low)[:2].max())
 
     def pose(self, state: Array) -> RigidTransform:
-        """Returns where the body frame is, from the vehicle's state (n,)."""
+        """Returns the pose of the body frame at the vehicle's state (n,)."""
         place = np.zeros(3)
         found = self.positions(np.atleast_2d(state))[0]
         place[: len(found)] = found
@@ -124,16 +125,16 @@ class Vehicle(ABC):
         return RigidTransform(RotationMatrix.MakeZRotation(turn), place)
 
     def poses(self, state: Array) -> dict[str, RigidTransform]:
-        """Returns where the frame of each body is, by its name, from the state (n,).
+        """Returns the pose of each body's frame, by its name, at the state (n,).
 
-        The body frame of `pose` has the name "", for parts that say no other.
+        The body frame of `pose` has the name "", for parts that name no body.
         """
         return {"": self.pose(state)}
 
     def moved(self, state: Array, offset: Array) -> Array:
-        """Returns a state whose position is off by an offset (k,), to first order.
+        """Returns a state with its position moved by an offset (k,), to first order.
 
-        As little of the state (n,) changes as will do.
+        The change of the state (n,) is the smallest possible.
         """
         steps = 1e-6 * np.eye(len(state))
         away = self.positions(state + steps) - self.positions(state - steps)
@@ -141,7 +142,7 @@ class Vehicle(ABC):
         return found
 
     def positions(self, states: Array) -> Array:
-        """Returns where the vehicle is, (T, k) [m], from its states (T, n)."""
+        """Returns the vehicle's positions, (T, k) [m], at its states (T, n)."""
         if callable(self.position):
             return np.array([self.position(x) for x in states], dtype=float)
         found: Array = states[:, list(self.position)]
@@ -150,7 +151,7 @@ class Vehicle(ABC):
 
 @dataclass(frozen=True)
 class _PointOfBody:
-    """Where a point of a body is, from a state in numbers or expressions (n,)."""
+    """The position of a body's point at a state (n,), in numbers or expressions."""
 
     position: Position
     point: tuple[float, ...]
@@ -172,9 +173,7 @@ class _PointOfBody:
 class StateFeedback(LeafSystem):
     """A controller that is a function of the state alone, in Python.
 
-    Ports:
-        state (n): the vehicle's state.
-        reference (m), output: the input that it wants.
+    Ports: state (n): the vehicle's state. reference (m), output: the reference input.
 
     Args:
         law: From the state, shape (n,), to the input, shape (m,).
