@@ -97,7 +97,7 @@ class MovingObstacle(Shape):
         ]
 
     def trajectory(self) -> PiecewisePolynomial:
-        """Returns its displacement as a trajectory, (k, 1) [m], at rest at both ends."""
+        """Returns its displacement as a trajectory, (k, 1) [m], with ends at rest."""
         rest = np.zeros(self.dimensions)
         return PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
             self.times, np.transpose(self.waypoints), rest, rest
