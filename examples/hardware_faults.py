@@ -69,7 +69,7 @@ def load_standby(url: str) -> subprocess.Popen:
 
 
 def stand_by(url: str) -> None:
-    """What a standby runs: everything a controller is, but its first word."""
+    """The process of a standby: a controller without its first message."""
     scenario = load_scenario(SCENARIO, {"period": 1.0 / RATE})
     process = controller_of(scenario, Bus(DrakeLcm(url), name=SCENARIO))
     print("ready", flush=True)

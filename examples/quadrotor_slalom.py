@@ -80,7 +80,7 @@ class Quadrotor(Vehicle):
 
     @property
     def weight(self):
-        """What the rotors bear at hover [N]."""
+        """The weight that the rotors bear at hover [N]."""
         return 9.81 * self.mass
 
     def make_plant(self):

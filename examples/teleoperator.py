@@ -41,7 +41,7 @@ MOST, PERIOD = np.array([3.0, 2.0]), 0.02  # [N], [rad/s]; control period [s].
 
 
 class Stick(LeafSystem):
-    """What the person wants: sliders, or a script that is always in a hurry."""
+    """The person's commands: sliders, or a script that is always in a hurry."""
 
     def __init__(self, meshcat):
         super().__init__()

@@ -20,7 +20,7 @@ from vcbf_drake.safety.safety_filter import SafetyFilter
 from vcbf_drake.safety.settings import FilterSettings
 from vcbf_drake.typed import typed
 
-# What the monitor is called, after the filter's name.
+# The suffix of the monitor's name, after the filter's name.
 LOOP_MONITOR = "loop_monitor"
 
 
@@ -72,8 +72,8 @@ def AddSafetyFilter(
             yours to connect.
         reference: The controller's output port, (m,); None leaves the filter's port
             ``reference`` to connect, or to export from a diagram.
-        barriers: What must stay true.
-        input_set: What the actuators can do.
+        barriers: The barriers and limits.
+        input_set: The inputs that the actuators can deliver.
         bounds: delta1, delta2, delta3 of the disturbance; not needed for a plant
             without one.
         settings: Period, method and all other choices; a scenario does, too.

@@ -99,8 +99,8 @@ def require(allowed: bool, name: str | Path, value: object, rule: str) -> None:
     Args:
         allowed: Whether it is.
         name: Its name, or the path to it.
-        value: What was given.
-        rule: What it must be.
+        value: The given value.
+        rule: The rule that it breaks.
 
     Raises:
         InvalidValueError: It is not allowed.
@@ -117,7 +117,7 @@ def require_choice(name: str | Path, value: object, allowed: Collection[str]) ->
 
     Args:
         name: Its name, or the path to it.
-        value: What was given.
+        value: The given value.
         allowed: The words.
 
     Raises:

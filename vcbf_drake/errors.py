@@ -78,7 +78,7 @@ class SolverError(VcbfError):
     Attributes:
         A: The rows of the problem, shape (n, m).
         b: The right-hand sides, shape (n,).
-        details: What the solver said.
+        details: The solver's report.
     """
 
     def __init__(self, message: str, A: Array, b: Array, details: str = "") -> None:

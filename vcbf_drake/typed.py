@@ -98,7 +98,7 @@ def check_fields(made: Any, prefix: str = "") -> None:
     """Checks the fields of a dataclass against their types.
 
     Args:
-        made: What was made.
+        made: The new instance.
         prefix: What the path begins with: "box: " for example.
 
     Raises:
@@ -228,7 +228,7 @@ def _is_array(value: Any, hint: Any) -> bool:
 
 
 def in_words(hint: Any) -> str:
-    """Returns what a message calls what a type hint allows."""
+    """Returns the types that a hint allows, in words for messages."""
     return " or ".join(dict.fromkeys(map(_in_words, members_of(hint))))
 
 

@@ -49,7 +49,7 @@ FULL, QUICK = Settings(), Settings(True, 4, 6, 2, 1, 1, 1)
 
 @dataclass(frozen=True)
 class Plan:
-    """What to run for an experiment, and the numbers that follow from it.
+    """The runs of an experiment, and the numbers that follow from them.
 
     Attributes:
         evaluate: Returns the experiment's numbers, from the archive, which holds the

@@ -190,7 +190,7 @@ def _handling(result: Result) -> str:
 
 
 def _caution(result: Result, bounds: DisturbanceBounds) -> Array:
-    """What a row adds to be safe against the unknown, one number a tick [m/s^2]."""
+    """The margin of a row against the unknown disturbance, per tick [m/s^2]."""
     error_bound: Array = result.log["error_bound"]
     if _handling(result) == "ignored":
         return np.zeros_like(error_bound)

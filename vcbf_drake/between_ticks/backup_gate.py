@@ -1,4 +1,4 @@
-"""BackupGate: no input leaves it but with a certified way to safety after it."""
+"""BackupGate: every input that passes is followed by a certified plan."""
 
 from __future__ import annotations
 
@@ -54,11 +54,11 @@ class BackupGate:
 
         Args:
             model: The plant.
-            barrier_set: What must stay true.
-            input_set: What the actuators can do, a box.
-            period: For how long an input is held [s].
+            barrier_set: The barriers.
+            input_set: The input set, a box.
+            period: The hold period [s].
             disturbance_bound: delta1 [m/s^2].
-            is_hard: Which rows no plan may break, (N,); all by default. A soft one
+            is_hard: The rows that no plan may violate, (N,); all by default. A soft one
                 may give way in the QP and counts for nothing here.
 
         Raises:
@@ -82,7 +82,7 @@ class BackupGate:
         enough, all.
 
         Args:
-            tick: Where it is made.
+            tick: The tick of the decision.
             decision: The method's own.
         """
         decision = self._found(tick, decision)
@@ -135,7 +135,7 @@ def _input_of(manoeuvre: Manoeuvre, state: Array, input_set: InputSet) -> Array 
 
 
 class _Check:
-    """What certifies the plans of one tick."""
+    """The certification of the plans of one tick."""
 
     def __init__(
         self,
@@ -172,7 +172,8 @@ class _Check:
             return False
         for i, each in enumerate(self._functions):
             if not _is_clear(each, plan, 0, cells):
-                # The next plan is much like this one: what it hits comes first.
+                # The next plan is similar: the barrier that this one violates is
+                # checked first.
                 self._functions.insert(0, self._functions.pop(i))
                 return False
         return True
@@ -183,7 +184,7 @@ class _Check:
         """Returns a certified input that gives way by little, and by which share.
 
         Args:
-            manoeuvre: Whose plans are looked at.
+            manoeuvre: The manoeuvre of the plans.
             u: An input without a certified plan.
             end: The manoeuvre's input, which has one.
         """
@@ -192,7 +193,7 @@ class _Check:
             v = self._input_set.project(v)  # Rounding may have taken it outside.
             return v if self.passes(manoeuvre, v) else None
 
-        # To steer round what is in the way costs less than to brake before it ...
+        # To steer around an obstacle costs less than to brake before it ...
         partly = u.copy()
         partly[list(manoeuvre.first)] = end[list(manoeuvre.first)]
         ways = [u, *self._limits_of(u, manoeuvre.aside)]
@@ -233,7 +234,7 @@ class _Check:
         return inputs
 
     def _cells_before_safety(self, plan: Plan) -> int | None:
-        """How many cells come before one from which on nothing is in the way."""
+        """The number of cells before the one from which on every barrier is clear."""
         if plan.beyond is None:
             return plan.num_cells
         if not self._is_safe_beyond(plan, plan.num_cells):

@@ -1,4 +1,4 @@
-"""The least that a run's barriers can have been, at the ticks and between them."""
+"""Certified lower bounds of a run's barriers, at the ticks and between them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _IRRELEVANT = (
 def known_along(
     log: Mapping[str, Array], safety_filter: SafetyFilter, disturbance_bound: float
 ) -> tuple[Array, Array]:
-    """Returns what a method takes as known: estimates (T, q) and their bounds (T,).
+    """Returns a method's estimates (T, q) of the disturbance and their bounds (T,).
 
     Args:
         log: The arrays of the log, one row a control tick.
@@ -53,7 +53,7 @@ def known_along(
 
 
 def is_certifiable(settings: FilterSettings, assumptions: Sequence[Assumption]) -> bool:
-    """Returns whether state and disturbance are known as well as a certificate needs.
+    """Returns whether knowledge of state and disturbance permits a certificate.
 
     Args:
         settings: Of what is run.
@@ -73,16 +73,16 @@ def certified_least_barrier(
     period: float,
     disturbance_bound: float,
 ) -> float:
-    """Returns what no h of a run was below, at the ticks or between them (E87).
+    """Returns a lower bound of every h of a run, at the ticks and between them (E87).
 
-    That is true of every disturbance that agrees with what was known at the ticks.
-    -inf where nothing is certain, inf without a barrier.
+    It holds for every disturbance that agrees with the estimates at the ticks. -inf
+    where nothing is certain, inf without a barrier.
 
     Args:
         safety_filter: The filter that ran.
         log: The arrays of the log, one row a control tick.
         holds: How many ticks' inputs were held for a whole period.
-        period: How long that is [s].
+        period: The control period [s].
         disturbance_bound: delta1 [m/s^2].
 
     Raises:
@@ -173,7 +173,7 @@ class _Holds:
         return -math.inf if any(map(math.isnan, found)) else min(found)
 
     def _known(self, k: int) -> DisturbanceKnowledge:
-        """Returns what the filter took as known of the disturbance at one tick."""
+        """Returns the filter's ball of the disturbance at one tick."""
         estimate, bound = self._estimates[k], float(self._bounds[k])
         return DisturbanceKnowledge(
             estimate, np.zeros_like(estimate), bound + self._hold_margin, 0.0, 0.0
@@ -206,9 +206,9 @@ def least_height(
     Args:
         chain: phi^0, ..., phi^(r-1) at the tick, shape (r,).
         decay_rates: lambda_1, ..., lambda_r, shape (r,).
-        least_chi: What phi^(r-1)' + lambda_r phi^(r-1) is at least.
-        duration: For how long the input is held [s].
-        early: What phi^(k-1)' + lambda_k phi^(k-1) is at least for each derivative k
+        least_chi: A lower bound of phi^(r-1)' + lambda_r phi^(r-1).
+        duration: The hold period [s].
+        early: Lower bounds of phi^(k-1)' + lambda_k phi^(k-1) for each derivative k
             that an input enters early (E8a).
     """
     least, r = least_chi, len(chain)

@@ -1,4 +1,4 @@
-"""Certain enclosures: of rows over boxes, of a state while an input is held."""
+"""Certified enclosures of rows over boxes, and of the state during a hold."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class RowEnclosures:
         Args:
             barriers: The rows.
             t: The time for which obstacles are perceived [s].
-            obstacles: What is perceived then, shape (obstacles_size,).
+            obstacles: The perceived obstacles at that time, shape (obstacles_size,).
 
         Raises:
             ModelError: A row has no enclosure on intervals; the message names it.
@@ -181,7 +181,7 @@ def reach_tube(
         start: Where the state is at the beginning, n intervals or numbers.
         inputs: Where the input is, m of them.
         disturbances: Where the disturbance is, q of them.
-        duration: For how long [s].
+        duration: The duration [s].
 
     Raises:
         ModelError: The model has no enclosure.

@@ -1,4 +1,4 @@
-"""What rows are worth while an input is held: certified, between ticks too."""
+"""Certified lower bounds of the barrier rows over a hold."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ _Pair: TypeAlias = tuple[Array, Array]  # Middles and radii of intervals.
 
 # How far below 0 a row's chi counts as 0, as for a row at the tick itself.
 _TOLERANCE = 1e-9
-# What a margin is more than a row lost without it: the next input loses another amount.
+# The excess of a margin over a row's loss without it: the next input loses a different
+# amount.
 _HEADROOM = 1.1
 _ATTEMPTS = 5
 # Bounds the rounding of the sums below, relative to the sum of their terms' sizes.
@@ -37,7 +38,7 @@ class HeldRows:
     """The rows' values while an input is held, bounded from below (E83).
 
     Attributes:
-        period: For how long it is held [s].
+        period: The hold period [s].
     """
 
     def __init__(
@@ -47,12 +48,12 @@ class HeldRows:
         period: float,
         disturbance_bound: float,
     ) -> None:
-        """Makes what bounds the rows.
+        """Makes the enclosures of the rows.
 
         Args:
             model: The plant.
             barrier_set: The rows.
-            period: For how long an input is held [s].
+            period: The hold period [s].
             disturbance_bound: delta1 [m/s^2].
 
         Raises:
@@ -75,7 +76,7 @@ class HeldRows:
         """Returns where each channel of d is: near its estimate, and within delta1.
 
         Args:
-            known: What is known of the disturbance until the next tick.
+            known: The ball of the disturbance until the next tick.
         """
         ball = Interval(-known.bound, known.bound)
         return [self.bounded(ball + estimate) for estimate in known.estimate.tolist()]
@@ -88,7 +89,7 @@ class HeldRows:
         """
         most = self._disturbance_bound
         low, high = max(channel.low, -most), min(channel.high, most)
-        # What cannot be true (an estimate too far off) still has a nearest truth.
+        # An impossible estimate, too far off, is replaced by the nearest possible one.
         return Interval(min(low, most), max(high, -most))
 
     def tube(
@@ -115,7 +116,7 @@ class HeldRows:
         It is -inf where none was found.
 
         Args:
-            tick: What is known at the last one.
+            tick: The data of the last tick.
             u: The input that is held, shape (m,).
         """
         d = self.disturbances(tick.known)
@@ -157,12 +158,11 @@ class HeldRows:
     ) -> FilterDecision:
         """Returns a decision under which the rows hold until the next tick (E88).
 
-        A row that would not is given, as a margin, what it would lose and some more.
-        Where no input leaves it that, the margin gives way: the decision stays, and
-        its `row_margin` is negative.
+        A row that would not hold gets a margin: its loss, and some more. If no input
+        satisfies the margins, the decision stays, and its `row_margin` is negative.
 
         Args:
-            tick: Where it is made.
+            tick: The tick of the decision.
             decision: The one without a margin.
             choose: Returns the decision under margins, shape (N,).
         """

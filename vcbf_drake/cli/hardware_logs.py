@@ -1,4 +1,4 @@
-"""The command replay-log: what a log of the bus tells, as `run` tells a simulation."""
+"""The command replay-log: the run in a log of the bus, reported as by `run`."""
 
 from __future__ import annotations
 

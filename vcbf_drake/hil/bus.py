@@ -27,16 +27,16 @@ DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
 VERSION = 2  # Of the messages.
 SIGNATURE_BYTES = 32  # HMAC-SHA256's, after the message.
 
-# Takes a message's bytes and the time of its arrival [us]; None are bytes without the
-# signature that they must have.
+# A function of a message's bytes and its time of arrival [us]; None replaces bytes
+# without the required signature.
 Handler = Callable[[bytes | None, int], None]
-# Takes the time [us], the channel and the bytes of a message.
+# A function of the time [us], the channel and the bytes of a message.
 Tap = Callable[[int, str, bytes], None]
 
 _LEAST_KEY, _MOST_KEY = 16, 65_536  # Bytes.
 _LONGEST_NAME = 48  # LCM's channels have at most 63 characters.
 _CHECK_CHANNEL = "VCBF_BUS_CHECK"
-# LCM takes what it does not understand in an option for 0, or leaves the option out.
+# LCM reads an invalid option as 0, or ignores it.
 _OPTION = re.compile(r"ttl=(1?\d?\d|2[0-4]\d|25[0-5])|recv_buf_size=\d{1,9}", re.ASCII)
 _NO_SERVER = (
     "no LCM server answers there; start one, for example lcm-tcpq-server or"
@@ -50,11 +50,11 @@ _NO_WAY = (
 
 
 class BusError(VcbfError):
-    """The bus does not carry messages; the text says how to mend it."""
+    """The bus does not carry messages; the text names a remedy."""
 
 
 class WallClock:
-    """The system's clock as it was at the start, from then on never set back."""
+    """The system's clock at the start, advanced by a clock that is never set back."""
 
     def __init__(self) -> None:
         self._offset = time.time_ns() - time.monotonic_ns()
@@ -65,10 +65,10 @@ class WallClock:
 
 
 class SimulatedClock:
-    """A clock that whoever drives a simulation sets.
+    """A clock that the driver of a simulation sets.
 
     Attributes:
-        now: The time it tells [us].
+        now: Its time [us].
     """
 
     def __init__(self, now: int = 1_000_000_000_000_000) -> None:
@@ -84,13 +84,13 @@ Clock: TypeAlias = WallClock | SimulatedClock
 
 @dataclass(frozen=True)
 class LinkFaults:
-    """Faults to inject into what arrives at one process, for tests and demonstrations.
+    """Faults injected into the messages that arrive at a process, for tests.
 
     Attributes:
-        drop: The share of messages that never arrive, in [0, 1].
-        delay: Added to the others' way [s].
-        jitter: The delay varies by up to this much either way [s]; messages may then
-            overtake each other.
+        drop: Probability that a message is lost, in [0, 1].
+        delay: Delay of the other messages [s].
+        jitter: Greatest deviation from that delay [s]; messages may then overtake each
+            other.
         seed: Of the generator.
 
     Raises:
@@ -119,20 +119,20 @@ class Bus:
 
     Args:
         lcm: The bus; shared by both halves for ``memq://``, which is private to it.
-        clock: Stamps what is sent and what arrives.
-        faults: Injected into what arrives; none by default.
+        clock: The clock that stamps sent and received messages.
+        faults: Faults injected into arriving messages; none by default.
         name: The vehicle's: its channels end with a slash and this, so that several
             vehicles share a bus. Empty for none.
-        key: With a key, everything that is sent ends with a signature, and what
-            arrives without the right one is refused.
+        key: With a key, every sent message ends with a signature, and messages without
+            the right one are refused.
 
     Attributes:
         lcm: The bus.
         clock: The clock.
-        session: When what is sent now began [us]: when the bus was opened, or
+        session: The start of the current session [us]: the bus was opened, or
             `begin_session` called.
-        sent: How many messages `send` sent in it, by channel.
-        taps: Called with everything that is published, and with everything that
+        sent: The number of messages that `send` sent in it, by channel.
+        taps: Functions called with every published message, and with every message that
             arrives on a subscribed channel, after the faults.
     """
 
@@ -153,28 +153,28 @@ class Bus:
         self._handlers: dict[str, list[Handler]] = {}
         self._faults = faults or LinkFaults()
         self._generator = np.random.default_rng(self._faults.seed)
-        # What is on its way: when it arrives [us], its number, its channel, its bytes.
+        # Messages on their way: arrival time [us], number, channel, bytes.
         self._arriving: list[tuple[int, int, str, bytes]] = []
         self._came = 0
         self.begin_session()
 
     @property
     def subscribed(self) -> tuple[str, ...]:
-        """The channels that someone listens to here."""
+        """The subscribed channels."""
         return tuple(self._handlers)
 
     def channel(self, base: str) -> str:
-        """Returns what a channel is called on this bus: with the vehicle's name."""
+        """Returns a channel's name on this bus, with the vehicle's name."""
         return f"{base}/{self.name}" if self.name else base
 
     def begin_session(self) -> None:
-        """Makes what is sent from now on newer than anything that others send now."""
+        """Begins a session that is newer than those of all other senders."""
         self.session = self.clock.utime()
         self.sent: Counter[str] = Counter()
 
     @contextmanager
     def one_instant(self) -> Iterator[None]:
-        """Has the clock stand still, so that what is decided is true when stamped."""
+        """Stops the clock, so that decisions and stamps have the same time."""
         clock, self.clock = self.clock, SimulatedClock(self.clock.utime())
         try:
             yield
@@ -195,7 +195,7 @@ class Bus:
         self.lcm.Publish(full, data + self._signature(full, data))
 
     def subscribe(self, channel: str, handler: Handler) -> None:
-        """Calls the handler with whatever bytes arrive on the channel.
+        """Calls the handler with all bytes that arrive on the channel.
 
         Args:
             channel: Without the vehicle's name.
@@ -208,7 +208,7 @@ class Bus:
         self._handlers[full].append(handler)
 
     def poll(self) -> int:
-        """Handles what has arrived and returns how many messages that were."""
+        """Handles the messages that have arrived and returns their number."""
         self.lcm.HandleSubscriptions(0)
         return self._deliver()
 
@@ -216,7 +216,7 @@ class Bus:
         """Waits for a message and handles it, at the longest until a time [us].
 
         Returns:
-            How many messages arrived.
+            The number of messages that arrived.
         """
         while True:
             next_due = self._arriving[0][0] if self._arriving else math.inf
@@ -231,7 +231,7 @@ class Bus:
                 return arrived
 
     def _take(self, channel: str, data: bytes) -> None:
-        """Takes what LCM brings, as the faults say."""
+        """Receives a message from LCM, subject to the faults."""
         faults, due = self._faults, self.clock.utime()
         if faults.drop and self._generator.random() < faults.drop:
             return
@@ -272,10 +272,10 @@ class Bus:
 
 
 def check_name(name: str) -> None:
-    """Checks that a vehicle's name may end a channel's.
+    """Checks that a vehicle's name is valid as the end of a channel's name.
 
     Raises:
-        InvalidValueError: It may not.
+        InvalidValueError: It is not valid.
     """
     if not re.fullmatch(rf"[A-Za-z0-9_-]{{0,{_LONGEST_NAME}}}", name):
         must = f"it must be at most {_LONGEST_NAME} letters, digits, _ and -"
@@ -283,7 +283,7 @@ def check_name(name: str) -> None:
 
 
 def vehicle_name(scenario_name: str) -> str:
-    """Returns what a scenario's vehicle is called on a bus."""
+    """Returns the name of a scenario's vehicle on a bus."""
     return re.sub(r"[^A-Za-z0-9_-]", "_", scenario_name)[:_LONGEST_NAME]
 
 
@@ -316,10 +316,10 @@ def open_bus(
     """Returns the bus of a scenario's vehicle or controller, once it carries messages.
 
     Args:
-        scenario: Says where the key is, and what the vehicle is called by default.
+        scenario: The scenario, which has the key's path and the vehicle's default name.
         url: LCM's URL of the bus.
         name: The vehicle's.
-        faults: Injected into what arrives; none by default.
+        faults: Faults injected into arriving messages; none by default.
 
     Raises:
         InvalidValueError: The name may not end a channel's.
@@ -334,14 +334,14 @@ def open_bus(
 
 
 def check_bus(url: str, patience: float = 1.0) -> None:
-    """Checks that what one end publishes reaches another.
+    """Checks that a published message reaches a subscriber.
 
     Without a route for multicast, or a server, LCM raises nothing; messages just never
     arrive.
 
     Args:
         url: LCM's URL of the bus.
-        patience: How long to try [s].
+        patience: The time limit [s].
 
     Raises:
         BusError: Nothing arrived, or the URL has an option that LCM does not know.

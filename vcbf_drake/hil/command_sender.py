@@ -1,4 +1,4 @@
-"""CommandSender: what the vehicle is to apply, and what the filter did, in status."""
+"""CommandSender: the commands to the vehicle, and the status of the filter."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SHARE, _BETWEEN_SIGNS = 0.5, 1_000_000
 
 
 class CommandSender(LeafSystem):
-    """Publishes what the vehicle is to apply, and beside it what the filter did.
+    """Publishes the commands to the vehicle, and the status of the filter.
 
     .. pydrake_system::
 
@@ -48,28 +48,28 @@ class CommandSender(LeafSystem):
 
     `input` is the held input; everything else is sampled at the ticks. It sends
     periodically and at forced events: a status from the start on, commands from the
-    first tick on. While the vehicle follows another controller one command a second is
-    sent, no more: those of both would displace each other where the vehicle looks.
-    Watchdogs say whether the input may be applied. An infeasible tick
-    whose policy is ``stop`` asks for the vehicle's fallback, too, and so does, with the
-    setting `Hardware.audit` ``fallback``, what the measurements refute.
+    first tick on. While the vehicle follows another controller, only one command per
+    second is sent: the commands of both would displace each other in the vehicle's
+    inbox. Watchdogs decide whether the input may be applied. An infeasible tick with
+    the policy ``stop`` also requests the vehicle's fallback, and so does, with
+    `Hardware.audit` ``fallback``, a finding of the audit.
 
     Args:
-        bus: Where to.
+        bus: The bus.
         safety_filter: The filter whose ports are connected.
-        delta1: What is declared of the disturbance (E16, bounds of the disturbance).
+        delta1: The declared bound of the disturbance (E16, bounds of the disturbance).
         period: The control period [s].
-        receiver: Where states arrive; it knows how old they are.
-        settings: What a finding of the audit leads to.
-        watchdogs: Further ones, asked before that of the state's age.
+        receiver: The receiver of states, which knows their age.
+        settings: The response to a finding of the audit.
+        watchdogs: Further watchdogs, which precede that of the state's age.
 
     Attributes:
         ending: Whether the controller is about to end.
-        takes_over: Whether its vehicle is asked to leave another controller.
+        takes_over: Whether it requests its vehicle from another controller.
         period: The control period [s].
-        last_status: The status that was sent last, None before the first.
+        last_status: The last status sent, None before the first.
         deadlines_missed: Control periods that had no tick of their own, for the status;
-            whoever drives the diagram counts them.
+            the driver of the diagram counts them.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class CommandSender(LeafSystem):
             "stamp": len(StateStamp._fields),
             "finding": 1,
         }
-        # What is sampled: each one's port, and where it is held.
+        # The sampled quantities: each one's port, and its held state.
         self._sampled = {
             name: (
                 self.DeclareVectorInputPort(name, size),
@@ -124,7 +124,7 @@ class CommandSender(LeafSystem):
         self.DeclareForcedPublishEvent(self._send)
 
     def verdict(self, context: Context) -> Verdict:
-        """Returns what is asked of the vehicle now, and why."""
+        """Returns the current request to the vehicle, and its reason."""
         if self.ending:
             return Verdict(CommandMode.END, "the controller ends")
         verdict = self._receiver.verdict()
@@ -146,7 +146,7 @@ class CommandSender(LeafSystem):
         return verdict
 
     def findings(self, context: Context) -> tuple[str, ...]:
-        """Returns what the measurements refuted at the last tick, in words."""
+        """Returns the hypotheses refuted by measurements at the last tick, in words."""
         finding = self._held(context, "finding")[0]
         return (FINDINGS[int(finding)],) if finding >= 0.0 else ()
 
@@ -166,7 +166,7 @@ class CommandSender(LeafSystem):
             discrete.set_value(index, port.Eval(context))
 
     def _held(self, context: Context, name: str) -> Array:
-        """What an input port said at the last tick; nan before the first."""
+        """The value of an input port at the last tick; nan before the first."""
         _, index = self._sampled[name]
         held: Array = context.get_discrete_state(index).CopyToVector()
         return held
@@ -196,7 +196,7 @@ class CommandSender(LeafSystem):
         self.last_status = status
 
     def _speaks(self, stamp: StateStamp) -> bool:
-        """Whether a command is sent; told by what the states say alone."""
+        """Whether a command is sent; the states alone decide."""
         followed = self._receiver.inbox.newest.command_session
         overrules = self.takes_over and self._bus.session > followed
         if overrules or not self._receiver.follows_another(self._longest_silence):
@@ -208,7 +208,7 @@ class CommandSender(LeafSystem):
         return True
 
     def _held_for(self, stamp: StateStamp) -> int:
-        """How long ago the state that is answered came [us]."""
+        """The time since the answered state arrived [us]."""
         newest, inbox = self._receiver.inbox.newest, self._receiver.inbox
         came = inbox.utime(int(stamp.utime))
         if newest is not None and newest.sequence == stamp.sequence:
@@ -216,7 +216,7 @@ class CommandSender(LeafSystem):
         return max(0, self._bus.clock.utime() - came)
 
     def _reason(self, verdict: Verdict, is_ticking: bool, status: vcbf_status) -> str:
-        """Why, who else speaks, and what was wrong with states that came."""
+        """The reason, other senders, and faults of the states received."""
         notices = [verdict.reason, self._receiver.notice() if is_ticking else ""]
         if verdict.mode is CommandMode.APPLY:
             notices.append(trouble_of_filter(status.filter_status, status.conflicts))
@@ -261,7 +261,7 @@ class CommandSender(LeafSystem):
 
 
 def trouble_of_filter(status: float, conflicts: Sequence[str]) -> str:
-    """Returns why its input does not satisfy every row; empty if it does.
+    """Returns the reason why the filter's input violates a row; empty for none.
 
     Args:
         status: A `FilterStatus`; nan before the first tick.
@@ -279,8 +279,8 @@ def command_message(
 
     Args:
         u: The input, shape (m,).
-        mode: What the vehicle is to do.
-        state: The state that it answers: its stamp, or its message.
+        mode: The requested mode of the vehicle.
+        state: The answered state: its stamp, or its message.
     """
     message = vcbf_command()
     message.state_session = int(state.session)

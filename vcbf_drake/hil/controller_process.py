@@ -1,4 +1,4 @@
-"""ControllerProcess: a hardware loop that is driven by the states that come."""
+"""ControllerProcess: a hardware loop driven by the arriving states."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ from vcbf_drake.safety.projection import nearest_point
 def warm_up(num_inputs: int) -> None:
     """Solves one problem of every kind that a filter solves.
 
-    The first one of a kind loads its solver, which takes up to half a second: a vehicle
-    would have fallen back by then.
+    The first problem of a kind loads its solver, which takes up to half a second: long
+    enough for a vehicle to fall back.
 
     Args:
         num_inputs: m.
@@ -50,7 +50,7 @@ def warm_up(num_inputs: int) -> None:
 
 
 class _Record:
-    """Collects what was sent, tick by tick, in bounded memory."""
+    """The record of ticks and sent messages, in bounded memory."""
 
     def __init__(self) -> None:
         self._ticks: Counter[FilterStatus] = Counter()
@@ -60,7 +60,7 @@ class _Record:
         self._least_volume, self._greatest_slack = np.inf, 0.0
 
     def add_tick(self, status: vcbf_status | None, duration: float) -> None:
-        """Adds a tick that took so long [s], and what it sent."""
+        """Adds a tick with its computing time [s] and its messages."""
         if status is None:
             return
         self._ticks[FilterStatus(status.filter_status)] += 1
@@ -72,7 +72,7 @@ class _Record:
         self._refused_intervals = max(self._refused_intervals, status.refused_intervals)
 
     def report(self) -> dict[str, Any]:
-        """Returns what the filter did."""
+        """Returns the report of the filter."""
         ticks = self._ticks.total()
         return {
             "method": self._method,
@@ -88,17 +88,17 @@ class _Record:
 
 
 class ControllerProcess(HardwareProcess):
-    """Drives a hardware loop: one tick for every state that comes.
+    """Drives a hardware loop: one tick for every arriving state.
 
     The loop's time is the time of the state, so the observer's intervals are the
     vehicle's, whatever the bus does. A vehicle that sends faster than the control
-    period is sampled. When no state comes, a status, and after the first state commands
-    too, go on once a control period, as the watchdogs say.
+    period is sampled. Without states, it sends a status once per control period, and
+    after the first state also commands, as the watchdogs decide.
 
     Args:
-        diagram: A hardware loop: a `VehicleLink` and what it is connected to.
+        diagram: A hardware loop: a `VehicleLink` and the systems connected to it.
         bus: Carries the messages.
-        duration: How long it controls, by the vehicle's time [s].
+        duration: The duration of control in the vehicle's time [s].
 
     Attributes:
         diagram: The hardware loop.
@@ -106,10 +106,10 @@ class ControllerProcess(HardwareProcess):
         context: Its context.
         tick_taps: Called with the context at every tick, before its discrete state
             changes.
-        takes_over: Whether the vehicle is asked to leave another controller.
+        takes_over: Whether the vehicle is requested from another controller.
 
     Raises:
-        ModelError: The diagram is no hardware loop.
+        ModelError: The diagram is not a hardware loop.
     """
 
     def __init__(self, diagram: Diagram, bus: Bus, duration: float = math.inf) -> None:
@@ -123,7 +123,7 @@ class ControllerProcess(HardwareProcess):
         self._sender: CommandSender = named("command_sender")
         self._period = round(1e6 * self._sender.period)  # [us]
         warm_up(named("filter").model.num_inputs)
-        # And one tick that nobody sees: the first one of a diagram is slow.
+        # One tick without effect comes first: the first tick of a diagram is slow.
         self.diagram.EvalUniquePeriodicDiscreteUpdate(
             self.diagram.CreateDefaultContext()
         )
@@ -136,12 +136,12 @@ class ControllerProcess(HardwareProcess):
 
     @property
     def time(self) -> float:
-        """The time of the last state that was acted on [s]."""
+        """The time of the last answered state [s]."""
         return float(self.context.get_time())
 
     @property
     def mode(self) -> CommandMode | None:
-        """What it asked of the vehicle last, None before the first tick."""
+        """The mode requested of the vehicle last, None before the first tick."""
         status = self._sender.last_status
         if status is None or status.state_sequence < 0:
             return None
@@ -163,7 +163,7 @@ class ControllerProcess(HardwareProcess):
             self.ending = "infeasible"
 
     def _say_farewell(self) -> None:
-        """Asks for the fallback, of a vehicle that was commanded."""
+        """Requests the fallback of a vehicle that was commanded."""
         if self._session > 0:
             self._sender.ending = True
             context = self._sender.GetMyContextFromRoot(self.context)
@@ -176,7 +176,7 @@ class ControllerProcess(HardwareProcess):
         self._say()
 
     def step(self) -> None:
-        """Acts on the newest state; in a long silence, sends what the watchdog says."""
+        """Acts on the newest state; in a long silence, sends the watchdog's request."""
         self.bus.poll()
         if self._is_due():
             with naming_user_code(lambda: self.time):
@@ -186,7 +186,7 @@ class ControllerProcess(HardwareProcess):
                 self._send()
 
     def report(self) -> dict[str, Any]:
-        """Returns what the filter did, and how the states arrived."""
+        """Returns the report of the filter and of the states' arrival."""
         return {
             **self._record.report(),
             "changes": list(self.changes),
@@ -205,7 +205,7 @@ class ControllerProcess(HardwareProcess):
         return bool(newest.time - last.time > 0.9e-6 * self._period)
 
     def _tick(self) -> None:
-        """Takes the state over, updates filter, hold and observer, and sends."""
+        """Takes the new state, updates filter, hold and observer, and sends."""
         started, receiver = time.perf_counter(), self._receiver
         context = receiver.GetMyContextFromRoot(self.context)
         last = receiver.stamp(context)
@@ -230,13 +230,13 @@ class ControllerProcess(HardwareProcess):
         self._record.add_tick(self._sender.last_status, time.perf_counter() - started)
 
     def _send(self) -> None:
-        """Sends a status, and a command if there was a tick already."""
+        """Sends a status, and after the first tick also a command."""
         self.diagram.ForcedPublish(self.context)
         self._sent_at = self.bus.clock.utime()
         self._note_sent()
 
     def _note_sent(self) -> None:
-        """Notes what was asked of the vehicle, after the first tick."""
+        """Records the request to the vehicle, after the first tick."""
         status = self._sender.last_status
         if status is not None and status.state_sequence >= 0:
             mode = CommandMode(status.mode).name.lower()
@@ -259,7 +259,7 @@ class ControllerProcess(HardwareProcess):
         is_ticking = status.state_sequence >= 0
         when = f"{status.time:.2f} s: " if is_ticking else ""
         mode = CommandMode(status.mode).name.lower()
-        # With APPLY, what there is to say has lines of its own.
+        # With APPLY, other lines report the details.
         is_said = status.reason and status.mode != CommandMode.APPLY
         words = f"{when}{mode}, {status.reason}" if is_said else f"{when}{mode}"
         kind = mode if is_ticking else f"before: {inbox.last_rejection}"

@@ -40,23 +40,23 @@ from vcbf_drake.simulation.sections import Hardware
 
 
 class VehicleLink:
-    """A vehicle on a bus in the place of a plant: its state here, its commands there.
+    """A vehicle on a bus in place of a plant: its state arrives, commands leave.
 
-    Adds a `StateReceiver` to a diagram, whose ports a controller and a safety filter
-    are connected to, and, when these are there, what answers the vehicle: a `LiveAudit`
-    and a `CommandSender` with its watchdogs.
+    Adds a `StateReceiver` to a diagram, whose ports feed a controller and a safety
+    filter, and, by `answer`, the systems that answer the vehicle: a `LiveAudit` and a
+    `CommandSender` with its watchdogs.
 
     Args:
         builder: The diagram's.
-        bus: Carries states in and commands out.
+        bus: The bus, for states and commands.
         model: The vehicle's f, g, E.
         period: The control period [s].
-        settings: What to do when messages fail to come.
+        settings: The response to missing messages.
 
     Attributes:
         state: The measured state's port, (n,).
         applied_input: The port of the mean input that was applied before it, (m,).
-        receiver: What takes the states.
+        receiver: The receiver of the states.
 
     Raises:
         ModelError: The diagram has a link already.
@@ -89,12 +89,12 @@ class VehicleLink:
         watchdogs: Sequence[Watchdog] = (),
         noise: Array | None = None,
     ) -> CommandSender:
-        """Adds what sends the filter's input, and what watches.
+        """Adds the sender of the filter's input, and the audit.
 
         Args:
             safety: What `AddSafetyFilter` returned, with ``plant=None``.
             reference: The controller's port.
-            watchdogs: Further ones, as for the obstacles.
+            watchdogs: Further watchdogs, such as that of the obstacles.
             noise: The standard deviations of the measured state, (n,).
 
         Raises:
@@ -149,9 +149,9 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
 
     The systems are those of `make_loop`, with state_receiver, live_audit and
     command_sender where plant and disturbance were. The observer has the control
-    period, for states come no faster, and is told what the vehicle really applied.
-    It bridges lost states up to `Hardware.longest_interval` and begins anew after
-    longer gaps; the filter's margin for the hold covers that interval, too.
+    period, for states come no faster, and receives the input that the vehicle really
+    applied. It bridges lost states up to `Hardware.longest_interval` and begins anew
+    after longer gaps; the filter's margin for the hold covers that interval, too.
 
     A simulator drives the diagram as any other. `ControllerProcess` drives it tick by
     tick instead, whenever a state comes.
@@ -195,7 +195,7 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
             longest_interval=settings.longest_interval,
         ),
     )
-    # What was measured, where the filter acts on a prediction of it.
+    # The measured state, where the filter acts on a prediction of it.
     builder.Connect(link.state, observer.GetInputPort("state"))
     controller, loop = add_controller_and_filter(
         builder,
@@ -259,15 +259,15 @@ class InProcess:
         scenario: A validated scenario.
         vehicle_faults: Injected into the commands.
         controller_faults: Injected into the states.
-        grid: How many times in a control period messages are handled.
-        tap: Told of everything that the controller's side sends and receives.
+        grid: The number of times per control period at which messages are handled.
+        tap: Called with every message that the controller's side sends or receives.
         name: The vehicle's, where several share a bus.
-        lcm: That bus; one of its own by default.
-        key: What messages are signed with; nothing by default.
+        lcm: The shared bus; a private one by default.
+        key: The key that signs messages; none by default.
 
     Attributes:
-        clock: What both sides take for the time.
-        lcm: The bus both are on.
+        clock: The clock of both sides.
+        lcm: The bus of both sides.
         plant: The vehicle's side.
         controller: The controller's side; None while it is dead.
     """
@@ -296,7 +296,7 @@ class InProcess:
         self._exchange()
 
     def start_controller(self) -> None:
-        """Starts a controller, or another one, which knows nothing of the first."""
+        """Starts a controller, without memory of an earlier one."""
         bus = self._bus(self._faults)
         if self._tap is not None:
             bus.taps.append(self._tap)

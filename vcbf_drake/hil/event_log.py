@@ -1,4 +1,4 @@
-"""LCM's event logs: files of everything that was on a bus, when, and in what scenario.
+"""LCM's event logs: files of all messages on a bus, with times and scenario.
 
 The format is that of ``lcm-logger``; every number in it is big-endian:
 
@@ -28,22 +28,22 @@ from vcbf_drake.simulation.scenario import Scenario
 
 _SYNC = bytes.fromhex("eda1da01")
 _HEADER = struct.Struct(">4sqqii")
-# Events that may wait for the disk; half a minute of a loop at 200 Hz.
+# Events that may wait for the disk: half a minute of a loop at 200 Hz.
 _CAPACITY = 20_000
 _PATIENCE = 2.0  # [s]
 _LONGEST_CHANNEL = 63  # LCM's own limit.
 
 
 class EventLogError(VcbfError):
-    """A file is not an event log, or not one of what it is taken for."""
+    """A file is not an event log, or not of the expected kind."""
 
 
 class Event(NamedTuple):
-    """A message, and when it was on the bus.
+    """A message and its time on the bus.
 
     Attributes:
-        utime: When [us].
-        channel: On which channel.
+        utime: The time [us].
+        channel: The name of its channel.
         data: Its bytes.
     """
 
@@ -57,15 +57,15 @@ class EventLogWriter:
 
     A thread of its own writes, from a queue that holds `capacity` events, and hands
     each to the system at once: a process that is killed loses no more than the queue. A
-    disk that stalls costs events of the log, which are counted; one that fails ends the
-    log. Neither stops the flight.
+    stalled disk loses events, which are counted; a failed disk ends the log. Neither
+    stops the run.
 
     Args:
-        path: The file. One that is there is never replaced: then the log is FILE.01,
+        path: The file. An existing file is never replaced: the log is then FILE.01,
             FILE.02, ..., much as with ``lcm-logger --increment``.
-        force: Whether to replace it all the same.
-        capacity: How many events may wait for the disk.
-        patience: How long `close` waits for it [s].
+        force: Whether to replace an existing file.
+        capacity: The number of events that may wait for the disk.
+        patience: The time for which `close` waits for it [s].
 
     Attributes:
         path: The file that is written.
@@ -88,12 +88,12 @@ class EventLogWriter:
 
     @property
     def lost(self) -> int:
-        """How many events found the queue full."""
+        """The number of events lost because the queue was full."""
         return self._thread.lost
 
     @property
     def failure(self) -> str:
-        """What is missing and why, in one line; empty for nothing."""
+        """The missing events and the reason, in one line; empty for none."""
         if self._error:
             after = f"the log ends after {self._count} events"
             return f"{self.path}: {self._error}; {after}"
@@ -103,7 +103,7 @@ class EventLogWriter:
 
     @property
     def is_open(self) -> bool:
-        """Whether something still waits to be written, or the log is not closed."""
+        """Whether events wait to be written, or the log is not closed."""
         return self._thread.is_open
 
     def __call__(self, utime: int, channel: str, data: bytes) -> None:
@@ -112,7 +112,7 @@ class EventLogWriter:
             self._thread(Event(utime, channel, data))
 
     def close(self) -> None:
-        """Writes what waits, as long as the patience lasts, and closes the file."""
+        """Writes waiting events within the time limit, and closes the file."""
         self._thread.close()
 
     def _write(self, event: Event) -> None:
@@ -150,11 +150,11 @@ def _opened(path: Path, force: bool) -> tuple[Path, FileIO]:
 
 
 class EventLog(NamedTuple):
-    """What an event log holds.
+    """The contents of an event log.
 
     Attributes:
         events: The events, in the order of the file.
-        damage: What was not events, in one line; empty when all of it was.
+        damage: The damaged parts of the file, in one line; empty for none.
     """
 
     events: list[Event]
@@ -162,7 +162,7 @@ class EventLog(NamedTuple):
 
 
 def read_event_log(path: str | Path) -> EventLog:
-    """Reads an event log, and passes over what in it is not events.
+    """Reads an event log, and skips damaged parts.
 
     A log whose writer was killed ends amid an event, and disks fail: after bytes that
     are not an event, reading goes on at the next one. (LCM's own reader ends there, or
@@ -220,22 +220,22 @@ def _event_at(data: bytes, place: int) -> Event | None:
     return Event(utime, name.decode("ascii"), data[middle:end])
 
 
-# What of a log is a run's ----------------------------------------------------------
+# The run in a log ------------------------------------------------------------------
 
-# In a log only: nobody sends on it. Its one event is the scenario as YAML text.
+# This channel exists in logs only; its one event is the scenario as YAML text.
 SCENARIO_CHANNEL = "VCBF_SCENARIO"
 
 
 def start_log(
     bus: Bus, scenario: Scenario, path: str | Path, *, force: bool = False
 ) -> EventLogWriter:
-    """Logs a scenario, and from now on whatever a bus sends and receives.
+    """Logs a scenario, and from now on all messages that a bus sends and receives.
 
     Args:
         bus: The bus of a vehicle's or a controller's process, before that is made.
-        scenario: What is run.
+        scenario: The scenario of the run.
         path: The file; see `EventLogWriter`.
-        force: Whether to replace one that is there.
+        force: Whether to replace an existing file.
 
     Raises:
         EventLogError: The file cannot be written.
@@ -248,7 +248,7 @@ def start_log(
 
 
 def carries_scenario(scenario: Scenario) -> bool:
-    """Returns whether its log can be replayed alone: not where a user's class is."""
+    """Returns whether its log is self-contained: it has no class of a user's."""
     return type(scenario.vehicle).__module__.startswith("vcbf_drake.")
 
 
@@ -258,7 +258,7 @@ def of_one_vehicle(
     """Returns the events of one vehicle, on channels without its name.
 
     Raises:
-        EventLogError: They are of several, or of none of that name.
+        EventLogError: The events are of several vehicles, or of none of that name.
     """
     parts = [event.channel.partition("/") for event in events]
     names = sorted({end for base, _, end in parts if base == "VCBF_STATE"})

@@ -48,17 +48,17 @@ from vcbf_drake.simulation.summary import Ending, summarise
 _Key = tuple[int, int]
 _STATES, _COMMANDS, _STATUSES = "VCBF_STATE", "VCBF_COMMAND", "VCBF_STATUS"
 _OBSTACLES = "VCBF_OBSTACLES"
-# What a status answers before the first state.
+# The state that a status answers before the first one.
 _NO_STATE: _Key = (0, -1)
 
 
 class LoggedController:
-    """Feeds what a vehicle said, as logged, to a controller, over ``memq://``.
+    """Replays the logged messages of a vehicle to a controller, over ``memq://``.
 
-    The clock is the log's. What the log's controller sent, a command or a status alone,
-    tells on which state it acted, and when: so does this one, which starts again where
-    that did, and on every state if the log has neither. So the log of a controller
-    makes the same commands again, bit for bit; that of a vehicle as far as all messages
+    The clock is the log's. The messages of the log's controller tell which state it
+    acted on, and when: this one does the same and restarts where that one did. If the
+    log has no such message, it acts on every state. So the log of a controller makes
+    the same commands again, bit for bit; that of a vehicle as far as all messages
     arrived. Where a controller was followed, one that never was is left out.
 
     Args:
@@ -67,9 +67,9 @@ class LoggedController:
 
     Attributes:
         controllers: The controllers, one after the other.
-        logged: The log's commands by the state they answer first: session, sequence.
-        sent: The commands that were made, likewise.
-        states: The states that were accepted.
+        logged: The log's commands by the state that they answer: session, sequence.
+        sent: The commands of the replay, likewise.
+        states: The accepted states.
         on_start: Called with every controller before it is driven.
     """
 
@@ -86,7 +86,8 @@ class LoggedController:
             _STATUSES: _decoded_status,
         }
         self._log = [(event, self._decoded(event)) for event in events]
-        # What answers a state first, by the state; and what was sent without news.
+        # The first answer to each state, by the state, and messages without a new
+        # state.
         self._answers: dict[_Key, Any] = {}
         self._repeats: set[_Key] = set()
         strangers = self._strangers()
@@ -108,7 +109,7 @@ class LoggedController:
         self._start(self._log[0][0].utime if first is None else first)
         for event, message in self._log:
             if first is not None and event.utime < first:
-                continue  # Nobody listened yet.
+                continue  # There was no subscriber yet.
             if event.channel == _STATES:
                 self._take_state(event)
             elif event.channel == _OBSTACLES:
@@ -138,7 +139,7 @@ class LoggedController:
         }
 
     def _decoded(self, event: Event) -> Any:
-        """Returns an event's message, None if it has none that is of use."""
+        """Returns an event's message, None if it is not usable."""
         decode = self._decoders.get(event.channel)
         message = None if decode is None else decode(event.data)
         return None if isinstance(message, Rejection) else message
@@ -147,13 +148,13 @@ class LoggedController:
         return [message for _, message in self._log if isinstance(message, kind)]
 
     def _strangers(self) -> set[int]:
-        """Those of several controllers whose commands the vehicle never took."""
+        """The controllers, of several, whose commands the vehicle never took."""
         sessions = {command.session for command in self._messages(vcbf_command)}
         followed = {state.command_session for state in self._messages(vcbf_state)}
         return sessions - followed if sessions & followed else set()
 
     def _sent_in_log(self) -> Iterator[tuple[_Key, Any]]:
-        """Yields what controllers sent, after the state that it answers.
+        """Yields the controllers' messages, each after the state that it answers.
 
         Commands come first, then statuses without one: those of a controller that the
         vehicle did not follow, or that had no state yet.
@@ -213,7 +214,7 @@ class LoggedController:
 
 
 def _decoded_status(data: bytes) -> vcbf_status | None:
-    """Returns a status, whatever its sizes; None if it is none."""
+    """Returns a status of any sizes; None for other messages."""
     try:
         return vcbf_status.decode(data)
     except (ValueError, struct.error):
@@ -236,13 +237,14 @@ def _difference(logged: vcbf_command, made: vcbf_command) -> float:
 
 @dataclass(frozen=True)
 class LogReplay:
-    """A run on hardware, as its log tells it.
+    """A run on hardware, reconstructed from its log.
 
     Attributes:
         result: The run, as `simulate` returns one. Filter and observer are computed
-            again from the logged states. `disturbance` is what the states tell with
-            hindsight, `input` what left the filter, and the path the measured states.
-        damage: What in the file was no events, in one line; empty for nothing.
+            again from the logged states. `disturbance` is reconstructed from the states
+            with hindsight, `input` is the filter's command, and the path consists of
+            the measured states.
+        damage: The damaged parts of the file, in one line; empty for none.
         report: The scenario; the log's `period`, the median time between its commands
             [s]; how the states arrived (`arrived`); what was asked of the
             vehicle, when and why (`changes`); and `commands`: to how many states the
@@ -258,11 +260,11 @@ class LogReplay:
 def replay_log(
     path: str | Path, scenario: Scenario | None = None, name: str | None = None
 ) -> LogReplay:
-    """Returns the run that a log tells of; of several motions, the last.
+    """Returns the run in a log; of several motions, the last.
 
     Args:
         path: A file of `start_log`, or any LCM log with the messages of this package.
-        scenario: What was run; by default what the log says.
+        scenario: The scenario of the run; by default that in the log.
         name: The vehicle's, where the log is of several.
 
     Raises:
@@ -300,13 +302,13 @@ def replay_log(
 
 
 class _Recorder:
-    """What the ports of a hardware loop said at every tick.
+    """The values of a hardware loop's ports at every tick.
 
-    Of several ticks at one time, as while a vehicle waits, the last one is kept; when
-    time goes back, because a vehicle has started again, everything before is dropped.
+    The last of several ticks at one time is kept, as while a vehicle waits. When time
+    goes back because a vehicle has restarted, all earlier ticks are dropped.
 
     Attributes:
-        rows: The time of each tick [s], and what the ports said.
+        rows: The time of each tick [s], and the values of the ports.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -315,7 +317,7 @@ class _Recorder:
         self._assumptions: tuple[Assumption, ...] = ()
 
     def add_controller(self, controller: ControllerProcess) -> None:
-        """Records a controller from now on, after those that were watched before."""
+        """Records a controller from now on, after the earlier ones."""
         self._diagram = controller.diagram
         named = self._diagram.GetSubsystemByName
         self._filter: SafetyFilter = named("filter")
@@ -343,10 +345,10 @@ class _Recorder:
         self.rows.append((now, row))
 
     def result(self, said: Sequence[Any]) -> Result:
-        """Returns the run, as `simulate` does, as far as a log tells it.
+        """Returns the run, as `simulate` does, as far as it is in the log.
 
         Args:
-            said: The states that were accepted; the path is of the last session's.
+            said: The accepted states; the path consists of the last session's.
         """
         log = self._log()
         motion: dict[float, Any] = {}

@@ -1,4 +1,4 @@
-"""The state as the model foretells it: predicted over delays; refuted by what came."""
+"""Prediction of the state over delays, and its audit by the measurements."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import InputSet
 from vcbf_drake.simulation.sections import Hardware
 
-# So many ticks in a row must refute a hypothesis; one is an angle that wraps, a reset.
+# Ticks in a row that must refute a hypothesis; a single one may be a wrapping angle or
+# a reset.
 _PERSISTENT = 3
 # The index of its finding.
 _FROZEN_TIME = 3
-# So many equal states in a row are a frozen one.
+# Equal states in a row that count as frozen.
 _FROZEN = 5
-# How long nothing is refuted before all is well again [s].
+# The time without a refutation after which a finding is withdrawn [s].
 _QUIET = 1.0
-# An alarm of this number stays.
+# The number of the finding that stays.
 _MOST_ALARMS = 3
 # Of the least that theory allows; and of what moves anyway: no model is exact.
 _SPARE, _OF_MOTION = 1.5, 0.05
@@ -55,7 +56,7 @@ def runge_kutta_step(
         x: The state at its beginning, (n,).
         u: The input, held, (m,).
         d: The disturbance, held, (q,).
-        h: How long it is [s].
+        h: The length of the step [s].
     """
     push = model.disturbance_matrix @ d
 
@@ -86,19 +87,19 @@ class StatePredictor(LeafSystem):
     | port | size | |
     | --- | --- | --- |
     | ``state`` | n | the measured state |
-    | ``delays`` | 2 | the age of that state, and how long a command takes [s] |
-    | ``held_input`` | m | the command that was sent last |
+    | ``delays`` | 2 | the age of that state, and the delay of a command [s] |
+    | ``held_input`` | m | the last command sent |
     | ``disturbance_estimate`` | q | held over the prediction |
     | ``predicted_state`` | n | the state when a command sent now arrives |
 
-    What the vehicle applies meanwhile is known: the commands that are on their way,
-    each from when it was sent plus a command's delay. The model is integrated over each
-    of them by a step of Runge and Kutta's fourth order.
+    The inputs applied meanwhile are known: the commands on their way, each from its
+    time of sending plus a command's delay. The model is integrated over each of them by
+    a step of Runge and Kutta's fourth order.
 
     Args:
         model: The vehicle's f, g, E.
         period: The control period [s].
-        longest: No longer delay than this is predicted over, each way [s].
+        longest: The longest delay that is predicted over, each way [s].
     """
 
     def __init__(
@@ -119,7 +120,7 @@ class StatePredictor(LeafSystem):
         self.DeclareVectorOutputPort("predicted_state", n, self._calc)
 
     def _remember(self, context: Context, discrete: DiscreteValues) -> None:
-        """Puts the last command to the earlier ones; the next one is sent now."""
+        """Adds the last command to the earlier ones; the next one is sent now."""
         commands = self._sent(context)
         kept = np.full((self._remembered, commands.shape[1]), np.nan)
         kept[-len(commands) :] = commands[-self._remembered :]
@@ -132,11 +133,11 @@ class StatePredictor(LeafSystem):
         sent_at = context.get_discrete_state(0).CopyToVector()
         earlier = context.get_discrete_state(1).CopyToVector().reshape(-1, 1 + m)
         last = np.append(sent_at, self._held.Eval(context))
-        # Neither what was never sent, nor what was sent before time went back.
+        # Without unused entries, and without commands from before time went back.
         return np.vstack([earlier[earlier[:, 0] < sent_at], last])
 
     def horizon(self, context: Context) -> float:
-        """Returns how far ahead is predicted: both delays together [s]."""
+        """Returns the prediction horizon, the sum of both delays [s]."""
         return float(np.sum(self._usable_delays(context)))
 
     def _usable_delays(self, context: Context) -> Array:
@@ -150,7 +151,7 @@ class StatePredictor(LeafSystem):
         output.SetFromVector(x)
 
     def _applied(self, context: Context) -> Iterator[tuple[float, Array]]:
-        """Yields how long which input is applied until a command sent now arrives."""
+        """Yields the inputs until a command sent now arrives, with their durations."""
         sent, (_, delay) = self._sent(context), self._usable_delays(context)
         begin = context.get_time()
         end = begin + self.horizon(context)
@@ -166,7 +167,7 @@ class StatePredictor(LeafSystem):
 
 
 class _Memory(NamedTuple):
-    """What an audit remembers; all numbers."""
+    """The memory of an audit; all entries are numbers."""
 
     session: float = math.nan
     time: float = math.nan
@@ -182,7 +183,7 @@ class _Memory(NamedTuple):
 
 
 class LiveAudit(LeafSystem):
-    """Compares what is measured with the filter's hypotheses at every tick.
+    """Compares the measurements with the filter's hypotheses at every tick.
 
     .. pydrake_system::
 
@@ -208,16 +209,16 @@ class LiveAudit(LeafSystem):
       vehicle says that it is under way, or moves as without an input it would not:
       without that time nothing else can be compared.
 
-    What one tick alone refutes counts as a reset of the state's estimator; three in a
-    row (five equal states) are a finding. It is withdrawn when nothing was refuted for
-    a second; the third finding of a motion stays.
+    A refutation at a single tick counts as a reset of the state's estimator; three in a
+    row (five equal states) are a finding. It is withdrawn after a second without a
+    refutation; the third finding of a motion stays.
 
-    `finding` is the index of what is refuted in `FINDINGS`, -1 for nothing.
+    `finding` is the index in `FINDINGS` of the refuted hypothesis, -1 for none.
 
     Args:
         model: The plant's f, g, E.
-        input_set: What its actuators can do.
-        bounds: What is declared of the disturbance.
+        input_set: The input set of the actuators.
+        bounds: The declared bounds of the disturbance.
         period: The control period [s].
         settings: Their `longest_interval`, after which it begins anew, and their
             `max_state_age`.
@@ -346,12 +347,12 @@ class LiveAudit(LeafSystem):
 
 
 def _concluded(memory: _Memory, is_refuted: bool) -> _Memory:
-    """The memory with what its counts say."""
+    """The memory with the conclusion from its counts."""
     counts = memory.refuted_estimate, memory.refuted_motion, memory.frozen
     limits = _PERSISTENT, _PERSISTENT, _FROZEN
     if is_refuted:
         memory = memory._replace(refuted_at=memory.time)
-    # A state that stands still is also off: the more exact word counts.
+    # A frozen state is also elsewhere: the more exact finding counts.
     for finding in (2, 0, 1):
         if counts[finding] >= limits[finding]:
             return _alarmed(memory, finding)

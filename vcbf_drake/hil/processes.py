@@ -27,18 +27,18 @@ from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.summary import arrival
 
 _TIMES, _PAUSE = 10, 0.05  # [s]
-# How often progress is told and a vehicle that is not controlled shows itself, and how
-# long nobody is heard before others are told of [us].
+# The period of progress lines and of messages of a vehicle without a controller, and
+# the silence after which other senders are reported [us].
 _SECOND = 1_000_000
-# The share of control periods, of a second's, that may be missed without a word.
+# The share of a second's control periods that may be missed without a report.
 _MOST_MISSED = 0.1
-# What is said of periods that were missed, by whom.
+# The report of missed periods, by the side that missed them.
 _MISSED = {
     "ours": ("the rate is not kept", "were missed", "the rate is kept again"),
     "theirs": ("the vehicle is slow", "had no state", "the vehicle keeps the rate"),
 }
 
-# Why a process ended, and its exit status.
+# The reasons for the end of a process, and its exit status.
 EXIT_STATUSES = {
     "duration": 0,
     "vehicle ended": 0,
@@ -51,12 +51,12 @@ EXIT_STATUSES = {
 
 
 class ModeChange(TypedDict):
-    """When something else began, and why.
+    """The time and the reason of a change of mode.
 
     Attributes:
-        time: Since the motion began [s].
-        mode: What began: the name of a `CommandMode` or `VehicleMode`.
-        reason: Why; empty where the mode says it all.
+        time: The time since the motion began [s].
+        mode: The new mode: the name of a `CommandMode` or `VehicleMode`.
+        reason: The reason; empty if the mode explains itself.
     """
 
     time: float
@@ -65,7 +65,7 @@ class ModeChange(TypedDict):
 
 
 def say_farewell(send: Callable[[], None]) -> None:
-    """Sends a last message again and again for half a second.
+    """Repeats a last message for half a second, so that at least one copy arrives.
 
     A bus may lose a message, and a DrakeLcm that is busy keeps the first of several
     that come at once: the one before the last.
@@ -79,19 +79,20 @@ def say_farewell(send: Callable[[], None]) -> None:
 
 
 class HardwareProcess:
-    """What both processes share: how they end, and what they say on the way.
+    """The common base of both processes: their end and their reports.
 
     Args:
         bus: Carries the messages.
-        peer: What the other side is called.
-        channel: On which it speaks, without a name.
+        peer: The name of the other side.
+        channel: The channel of its messages, without a name.
 
     Attributes:
         bus: The bus.
-        ending: Why `run` ended, one of the keys of `EXIT_STATUSES`; empty before.
+        ending: The reason why `run` ended, one of the keys of `EXIT_STATUSES`; empty
+            before.
         tell: Called with a line whenever something changes.
         progress: Called with a line once a second.
-        changes: What the vehicle did, or was asked to do, in time; the last 1000.
+        changes: The last 1000 mode changes of the vehicle, or requested of it.
     """
 
     def __init__(self, bus: Bus, peer: str, channel: str) -> None:
@@ -107,16 +108,16 @@ class HardwareProcess:
         self._progress_at, self._missed = 0, Counter[str]()
 
     def run(self, patience: float = math.inf) -> None:
-        """Runs in real time to its end or `stop`, and says farewell, come what may.
+        """Runs in real time to its end or `stop`, and always says farewell.
 
         Args:
-            patience: How long to wait for the other side [s].
+            patience: The time to wait for the other side [s].
         """
         try:
             self._run(patience)
         except BaseException:
             self.ending = "error"
-            with suppress(Exception):  # What failed may fail again.
+            with suppress(Exception):  # A failed send may fail again.
                 self._say_farewell()
             raise
         self._say_farewell()
@@ -134,7 +135,7 @@ class HardwareProcess:
     def _wait_for_peer(
         self, go_on: Callable[[], None], is_there: Callable[[], bool], patience: float
     ) -> bool:
-        """Goes on until the other side is there; returns whether not in vain."""
+        """Waits for the other side; returns whether it was heard."""
         began = self.bus.clock.utime()
         lcm = DrakeLcm(self.bus.lcm.get_lcm_url())
         lcm.SubscribeMultichannel(f"{self._channel}(/.*)?", self._hear_anybody)
@@ -161,19 +162,19 @@ class HardwareProcess:
             self._neighbours.add(name or "one without a name")
 
     def _forget_the_start(self, inbox: Inbox) -> None:
-        """What came before is no loss: nobody listened."""
+        """Forgets losses from before the start, when there was no subscriber."""
         self.bus.poll()
         inbox.begin_anew()
 
     def _note_mode(self, time: float, mode: str, reason: str = "") -> None:
-        """Notes a mode at a time of the motion [s], if it is new."""
+        """Records a mode at a time of the motion [s], if it is new."""
         if not self.changes or self.changes[-1]["mode"] != mode:
             self.changes.append(ModeChange(time=time, mode=mode, reason=reason))
 
     def _tell_change(self, subject: str, text: str, line: str) -> None:
-        """Tells a line if the subject's text is another one than before.
+        """Reports a subject's text if it has changed.
 
-        No text means that all is well again, which is told when it was for a second.
+        An empty text means that the fault is over, which is reported after a second.
         """
         now = self.bus.clock.utime()
         if text:
@@ -187,12 +188,12 @@ class HardwareProcess:
     def _tell_progress(
         self, line: Callable[[], str], period: float, **missed: int
     ) -> None:
-        """Tells once a second how things go, and who does not keep the rate.
+        """Reports progress once a second, and the side that misses control periods.
 
         Args:
-            line: How things go.
+            line: The line of progress.
             period: The control period [s].
-            missed: How many control periods were missed so far, by whom.
+            missed: The number of control periods missed so far, by side.
         """
         now = self.bus.clock.utime()
         if now - self._progress_at < _SECOND:
@@ -221,17 +222,18 @@ def median_and_p99(values: Collection[float] | Array) -> dict[str, float | None]
 class PlantProcess(HardwareProcess):
     """Simulates a scenario's plant behind a bus: states out, commands in.
 
-    The plant stands at its initial state until a first command comes.
+    The plant rests at its initial state until the first command arrives.
 
     Args:
         scenario: A validated scenario.
         bus: Carries the messages.
 
     Attributes:
-        scenario: What is run.
+        scenario: The scenario of the run.
         diagram: The vehicle.
         collided: Whether a barrier became negative, which ends the motion.
-        deadlines_missed: How often it woke later than a control period.
+        deadlines_missed: The number of wake-ups that were late by more than a control
+            period.
     """
 
     def __init__(self, scenario: Scenario, bus: Bus) -> None:
@@ -259,7 +261,7 @@ class PlantProcess(HardwareProcess):
 
     @property
     def mode(self) -> VehicleMode:
-        """What the vehicle does."""
+        """The mode of the vehicle."""
         return self._end.mode(self._end.GetMyContextFromRoot(self.context))
 
     @property
@@ -294,7 +296,7 @@ class PlantProcess(HardwareProcess):
         self._note_mode(self.time, self._mode_name)
 
     def report(self) -> dict[str, Any]:
-        """Returns what the motion came to, and how the bus did."""
+        """Returns the outcome of the motion, and the report of the bus."""
         scenario, inbox = self.scenario, self._end.inbox
         monitor: CollisionMonitor = self.diagram.GetSubsystemByName(COLLISION_MONITOR)
         log = self.diagram.GetSubsystemByName(LOG_PREFIX + "path").FindLog(self.context)
@@ -319,7 +321,7 @@ class PlantProcess(HardwareProcess):
         return report
 
     def _outcome(self, is_there: bool) -> str | None:
-        """Returns what became of the motion, None if there was none."""
+        """Returns the outcome of the motion, None without one."""
         if self.mode is VehicleMode.WAITING:
             return None
         if self.collided:
@@ -327,7 +329,7 @@ class PlantProcess(HardwareProcess):
         return "reached" if is_there else "timeout"
 
     def _stand(self) -> None:
-        """Says that it waits, for a control period.
+        """Sends the waiting vehicle's state, for a control period.
 
         Once a second while commands answer another vehicle of its name: where both
         speak at once, a receiver that keeps one message would lose the other's.

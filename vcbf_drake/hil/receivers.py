@@ -1,4 +1,4 @@
-"""What a vehicle says as ports: its state, and the obstacles that it perceives."""
+"""Receivers of a vehicle's messages: its state and its perceived obstacles."""
 
 from __future__ import annotations
 
@@ -29,27 +29,27 @@ from vcbf_drake.hil.senders import Reason
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.sections import Hardware
 
-# How long a vehicle may take to follow a controller that it hears first [us].
+# The time that a vehicle may take to follow a controller that it hears first [us].
 _TO_SETTLE = 300_000
 
 
 class Verdict(NamedTuple):
-    """What to ask of the vehicle, and why."""
+    """A request to the vehicle, and its reason."""
 
     mode: CommandMode
     reason: str = ""
 
 
-# What may ask for a vehicle's fallback.
+# A function that may request a vehicle's fallback.
 Watchdog = Callable[[], Verdict]
 
 
 class StateStamp(NamedTuple):
-    """Which state it is, by its message.
+    """The identity of a state, from its message.
 
     Attributes:
-        moves: 1 if the vehicle says that it is under way, for it follows, falls back,
-            or has accepted a command; else 0.
+        moves: 1 if the vehicle is under way, because it follows, falls back, or has
+            accepted a command; else 0.
     """
 
     session: float
@@ -60,7 +60,7 @@ class StateStamp(NamedTuple):
 
 
 class StateReceiver(LeafSystem):
-    """Takes the place of a plant: its outputs are what the vehicle said last.
+    """Takes the place of a plant: its outputs are the vehicle's last message.
 
     .. pydrake_system::
 
@@ -74,9 +74,9 @@ class StateReceiver(LeafSystem):
     | port | size | |
     | --- | --- | --- |
     | ``state`` | n | the newest measured state; zeros before the first |
-    | ``applied_input`` | m | the mean of what was applied since the state before |
-    | ``stamp`` | 5 | what that state's message says, a `StateStamp`; nan before |
-    | ``delays`` | 2 | the state's, and the last command's that it tells of [s] |
+    | ``applied_input`` | m | the mean input applied since the previous state |
+    | ``stamp`` | 5 | the `StateStamp` of that state; nan before the first |
+    | ``delays`` | 2 | those of the state, and of the last command it echoes [s] |
 
     Messages are taken over at the beginning of a simulator's step, or at a forced
     event. `verdict` is a `Watchdog`: a state older than `Hardware.max_state_age` is not
@@ -84,14 +84,14 @@ class StateReceiver(LeafSystem):
     use its own fallback, until a state comes again.
 
     Args:
-        bus: Where states come from.
+        bus: The bus of the states.
         num_states: n.
         num_inputs: m.
         settings: How old a state may be, and how long a vehicle must be silent before
             another one of its name is controlled in its place.
 
     Attributes:
-        inbox: What arrived.
+        inbox: The inbox of the states.
     """
 
     def __init__(
@@ -125,12 +125,12 @@ class StateReceiver(LeafSystem):
         self._integral = self.DeclareDiscreteState(num_inputs)
 
     def stamp(self, context: Context) -> StateStamp:
-        """Returns which state the outputs show; nan before the first."""
+        """Returns the stamp of the state at the outputs; nan before the first."""
         shown = context.get_discrete_state(self._shown["stamp"])
         return StateStamp(*shown.CopyToVector().tolist())
 
     def has_news(self, context: Context) -> bool:
-        """Returns whether a newer message has come than the outputs show."""
+        """Returns whether a newer message has arrived than that at the outputs."""
         shown, newest = self.stamp(context), self.inbox.newest
         return newest is not None and (
             (newest.session, newest.sequence) != (shown.session, shown.sequence)
@@ -138,12 +138,12 @@ class StateReceiver(LeafSystem):
 
     @property
     def is_followed(self) -> bool:
-        """Whether the vehicle's last state says that it takes our commands."""
+        """Whether the vehicle follows our commands, by its last state."""
         newest = self.inbox.newest
         return newest is not None and newest.command_session == self._bus.session
 
     def follows_another(self, within: float) -> bool:
-        """Returns whether it applies another's command, which came so lately [s]."""
+        """Returns whether it applies another's command of less than this age [s]."""
         newest = self.inbox.newest
         if newest is None or not 0 < newest.command_session != self._bus.session:
             return False
@@ -151,7 +151,7 @@ class StateReceiver(LeafSystem):
         return bool(newest.mode == VehicleMode.FOLLOWING and is_recent)
 
     def notice(self) -> str:
-        """Returns why nobody follows, or who else speaks; empty if all is well."""
+        """Returns why no vehicle follows, or other senders; empty for neither."""
         newest, now = self.inbox.newest, self._bus.clock.utime()
         is_settled = now - self.inbox.followed_since > _TO_SETTLE
         if newest is not None and is_settled and not self.is_followed:
@@ -172,7 +172,7 @@ class StateReceiver(LeafSystem):
         return 1e-6 * (self._bus.clock.utime() - measured)
 
     def verdict(self) -> Verdict:
-        """Returns what to ask of the vehicle now."""
+        """Returns the current request to the vehicle."""
         age, limit = self.state_age(), self._settings.max_state_age
         if age <= limit:
             return Verdict(CommandMode.APPLY)
@@ -183,7 +183,7 @@ class StateReceiver(LeafSystem):
         return Verdict(CommandMode.FALLBACK, reason)
 
     def _echo(self, message: Any) -> tuple[int, int] | None:
-        """When a command of ours was sent, and how long before the message it came."""
+        """The echo: the time a command of ours was sent, and its age at the message."""
         if message.command_session != self._bus.session:
             return None
         return message.command_utime, message.command_age
@@ -225,13 +225,13 @@ _TOLERANCE = 0.01  # [m]
 
 
 class ObstacleInbox(Inbox):
-    """What a vehicle says of obstacles, and what to ask of it therefore.
+    """The inbox of a vehicle's obstacles, with the resulting request to it.
 
     Args:
         bus: Where messages come from.
-        vehicle: The states of that vehicle; what another one says is refused.
-        settings: How old a message may be.
-        take: Takes an accepted message; returns what is wrong, empty for nothing.
+        vehicle: The states of that vehicle; messages of another one are refused.
+        settings: The settings, with the greatest age of a message.
+        take: Takes an accepted message; returns its fault, empty for none.
         are_needed: Whether the vehicle falls back while none come.
     """
 
@@ -252,13 +252,13 @@ class ObstacleInbox(Inbox):
             obstacles_format(),
             settings.max_obstacle_age,
             self._note_trouble,
-            silence=0.0,  # Whom to follow is decided by the states alone.
+            silence=0.0,  # The states alone decide which sender is followed.
             max_clock_offset=settings.max_clock_offset,
             refusal=self._refusal_of_a_stranger,
         )
 
     def verdict(self) -> Verdict:
-        """Returns what to ask of the vehicle now."""
+        """Returns the current request to the vehicle."""
         now, trouble = self._bus.clock.utime(), self._trouble
         age = 1e-6 * (now - self.received_at)
         if not self._vehicle.has_same_sender(self.newest):
@@ -280,11 +280,11 @@ class ObstacleInbox(Inbox):
 
 
 def difference_from(scenario: Scenario, message: Any) -> str:
-    """Returns what a vehicle's obstacles differ in from a scenario's; empty if nothing.
+    """Returns how a vehicle's obstacles differ from a scenario's; empty for equal.
 
     Args:
-        scenario: What the controller knows.
-        message: What the vehicle says; another number is a difference too.
+        scenario: The controller's scenario.
+        message: The vehicle's message; another number of obstacles is a difference too.
     """
     spheres, dimensions = scenario.spheres, len(scenario.target)
     sizes = message.num_obstacles, message.num_coordinates
@@ -311,18 +311,18 @@ class ObstacleReceiver(LeafSystem):
         output_ports:
         - obstacles
 
-    Their number may change. Between two messages each keeps its velocity. Too many of
-    them, none for `Hardware.max_obstacle_age`, or malformed ones: the port keeps what
-    came last, and the verdict asks for the vehicle's fallback.
+    Their number may change. Between two messages each keeps its velocity. If there are
+    too many of them, none for `Hardware.max_obstacle_age`, or malformed ones, the port
+    keeps its last value, and the verdict requests the vehicle's fallback.
 
     Args:
-        bus: Where they come from.
-        spheres: What describes them; it has room for so many.
+        bus: The bus of the obstacles.
+        spheres: The format of the port, with its capacity.
         vehicle: The states of the vehicle that perceives them.
-        settings: How old they may be.
+        settings: The settings, with their greatest age.
 
     Attributes:
-        inbox: What arrived; its verdict is a `Watchdog`.
+        inbox: The inbox of the obstacles; its verdict is a `Watchdog`.
     """
 
     def __init__(
@@ -343,7 +343,7 @@ class ObstacleReceiver(LeafSystem):
         self.DeclareVectorOutputPort("obstacles", spheres.size, self._calc)
 
     def _take(self, message: Any) -> str:
-        """Takes what is perceived, or returns why it cannot be taken."""
+        """Takes perceived obstacles, or returns why they cannot be used."""
         k, seen = self._spheres.dimensions, np.array(message.valid, dtype=bool)
         if message.num_coordinates != k * message.num_obstacles:
             have = f"have {message.num_coordinates} coordinates; it must be {k} each"

@@ -1,6 +1,6 @@
-"""What is known of a sender: its numbers, its motion's time, its clock.
+"""Senders on the bus: sequence numbers, time of the motion, and clock.
 
-And why a message is not acted on: most reasons are found here.
+Most reasons to reject a message are found here.
 """
 
 from __future__ import annotations
@@ -14,30 +14,30 @@ from typing import Any
 from vcbf_drake.errors import InvalidValueError, ScenarioError
 from vcbf_drake.simulation.scenario import Scenario
 
-# No sender numbers messages faster than this [s].
+# The shortest period of a sender's messages [s].
 SHORTEST_PERIOD = 1e-4
-# How many sequence numbers back a late message is still told from a repeated one.
+# The number of sequence numbers back that tell a late message from a repeated one.
 _WINDOW = 64
-# How many messages may come faster than `SHORTEST_PERIOD` says.
+# The number of messages that may be faster than `SHORTEST_PERIOD`.
 _BURST = 100
-# How far a motion's time may run ahead of the clock [us].
+# The most by which a motion's time may run ahead of the clock [us].
 _TIME_AHEAD = 100_000
 
-# A round trip takes less [us].
+# The bound of a round trip [us].
 LONGEST_ROUND_TRIP = 60_000_000
-# How fast two clocks drift apart, and how fast an offset is corrected at most.
+# The relative drift of two clocks, and the greatest rate of a correction.
 _DRIFT, _FASTEST = 200e-6, 0.1
-# How far a message may be from what is known of its sender's clock [us].
+# The most by which a message may contradict the estimate of its sender's clock [us].
 _TOLERANCE = 100_000
-# So many messages in a row must agree on a step of a clock before it is believed, and
-# so long [us] it is not believed again: a clock that steps on and on is none.
+# Messages in a row that must agree on a step of a clock before it is accepted, and the
+# time [us] until the next step may be: a clock that keeps stepping is refused.
 _WITNESSES, _BETWEEN_STEPS = 3, 5_000_000
-# How long messages stay late before that is taken for a clock that was set back [us].
+# The time for which messages stay late before the clock counts as set back [us].
 _PATIENCE = 500_000
 
 
 class Reason(Enum):
-    """Why a message is rejected."""
+    """The reason for which a message is rejected."""
 
     LENGTH = "wrong length"
     TYPE = "another type"
@@ -60,26 +60,27 @@ class Reason(Enum):
 
 @dataclass(frozen=True)
 class Rejection:
-    """What takes the place of a message that must not be acted on."""
+    """The result in place of a rejected message."""
 
     reason: Reason
     detail: str = field(default="", compare=False)
 
     @property
     def words(self) -> str:
-        """The reason, and what is known beyond it."""
+        """The reason and its details."""
         reason = self.reason.value
         return f"{reason} ({self.detail})" if self.detail else reason
 
 
 class Sender:
-    """What is known of one session: its order, its motion's time, its clock.
+    """The record of one session: message order, time of the motion, and clock.
 
     Attributes:
         session: The session.
-        heard_at: When its last message was accepted [us].
+        heard_at: The time its last message was accepted [us].
         clock: Its clock.
-        skipped: How many numbers the last message skipped; -1 if it was one of those.
+        skipped: The number of sequence numbers that the last message skipped; -1 if it
+            was a skipped one.
     """
 
     def __init__(self, first: Any, now: int) -> None:
@@ -99,7 +100,7 @@ class Sender:
     def fault(
         self, message: Any, now: int, echo: tuple[int, int] | None, max_age: int
     ) -> Rejection | None:
-        """Takes the message's number and times down; returns what is wrong with it."""
+        """Records the message's number and times; returns its fault."""
         self.skipped = 0
         contradiction = None if self._is_known else _contradiction(message)
         if contradiction is not None:
@@ -141,7 +142,7 @@ class Sender:
         return None
 
     def _leap_of_time(self, message: Any, now: int, max_age: int) -> Rejection | None:
-        """Takes the motion's time down, unless it goes back or leaps."""
+        """Records the motion's time, unless it goes back or leaps."""
         time = getattr(message, "time", 0.0)
         if self._is_known and time < self._time:
             return Rejection(Reason.TIME, f"back by {self._time - time:.3g} s")
@@ -161,7 +162,7 @@ class Sender:
 
 
 def _contradiction(message: Any) -> Rejection | None:
-    """Why a sender's first message cannot be true, by its own clock."""
+    """The contradiction of a sender's first message with its own clock."""
     runs_for = message.utime - message.session
     measured = getattr(message, "utime_measured", message.utime)
     most = _BURST + runs_for * 1e-6 / SHORTEST_PERIOD
@@ -175,7 +176,7 @@ def _contradiction(message: Any) -> Rejection | None:
 
 
 class PeerClock:
-    """By how much a peer's clock is ahead of ours, from the messages exchanged.
+    """Estimate of a peer's clock offset from ours, from the messages exchanged.
 
     A message takes time, so a message from the peer says that its clock is ahead by at
     least ``sent - received``, and one of ours, by the time it came there, by at most
@@ -192,8 +193,8 @@ class PeerClock:
     Source: D. L. Mills, RFC 5905, section 8 (the four times); the interval is ours.
 
     Attributes:
-        steps: How often the peer's clock was set.
-        last_step: By how much the last time [us].
+        steps: The number of times that the peer's clock was set.
+        last_step: The size of the last step [us].
     """
 
     def __init__(self) -> None:
@@ -207,7 +208,7 @@ class PeerClock:
 
     @property
     def offset(self) -> int:
-        """By how much the peer's clock is ahead [us]; 0 before the first message."""
+        """The lead of the peer's clock over ours [us]; 0 before the first message."""
         if math.isinf(self._low):
             return 0
         is_one_way = math.isinf(self._high)
@@ -215,19 +216,19 @@ class PeerClock:
 
     @property
     def uncertainty(self) -> float:
-        """How far off the offset may be [us]; infinite before the first round trip."""
+        """The error bound of the offset [us]; infinite before the first round trip."""
         return (self._high - self._low) / 2
 
     def listen(self, sent: int, received: int, echo: tuple[int, int] | None) -> float:
-        """Takes a message's times [us].
+        """Updates the estimate with a message's times [us].
 
         Args:
-            sent: When it was sent, by the peer's clock.
-            received: When it came, by ours.
-            echo: What it tells of a message of ours, see `Echo`.
+            sent: The time of sending by the peer's clock.
+            received: The time of arrival by ours.
+            echo: The echo of one of our messages, see `Echo`.
 
         Returns:
-            By how much it contradicts what is known [us], 0 if it does not.
+            The amount by which it contradicts the estimate [us], 0 for none.
         """
         low, high = _bounds(sent, received, echo)
         elapsed = received - self._at
@@ -248,7 +249,7 @@ class PeerClock:
         return 0.0
 
     def _look_behind(self, low: float, received: int, behind: float) -> None:
-        """Before a round trip is known: takes what stays late for a clock set back."""
+        """Before the first round trip, detects a clock set back by lasting lateness."""
         if behind <= _TOLERANCE or math.isfinite(self._high):
             self._behind_since = None
         elif self._behind_since is None:
@@ -257,7 +258,7 @@ class PeerClock:
             self._begin_anew(low, received)
 
     def _has_been_set(self, low: float, received: int) -> bool:
-        """Whether this message is the third in a row that says the same."""
+        """Whether this message is the third in a row with the same step."""
         witnesses = self._witnesses
         if witnesses and abs(low - witnesses[-1]) > _TOLERANCE:
             witnesses.clear()
@@ -271,7 +272,7 @@ class PeerClock:
 
     def _begin_anew(self, low: float, received: int) -> None:
         before = self.offset
-        # What a message tells of ours was measured with a clock that was set meanwhile.
+        # The echo was measured with a clock that was set meanwhile.
         self._low, self._high, self._at = low, math.inf, received
         self.steps, self.last_step = self.steps + 1, self.offset - before
         self._stepped_at, self._behind_since = received, None
@@ -287,8 +288,8 @@ def _bounds(
         return low, math.inf
     ours_sent, ours_age = echo
     high = sent - ours_age - ours_sent
-    # No round trip is as long, and none takes less than no time: whoever says so has
-    # not filled in those times, or has set its clock since ours came.
+    # No round trip is that long or negative: the sender has not filled in these times,
+    # or has set its clock since our message arrived.
     return low, high if -_TOLERANCE <= high - low < LONGEST_ROUND_TRIP else math.inf
 
 

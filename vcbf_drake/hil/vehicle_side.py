@@ -41,7 +41,7 @@ from vcbf_drake.simulation.loop import (
 from vcbf_drake.simulation.obstacles import barriers
 from vcbf_drake.simulation.scenario import Scenario
 
-# Commands that a step may find waiting; the oldest of more are obsolete anyway.
+# The number of waiting commands kept for a step; older ones are obsolete.
 _MOST_WAITING = 1000
 _OBSTACLE_PERIOD = 0.5  # [s]
 
@@ -53,18 +53,18 @@ def fallback_input(
     x: Array,
     brake_rate: float,
 ) -> Array:
-    """Returns the input of a vehicle that is left alone, inside its limits.
+    """Returns the fallback input of a vehicle without commands, inside its limits.
 
-    ``zero`` is no input. ``brake`` takes off the speed v = S x by S (f + g u) =
-    -brake_rate v, or comes nearest to it in the sense of least squares. A vehicle
-    without a speed (`ControlAffineModel.speed_matrix`) has no input. Source: ours.
+    ``zero`` is the input 0. ``brake`` reduces the speed v = S x by S (f + g u) =
+    -brake_rate v, or its least-squares solution. For a vehicle without a speed
+    (`ControlAffineModel.speed_matrix`) it is 0. Source: ours.
 
     Args:
         kind: "zero" or "brake".
         model: The vehicle's f, g, E.
-        input_set: What its actuators can do.
+        input_set: The input set of its actuators.
         x: Its state, shape (n,).
-        brake_rate: How fast the speed decays [1/s].
+        brake_rate: The decay rate of the speed [1/s].
     """
     speed_of = model.speed_matrix
     if kind == "zero" or not len(speed_of):
@@ -75,14 +75,14 @@ def fallback_input(
 
 
 class _Received(NamedTuple):
-    """A command, and when it came [us]."""
+    """A command and its time of arrival [us]."""
 
     command: Any
     at: int
 
 
 class VehicleEnd(LeafSystem):
-    """A vehicle's end of the bus: takes its commands, and says how it is.
+    """A vehicle's end of the bus: receives commands, and sends states and obstacles.
 
     .. pydrake_system::
 
@@ -95,21 +95,21 @@ class VehicleEnd(LeafSystem):
     | port | size | |
     | --- | --- | --- |
     | ``state`` | n | the measured state |
-    | ``input`` | m | what the actuators apply: always inside their limits |
+    | ``input`` | m | the input that the actuators apply: always inside their limits |
 
     At the beginning of every simulator step the newest command that has come by then is
     taken, and the watchdog looks at its age; between steps the input is held. A process
-    that wakes late handles commands that are younger than the step it has to make up
-    for: that one passes them over, for they were not there yet, and they act from the
-    next one on, whatever comes after them.
+    that wakes late handles commands that are younger than the step it makes up for:
+    that step ignores them, and they act from the next step on.
 
     States are sent periodically, obstacles twice a second, and both at forced events.
     The context's time is tied to the bus's clock: its time 0 is when this was made, or
     `restart` called.
 
     Args:
-        bus: Carries states out and commands in.
-        scenario: Has the period, what to do without commands, and the obstacles.
+        bus: The bus, for states and commands.
+        scenario: The scenario, with the period, the response to missing commands, and
+            the obstacles.
         model: The vehicle's f, g, E.
 
     Attributes:
@@ -162,11 +162,11 @@ class VehicleEnd(LeafSystem):
         return self._start + round(1e6 * time)
 
     def time(self) -> float:
-        """Returns how late it is now, by the clock [s]."""
+        """Returns the current time, by the clock [s]."""
         return 1e-6 * (self._bus.clock.utime() - self._start)
 
     def mode(self, context: Context) -> VehicleMode:
-        """Returns what the vehicle does."""
+        """Returns the mode of the vehicle."""
         return VehicleMode(int(context.get_discrete_state(self._mode)[0]))
 
     def _take_over(self, context: Context, state: State) -> EventStatus:
@@ -188,7 +188,7 @@ class VehicleEnd(LeafSystem):
         return EventStatus.Succeeded()
 
     def _integral_now(self, context: Context) -> Array:
-        """The integral over time of what was applied, (m,)."""
+        """The integral over time of the applied input, (m,)."""
         *integral, since = context.get_discrete_state(self._integral).CopyToVector()
         applied = context.get_discrete_state(self._input).CopyToVector()
         return np.asarray(integral + applied * (context.get_time() - since))
@@ -196,7 +196,7 @@ class VehicleEnd(LeafSystem):
     def _choose(
         self, received: _Received, now: int, context: Context
     ) -> tuple[VehicleMode, Array]:
-        """What to do at the time `now` [us], and the input."""
+        """The mode at the time `now` [us], and the input."""
         command, received_at = received
         age = 1e-6 * (now - received_at)
         applies = command.mode in (CommandMode.APPLY, CommandMode.HOLD)
@@ -252,7 +252,7 @@ def make_vehicle(scenario: Scenario, bus: Bus) -> Diagram:
 
     Args:
         scenario: A validated scenario.
-        bus: Carries states and obstacles out and commands in.
+        bus: The bus, for states, obstacles and commands.
 
     Raises:
         ScenarioError: A time limit is shorter than the control period.

@@ -27,7 +27,8 @@ def draw(link: Element, packages: PackageMap | None) -> bool:
         link: The link, which is changed.
         packages: The packages of the meshes' URLs; None for no geometry.
 
-    Returns: Whether a shape remains.
+    Returns:
+        Whether a shape remains.
     """
     visuals, collisions = link.findall("visual"), link.findall("collision")
     for each in [*visuals, *collisions]:

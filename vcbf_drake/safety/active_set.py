@@ -1,7 +1,7 @@
 """Goldfarb and Idnani's active-set iterations on a handful of rows.
 
-In floats, or, where rounding leaves a question open, in rational numbers, in which a
-float is itself and nothing is rounded.
+They run in floats or, where rounding leaves a question open, in rational numbers, which
+represent floats exactly and do not round.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from numpy.typing import NDArray
 
 from vcbf_drake.checks import Array
 
-# A row this near to the span of others, for its length, is in it.
+# A row this near to the span of others, relative to its length, is in it.
 _INDEPENDENT = 1e-12
 # A row violated by less, relative to the terms of a v - b, need not join.
 _TOLERANCE = 1e-13
-# In floats it ends after so many rows, for each that there is, have joined.
+# In floats it ends after this many rows have joined, per row of the set.
 _PATIENCE = 3
 
 
 class Projection(NamedTuple):
-    """A point nearest to a reference; of the iterations, to be checked by the caller.
+    """The point nearest to a reference, unverified: the caller checks it.
 
     Attributes:
         point: v, the reference itself or, to rounding, on the rows with y > 0, (m,).
         multipliers: y >= 0, with v = reference - A'y to rounding, shape (n,).
-        conflict: Where v violates a row for which no other can make room: z >= 0, not
-            all 0, with A'z = 0 to rounding, shape (n,); else None.
+        conflict: Where v violates a row that no other row can make room for: z >= 0,
+            not all 0, with A'z = 0 to rounding, shape (n,); else None.
     """
 
     point: Array
@@ -52,7 +52,7 @@ def nearest_by_active_set(
         A: The rows, shape (n, m).
         b: Their right-hand sides, shape (n,).
         reference: The point that is projected, shape (m,).
-        near: Indices of the rows that are looked at; by default all.
+        near: Indices of the rows to consider; by default all.
     """
     if near is None:
         near = np.arange(len(b))
@@ -93,7 +93,7 @@ def _minus(a: _Vector, factor: _Number, b: _Vector) -> _Vector:
 
 
 class _Face:
-    """The active rows, and the point nearest to the reference where all are met.
+    """The active rows, and the point nearest to the reference on all of them.
 
     The rows are L Q: L unit lower triangular, the rows of Q at right angles. Nothing is
     updated from step to step but L and Q: what follows from them has the rounding of
@@ -128,7 +128,7 @@ class _Face:
         self.multipliers: _Vector = []
 
     def projection(self, near: NDArray[np.intp], num_rows: int) -> Projection:
-        """Makes rows active until the point violates none; returns where that ends.
+        """Makes rows active until the point violates none; returns the result.
 
         Args:
             near: Which rows these are.
@@ -157,9 +157,9 @@ class _Face:
     def _join(self, row: int) -> _Vector | None:
         """Makes a violated row active, and those inactive that stand in its way.
 
-        Along the active rows' span its multiplier takes over from theirs; what is left
-        of the row, at a right angle to them, moves the point. Returns None, or the
-        conflict where it cannot be met: n numbers.
+        In the span of the active rows, its multiplier replaces theirs; the component of
+        the row orthogonal to them moves the point. Returns None, or the conflict where
+        it cannot be met: n numbers.
         """
         a = self._A[row]
         excess = _dot(a, self.point) - self._b[row]
@@ -187,7 +187,7 @@ class _Face:
                 return conflict
 
     def _split(self, a: _Vector) -> tuple[_Vector, _Vector]:
-        """A row's coordinates along Q, and what is left of it."""
+        """A row's coordinates along Q, and its orthogonal remainder."""
         along: _Vector = [0] * len(self._Q)
         left = a
         for _ in range(self._passes):

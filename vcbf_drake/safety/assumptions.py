@@ -18,7 +18,7 @@ from vcbf_drake.safety.volume import least_threshold
 if TYPE_CHECKING:
     from vcbf_drake.safety.safety_filter import SafetyFilter
 
-# How far an input must move a row, in the unit of its barrier's last derivative.
+# The least effect of the inputs on a row, in the unit of its last derivative.
 _LEAST_AUTHORITY = 1e-9
 
 
@@ -28,10 +28,10 @@ class Assumption:
 
     Attributes:
         name: A short name.
-        statement: What has to hold, in words and symbols.
+        statement: The condition, in words and symbols.
         holds: Whether it does; None when it is information that no proof needs.
         numbers: The quantities that decide it.
-        consequence: What is lost when it does not hold, and what to do.
+        consequence: The loss when it does not hold, and the remedy.
     """
 
     name: str
@@ -290,7 +290,7 @@ def _standing(
 def _information(
     safety_filter: SafetyFilter, context: Context, observer: DisturbanceObserver
 ) -> Iterator[Assumption]:
-    """What the paper asks for and no proof needs, and what sampling costs."""
+    """Conditions of the paper that no proof needs, and the cost of sampling."""
     method, volume = safety_filter.method, safety_filter.settings.volume
     if method.has_volume_row:
         numbers = {

@@ -1,4 +1,4 @@
-"""BackupRows: rows along the way that a backup law would lead (backup barriers)."""
+"""BackupRows: barrier rows along the flow of a backup law (backup barriers)."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ class BackupRows:
               \ge -\alpha_i (h_i(\phi_{\tau_j}(x)) - \mu |\nabla h_i|)
 
     where alpha_i s is the largest decay rate of the barrier times s, or its own class-K
-    function of s, and mu the margin. Of several laws the one is taken whose way keeps
-    clear by most.
+    function of s, and mu the margin. Of several laws, that with the largest clearance
+    along its flow is used.
 
     Source: Gurriet et al. (2020), Chen et al. (2021); the margin and the choice of
     alpha are ours.
 
     Attributes:
-        names: Of the rows.
+        names: The names of the rows.
     """
 
     def __init__(
@@ -58,10 +58,10 @@ class BackupRows:
 
         Args:
             model: The plant.
-            barriers: What must stay true.
-            barrier_set: The same.
-            manoeuvres: Whose smooth laws are followed, one at least.
-            margin: How far the way keeps clear of every barrier, in units of x.
+            barriers: The barriers.
+            barrier_set: The same barriers as a set.
+            manoeuvres: The manoeuvres whose smooth laws are used, at least one.
+            margin: The clearance of the flow from every barrier, in units of x.
 
         Raises:
             ModelError: No manoeuvre has a smooth law, or the model or a barrier no
@@ -86,7 +86,7 @@ class BackupRows:
         )
 
     def most_of_each(self, of_rows: Array) -> Array:
-        """Returns the most of every barrier's rows, shape (..., N).
+        """Returns the maximum over each barrier's rows, shape (..., N).
 
         Args:
             of_rows: A number of every row, shape (..., rows).
@@ -103,9 +103,9 @@ class BackupRows:
             x: The state, shape (n,).
             t: The time [s].
             known: The barriers' own rows there; limits of the input are taken over.
-            seen: What is perceived then, shape (obstacles_size,); None without.
+            seen: The perceived obstacles, shape (obstacles_size,); None without.
         """
-        # Of an empty slot there is no h: its row, too, is taken over.
+        # An empty slot has no h: its row is taken over too.
         parameters = [
             each.parameters if each.relative_degree else None
             for each in self._barrier_set.functions_at(t, seen)
@@ -271,8 +271,8 @@ def manoeuvres_of(
 
     Args:
         model: The plant.
-        input_set: What the actuators can do, a box.
-        period: For how long an input is held [s].
+        input_set: The input set, a box.
+        period: The hold period [s].
         disturbance_bound: delta1 [m/s^2].
 
     Raises:

@@ -26,12 +26,12 @@ class CachedSystem(LeafSystem):
         calc: Callable[[Context], object],
         needs: set[DependencyTicket],
     ) -> CacheEntry:
-        """Declares an entry that holds what `calc` returns.
+        """Declares a cache entry for the result of `calc`.
 
         Args:
             name: For Drake's messages.
             calc: Calculates it.
-            needs: What it depends on.
+            needs: Its prerequisites.
         """
         producer = ValueProducer(
             allocate=lambda: Value[object](),
@@ -49,7 +49,7 @@ class CachedSystem(LeafSystem):
             name: The port's.
             size: The port's.
             entry: The entry.
-            read: Makes the port's value of what the entry holds.
+            read: Returns the port's value from the entry's.
         """
 
         def calc(context: Context, output: BasicVector) -> None:
@@ -59,6 +59,6 @@ class CachedSystem(LeafSystem):
 
 
 def held_by(entry: CacheEntry, context: Context) -> Any:
-    """Returns what an entry holds."""
+    """Returns the value of an entry."""
     (found,) = entry.Eval(context)
     return found

@@ -1,7 +1,7 @@
 """A proposed ellipsoid made exact and certified.
 
 Newton's method on the optimality conditions (E56), in the ellipsoid's own coordinates,
-makes it and its multipliers exact. Weak duality bounds what is left of the error.
+makes it and its multipliers exact. Weak duality bounds the remaining error.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ def polish(
 def certified(
     A: Array, b: Array, center: Array, frame: Array, multipliers: Array
 ) -> Ellipsoid | None:
-    """Returns an ellipsoid as it is, with what is known of it; None without a bound.
+    """Returns an unchanged ellipsoid with its certificate; None without a bound.
 
     Args:
         A: As for `polish`, like the others.

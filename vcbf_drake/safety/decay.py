@@ -1,4 +1,4 @@
-"""DecayRates: barriers that may fall faster than their gains say (E69)."""
+"""DecayRates: barriers that may decay faster than their gains allow (E69)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vcbf_drake.checks import Array
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.tick_qp import QP
 
-# By which share of itself a level may fall in a period, to first order.
+# The share of itself by which a level may fall in a period, to first order.
 _LARGEST_STEP = 0.9
 _ROUNDING = 4.0 * float(np.finfo(float).eps)
 DEFAULT_PENALTY = 100.0
@@ -35,7 +35,8 @@ class DecayRates:
         slopes: lambda phi or class_k(phi), shape (N,); 0 where no rate helps: phi is
             not positive, or the row is a limit of the input.
         most: The largest omega, shape (N,), not below 1.
-        penalty: What (omega - 1)^2 costs beside the squared distance to the reference.
+        penalty: The penalty of (omega - 1)^2 beside the squared distance to the
+            reference.
         only_where_empty: Whether rates grow only where the rows have no input.
     """
 
@@ -57,7 +58,7 @@ class DecayRates:
         Args:
             chain: phi_0, ..., phi_(r-1) of each row; whatever may follow is ignored.
             barriers: The barriers and limits behind the rows.
-            period: For how long an input is held [s].
+            period: The hold period [s].
             penalty: Of the squared growth.
             only_where_empty: Whether they grow only where the rows have no input.
         """
@@ -76,7 +77,7 @@ class DecayRates:
 
     @property
     def room(self) -> Array:
-        """By how much each row's right-hand side may grow, shape (N,)."""
+        """The greatest growth of each row's right-hand side, shape (N,)."""
         return self.slopes * (self.most - 1.0)
 
     def grown(self, qp: QP, feasible: FeasibleSet) -> QP:

@@ -1,4 +1,4 @@
-"""Decider: the input of one tick, of all that is known there."""
+"""Decider: the input of one tick."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from vcbf_drake.safety.volume import Volume, volume_row
 
 
 class Decider:
-    """A method's QP, then what keeps its rows between ticks, then the gate.
+    """The steps of a decision: the method's QP, the row holder, the gate.
 
     Args:
         model: The plant's f, g, E.
         barriers: The barriers and limits behind the rows.
-        input_set: What the actuators can do.
+        input_set: The inputs that the actuators can deliver.
         settings: The filter's.
         row_holder: With ``between_ticks: certified``.
         gate: With ``infeasible: backup``.
@@ -54,10 +54,10 @@ class Decider:
         """Returns the decision.
 
         Args:
-            tick: What is known, its state finite.
+            tick: The data of the tick, with a finite state.
             feasible: The feasible set.
             v: V_v of it; None where it could not be computed, or no row asks for it.
-            reference: What the controller would apply, shape (m,).
+            reference: The reference input, shape (m,).
             held: The input applied now, shape (m,).
         """
         settings, row = self._settings, None
@@ -92,7 +92,7 @@ class Decider:
         return decision if self._gate is None else self._gate.decide(tick, decision)
 
     def _decay_rates(self, feasible: FeasibleSet) -> DecayRates | None:
-        """How much rates may grow; None where they may not."""
+        """The decay rates that may grow; None where they may not."""
         always = self._method.feasibility == "decay"
         if not (always or self._settings.infeasible == "decay"):
             return None

@@ -3,7 +3,7 @@
     max log det B   subject to   |B a_i| + a_i c <= b_i,   B = B' > 0        (E48)
 
 A cone program proposes the ellipsoid, Newton's method makes it exact and weak duality
-certifies it; nothing leaves here without that certificate.
+certifies it; no ellipsoid is returned without that certificate.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _PARALLEL = 1e-12
 # Rows further away than this, in its frame, would spoil the cone program's scaling and
 # are brought nearer; Newton's method and the certificate take them where they are.
 _FARTHEST = 1e6
-# How well b - A u is known, relative to its terms.
+# The relative accuracy of b - A u, compared with its terms.
 _ROUNDING = 1e-15
 
 
@@ -78,7 +78,7 @@ def inscribed_ellipsoid(A: ArrayLike, b: ArrayLike) -> Ellipsoid:
 
 
 def _search(rows: UnitRows) -> Ellipsoid | None:
-    """Finds the largest ellipsoid from nothing but the rows, or None.
+    """Finds the largest ellipsoid from the rows alone, or None.
 
     The cone program's tolerance is absolute. So it is solved in the coordinates z,
     u = center + frame z, of the rows around the Chebyshev centre, and then of what it
@@ -240,7 +240,8 @@ def _of_rows(A: Array, b: Array, solver: str, is_box: bool) -> Ellipsoid:
 def _tightest(A: Array, b: Array, first: int) -> NDArray[np.intp]:
     """The first rows, and of those behind that are parallel the one furthest in.
 
-    An arm's rows are: both limits of a joint's angle and speed are on its acceleration.
+    An arm has such rows: both limits of a joint's angle and speed limit its
+    acceleration.
     """
     order = first + b[first:].argsort(kind="stable")
     cosine = A[order] @ A[order].T

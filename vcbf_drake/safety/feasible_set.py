@@ -17,7 +17,7 @@ from vcbf_drake.safety.input_set import InputSet
 
 
 class DisturbanceKnowledge(NamedTuple):
-    """What is known of the disturbance d at one time: ``|d - estimate| <= bound``.
+    """The ball of the disturbance d at one time: ``|d - estimate| <= bound``.
 
     Attributes:
         estimate: The estimate, shape (q,) [m/s^2].
@@ -39,11 +39,11 @@ class DisturbanceKnowledge(NamedTuple):
     def of(
         estimate: DisturbanceEstimate, margin: float, gain: float
     ) -> DisturbanceKnowledge:
-        """Returns what an observer's estimate says while an input is held.
+        """Returns the ball of an observer's estimate while an input is held.
 
         Args:
             estimate: At the tick.
-            margin: What the error can grow by until the next one [m/s^2].
+            margin: The bound of the error's growth until the next tick [m/s^2].
             gain: The observer's `estimate_gain` [1/s].
         """
         return DisturbanceKnowledge(
@@ -56,17 +56,17 @@ class DisturbanceKnowledge(NamedTuple):
 
     @staticmethod
     def constant(num_disturbances: int, bound: float) -> DisturbanceKnowledge:
-        """Returns what is known without an observer: a fixed ball around zero."""
+        """Returns the ball without an observer: a fixed one around zero."""
         zero = np.zeros(num_disturbances)
         return DisturbanceKnowledge(zero, zero, bound, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class RowCosts:
-    """What it costs that barrier rows do not hold.
+    """The costs of violated barrier rows.
 
     Attributes:
-        weights: How much a violation of each counts where not all can hold, shape (N,).
+        weights: The weight of each violation where not all rows can hold, shape (N,).
         penalties: For soft rows the penalty of their squared slack, else infinity,
             shape (N,).
         linear_penalties: For soft rows the penalty of the slack itself, shape (N,).
@@ -98,11 +98,11 @@ class FeasibleSet(NamedTuple):
     The first rows are the input set's, then follows one row per barrier.
 
     Attributes:
-        input_set: What limits the input whatever the state.
+        input_set: The input limits, for every state.
         rows: The barrier rows.
         bound: The right-hand side of each with its margin, b + Lambda, shape (N,).
-        known: What they take as known of the disturbance.
-        costs: What it costs that they do not hold.
+        known: The ball of the disturbance in the rows.
+        costs: The costs of violated rows.
         normals: The barrier rows in normalised inputs v, u = center + scale v, (N, m).
         distance: Their right-hand sides, shape (N,). The set takes no notice of soft
             rows: there is infinity.
@@ -144,7 +144,7 @@ class FeasibleSet(NamedTuple):
         return np.concatenate([self.input_set.limits, self.num_input_rows + self.cut])
 
     def tightened(self, reserve: Array) -> FeasibleSet:
-        """Returns the inputs of this set that leave every barrier row a reserve (E88).
+        """Returns the subset that leaves every barrier row a reserve (E88).
 
         Args:
             reserve: Shape (N,), not negative.
@@ -177,8 +177,8 @@ def feasible_set(
     Args:
         input_set: The inputs the actuators can produce.
         rows: The barriers' rows at one state and time.
-        known: What is known of the disturbance there.
-        costs: What it costs that a row does not hold; by default all are hard.
+        known: The ball of the disturbance there.
+        costs: The costs of violated rows; by default all are hard.
     """
     bound = rows.b + disturbance_margin(rows, known)
     return _of_bound(input_set, rows, bound, known, costs or RowCosts.equal(len(bound)))

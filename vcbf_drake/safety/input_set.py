@@ -24,7 +24,7 @@ _TOLERANCE = 1e-10
 
 
 class InputSet:
-    """A polytope ``{u : A u <= b}`` of inputs: what the actuators can do.
+    """The polytope ``{u : A u <= b}`` of inputs that the actuators can deliver.
 
     In normalised inputs v, u = center + scale * v, its bounding box is |v_j| <= 1. An
     input that its rows fix, as of a dead actuator, has scale 0 and stays at its center

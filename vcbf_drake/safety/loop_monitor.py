@@ -1,4 +1,4 @@
-"""LoopMonitor: the voice of a filter that knows of a fault in its loop."""
+"""LoopMonitor: reports of failed hypotheses and infeasible ticks."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from vcbf_drake.safety.safety_filter import SafetyFilter
 from vcbf_drake.safety.volume import least_threshold
 
 _LOG = logging.getLogger("vcbf_drake")
-# From how many refused intervals on, and from which share of all, that is told.
+# The number of refused intervals, and their share of all, that are reported.
 _MANY, _SHARE = 10, 0.5
 
 
 class _Findings(NamedTuple):
-    """What is wrong at a tick; or was at one so far, as the monitor's state.
+    """The findings of a tick or, as the monitor's state, of all ticks so far.
 
     Attributes:
         status: A `FilterStatus`, the worst.
@@ -49,7 +49,7 @@ class _Findings(NamedTuple):
 
 
 class LoopMonitor(CachedSystem):
-    """Checks the hypotheses at the start, and tells when there is no safe input.
+    """Checks the hypotheses at the start, and reports infeasible ticks.
 
     .. pydrake_system::
 
@@ -68,9 +68,9 @@ class LoopMonitor(CachedSystem):
     each hypothesis about the start that fails, and at the first tick that is INFEASIBLE
     or FAILED one that names the rows that exclude each other; to the logger
     ``vcbf_drake``, unless the setting `warn` is off. With the policy ``stop`` that tick
-    ends the simulation. Three things more are told once: that V_v is below 0, so that
-    the volume row gives way, that the observer refuses most intervals, and, with the
-    policy ``backup``, that no plan is certified any more.
+    ends the simulation. Three more findings are reported once: that V_v is below 0, so
+    that the volume row gives way, that the observer refuses most intervals, and, with
+    the policy ``backup``, that no plan is certified any more.
     """
 
     def __init__(

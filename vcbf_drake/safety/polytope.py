@@ -16,7 +16,7 @@ from vcbf_drake.safety.unit_rows import UnitRows
 
 # A ray may turn towards a row by this angle [rad] and still count as a ray.
 _RAY_TOLERANCE = 1e-11
-# How often the largest ball is sought again from where the last one is.
+# The number of repeated searches for the largest ball, from the last one.
 _ROUNDS = 4
 
 
@@ -113,7 +113,7 @@ def emptiness_certificate(A: ArrayLike, b: ArrayLike) -> Emptiness | None:
         nearest_point(A, b, np.zeros(m))
     except EmptySetError as error:
         y = error.multipliers
-        for row in error.conflict:  # Some may only make up for the others' rounding.
+        for row in error.conflict:  # Some may only compensate the others' rounding.
             kept = [i for i in error.conflict if i != row]
             fewer = emptiness_certificate(A[kept], b[kept])
             if fewer is not None:

@@ -1,8 +1,8 @@
 """MathematicalPrograms of fixed size: built once, overwritten and solved at every tick.
 
 The filter states three kinds of problems: linear programs, the QP and the cone program
-of the largest ellipsoid. A solver only proposes their solutions; whoever asks makes
-them exact and verifies them.
+of the largest ellipsoid. A solver only proposes their solutions; the caller makes them
+exact and verifies them.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class FixedProgram:
     """A MathematicalProgram of fixed size with its solver, its options and a lock.
 
     Every solve overwrites all coefficients, so that the answer depends on the data
-    alone, whoever asked before.
+    alone, not on earlier solves.
 
     Attributes:
         program: As it was stated last.

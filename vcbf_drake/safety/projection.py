@@ -2,7 +2,8 @@
 
 A MathematicalProgram proposes, the active set makes the proposal exact on the rows it
 touches, and arithmetic decides: the optimality conditions hold, or Farkas' multipliers
-prove that there is no point. What floats leave open is decided in rational numbers.
+prove that there is no point. Questions that floats leave open are decided in rational
+numbers.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ _GAP = 1e-9
 _LIGHTEST = 1e-10
 # The same, where there is no rounding but that of the rows.
 _NOISE = 1e-14
-# How well A v is known, relative to its terms.
+# The relative accuracy of A v, compared with its terms.
 _ROUNDING = 1e-15
 # Rows this close to a solver's answer may be active. A wider reach forgives a solver's
 # tolerance, a narrower one keeps apart rows that nearly meet.
@@ -142,7 +143,7 @@ def minimise_linear(
         b: The right-hand sides, shape (n,).
         num_firm: How many rows, the first, are not opened as those of `nearest_point`
             are; by default all.
-        reach: How large entries of a point may be where rows bound them.
+        reach: The bound of a point's entries where rows bound them.
 
     Raises:
         EmptySetError: No point satisfies the rows; certified, not guessed.
@@ -172,7 +173,7 @@ def minimise_linear(
 
 
 def _in_rationals(rows: UnitRows, b: Array, reference: Array) -> Projection:
-    """What floats leave open, decided.
+    """The exact decision of a question that floats leave open.
 
     Raises:
         EmptySetError: No point satisfies the rows.

@@ -1,4 +1,4 @@
-"""The decision of a control tick: the filter's QP, or what acts where it has none."""
+"""The decision of a control tick: the filter's QP, or the policy without a solution."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ INFEASIBLE_POLICIES: tuple[InfeasiblePolicy, ...] = get_args(InfeasiblePolicy)
 
 
 class FilterStatus(IntEnum):
-    """What the filter did at a tick."""
+    """The filter's status at a tick."""
 
     REFERENCE = 0
     """The reference satisfied every row and passed through untouched."""
@@ -56,18 +56,18 @@ class FilterDecision(NamedTuple):
 
     Attributes:
         input: Shape (m,).
-        status: How it was found.
-        slack: delta of (E54): how far the volume row gave way, 0 when it did not.
+        status: The status of the tick.
+        slack: delta of (E54): the relaxation of the volume row, 0 without one.
         conflict: When infeasible, rows of the feasible set that exclude each other.
-        row_margin: What every barrier row's chi is at least until the next tick (E88);
+        row_margin: A lower bound of every barrier row's chi until the next tick (E88);
             nan where no such input was sought.
-        soft_slacks: How far each soft barrier row gave way, at most 0, where the input
+        soft_slacks: The relaxation of each soft barrier row, at most 0, where the input
             is a QP's solution.
         decay: The largest factor omega on a barrier's last decay rate (E69), 1 where
             the rows hold at their own rates.
-        backup: How far the input gave way to a backup manoeuvre's, from 0 to 1.
-        is_certified: Whether a certified way to safety follows on it (Theorem 5); None
-            where none was sought.
+        backup: The share of a backup manoeuvre in the input, from 0 to 1.
+        is_certified: Whether a certified plan follows on it (Theorem 5); None where
+            none was sought.
         qp: The QP whose solution the input is, where it is one.
     """
 
@@ -107,14 +107,14 @@ def choose_input(
         reference: The controller's input, shape (m,).
         held_input: The input applied now, shape (m,); for the fallbacks.
         input_set: The inputs the actuators can produce.
-        exact_slack: How the volume row may give way.
-        policy: What to apply when the barrier rows have no solution.
+        exact_slack: Whether the volume row is hard with the least slack.
+        policy: The policy when the barrier rows have no solution.
         solver: The name of the solver that proposes, one of `SOLVERS`.
         frame: The coordinates of the normalised inputs, with the cost's weights; by
             default `Frame.of(input_set)`.
-        decay_rates: How much faster the barriers may fall, at every tick or only where
-            the rows have no input (the policy ``decay``); None for not at all. At every
-            tick there is no volume row.
+        decay_rates: The decay rates that may grow, at every tick or only where the rows
+            have no input (the policy ``decay``); None for fixed rates. At every tick
+            there is no volume row.
     """
     if not (feasible.is_finite and np.isfinite(reference).all()):
         return FilterDecision(input_set.project(held_input), FilterStatus.FAILED)
@@ -275,7 +275,7 @@ def _better(
     except EmptySetError:
         pass
     try:
-        # A conflict with the volume row says nothing of the others: are they empty?
+        # A conflict with the volume row does not imply that the other rows are empty.
         finer.hard.solved(solver)
     except EmptySetError as error:
         u = qp.frame.input(found.point)

@@ -1,4 +1,4 @@
-"""RowHolder and Gate: what a filter asks beyond its tick, of rows and of inputs."""
+"""RowHolder and Gate: guarantees of rows and inputs beyond a tick."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from vcbf_drake.safety.qp import FilterDecision
 
 
 class Tick(NamedTuple):
-    """What is known at one tick.
+    """The data of one tick.
 
     Attributes:
         rows: The barrier rows.
         state: Shape (n,).
-        time: When it is [s].
-        known: What is known of the disturbance until the next tick.
-        obstacles: What is perceived, shape (obstacles_size,).
+        time: The time of the tick [s].
+        known: The ball of the disturbance until the next tick.
+        obstacles: The perceived obstacles, shape (obstacles_size,).
     """
 
     rows: BarrierRows
@@ -62,8 +62,8 @@ class RowHolder(Protocol):
         """Returns a decision under which the rows last, where there is one.
 
         Args:
-            tick: Where it is made.
-            decision: The one that asks for the tick alone.
+            tick: The tick of the decision.
+            decision: The decision for the tick alone.
             choose: Returns the decision under margins, shape (N,).
         """
 
@@ -75,16 +75,16 @@ MakeRowHolder: TypeAlias = Callable[
 
 
 class Gate(Protocol):
-    """Lets inputs pass that a certified way to safety follows on.
+    """Lets inputs pass that a certified plan follows on.
 
     `vcbf_drake.between_ticks.BackupGate` is one.
     """
 
     def decide(self, tick: Tick, decision: FilterDecision) -> FilterDecision:
-        """Returns a decision with a certified way to safety, where there is one.
+        """Returns a decision with a certified plan, where there is one.
 
         Args:
-            tick: Where it is made.
+            tick: The tick of the decision.
             decision: The method's own.
         """
 
@@ -99,14 +99,14 @@ _Made = TypeVar("_Made")
 
 
 def given(setting: str, make: Callable[..., _Made] | None) -> Callable[..., _Made]:
-    """Returns what `AddSafetyFilter` gives, of a room that the filter does not know.
+    """Returns an object that `AddSafetyFilter` provides from another package.
 
     Args:
-        setting: What asks for it.
-        make: Makes it.
+        setting: The setting that requires it.
+        make: The function that makes it.
 
     Raises:
-        ValueError: There is none.
+        ValueError: No function is given.
     """
     if make is None:
         raise ValueError(

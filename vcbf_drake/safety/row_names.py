@@ -20,7 +20,7 @@ class RowNames(tuple[str, ...]):
         """Returns the names.
 
         Args:
-            input_set: What the actuators can do.
+            input_set: The inputs that the actuators can deliver.
             barriers: The barriers' names.
         """
         m, sides = input_set.num_inputs, ("upper", "lower")
@@ -55,7 +55,7 @@ class RowNames(tuple[str, ...]):
             except EmptySetError as error:
                 return tuple(self[limiting[row]] for row in error.conflict)
             except SolverError:
-                pass  # Neither could be verified: whoever asks for names goes on.
+                pass  # Neither could be verified: no row is named.
         return ()
 
 

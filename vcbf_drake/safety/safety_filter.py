@@ -62,10 +62,10 @@ class SafetyFilter(CachedSystem):
     | port | size | what |
     | --- | --- | --- |
     | ``state`` | n | the measured state |
-    | ``reference`` | m | what the controller would apply |
+    | ``reference`` | m | the controller's input |
     | ``estimate`` | 2q + 4 | the observer's `DisturbanceEstimate` |
     | ``held_input`` | m | the input applied now; read by the fallbacks only |
-    | ``obstacles`` | | what is perceived now: see `PerceivedSpheres` |
+    | ``obstacles`` | | the perceived obstacles: see `PerceivedSpheres` |
     | ``command`` | m | the chosen input: finite and inside the input set, always |
     | ``fallback`` | m | the command where no solver's answer can be verified |
     | ``volume`` | 1 | V_v, what the volume row keeps positive; nan on failure |
@@ -102,15 +102,14 @@ class SafetyFilter(CachedSystem):
 
         Args:
             model: The plant's f, g, E.
-            barriers: What must stay true, one row each.
-            input_set: What the actuators can do.
+            barriers: The barriers and limits, one row each.
+            input_set: The inputs that the actuators can deliver.
             settings: The method and its choices; `FilterSettings()` by default.
             bounds: delta1 and delta2 of the disturbance; none by default. delta2 times
-                the hold is how far the disturbance can move while one input is held;
-                it is added to the error bound (E28, the certified error bound).
+                the hold bounds the change of the disturbance during a hold; it is added
+                to the error bound (E28, the certified error bound).
             estimate_gain: The observer's `estimate_gain` [1/s].
-            longest_hold: How long an input may be held, where that can be longer than
-                the control period [s].
+            longest_hold: The longest hold, if it can exceed the control period [s].
             make_row_holder: `vcbf_drake.between_ticks.HeldRows`; needed where the
                 settings say ``between_ticks: certified``.
             make_gate: `vcbf_drake.between_ticks.BackupGate`; needed where they say
@@ -266,11 +265,11 @@ class SafetyFilter(CachedSystem):
 
     @property
     def num_rows(self) -> int:
-        """How many rows the feasible set has: input limits, then barriers."""
+        """The number of rows of the feasible set: input limits, then barriers."""
         return len(self.row_names)
 
     def of_barriers(self, of_rows: Array) -> Array:
-        """Returns the most of every barrier's rows, shape (..., N).
+        """Returns the maximum over each barrier's rows, shape (..., N).
 
         Args:
             of_rows: A number of every row, shape (..., rows).
@@ -280,7 +279,7 @@ class SafetyFilter(CachedSystem):
         return self.backup_rows.most_of_each(of_rows)
 
     def knowledge(self, context: Context) -> DisturbanceKnowledge:
-        """Returns what this method takes as known of the disturbance."""
+        """Returns the ball of the disturbance that this method uses."""
         if self._estimate is None:
             is_worst = self.method.disturbance == "worst_case"
             bound = self.bounds.delta1 if is_worst else 0.0
@@ -326,7 +325,7 @@ class SafetyFilter(CachedSystem):
         return self.barrier_set.rows(x, t, self._seen(context))
 
     def _seen(self, context: Context) -> Array | None:
-        """What is perceived of obstacles."""
+        """The perceived obstacles."""
         return None if self._obstacles is None else self._obstacles.Eval(context)
 
     def _calc_feasible_set(self, context: Context) -> FeasibleSet:

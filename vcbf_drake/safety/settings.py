@@ -41,16 +41,16 @@ ObserverKind = Literal["rise", "linear"]
 
 @dataclass(frozen=True)
 class Method:
-    """What a safety filter does about the disturbance and about its own feasibility.
+    """A method: its treatment of the disturbance and of its own feasibility.
 
     Attributes:
         disturbance: Every row either ignores the disturbance, takes its worst case
             within ``|d| <= delta1``, or uses the observer's estimate and error bound.
-        feasibility: What keeps the rows from leaving no input: nothing, the volume
-            barrier's row in the QP, decay rates that are variables of it, or rows along
-            the way of a backup law in place of the barriers' own.
+        feasibility: The means against an empty feasible set: none, the volume barrier's
+            row in the QP, decay rates that are variables of it, or rows along the way
+            of a backup law in place of the barriers' own.
         observer: The kind of observer; a method that does not estimate only logs it.
-        source: Where the method comes from.
+        source: The source of the method.
     """
 
     disturbance: DisturbanceHandling
@@ -224,13 +224,13 @@ class FilterSettings:
         )
 
     def row_costs(self, count: int) -> RowCosts:
-        """Returns what it costs that barriers' rows do not hold.
+        """Returns the costs of violated barrier rows.
 
         Args:
             count: N.
 
         Raises:
-            InvalidValueError: A setting has numbers, but not one a barrier.
+            InvalidValueError: A setting has not one number per barrier.
         """
         settings = {
             "violation_weights": 1.0,

@@ -25,11 +25,11 @@ class TickPrograms:
     Attributes:
         qp: min 1/2 |z - reference|^2 subject to ``A z <= b``; z is v, followed by the
             scaled slack of every row that gives way at a penalty.
-        qp_rows: What each of its rows stands for.
+        qp_rows: The meaning of each of its rows.
         ellipsoid: max (det L)^(1/P) subject to |L'a_i| + a_i d <= b_i (E48), the set's
             largest ellipsoid {L w + d : |w| <= 1}; None for a single input, whose
             largest interval needs no program.
-        ellipsoid_rows: What each of its rows stands for.
+        ellipsoid_rows: The meaning of each of its rows.
         solved: The QP that it states.
     """
 

@@ -34,9 +34,9 @@ class VolumeRow:
         a: Shape (m,).
         c: The right-hand side.
         slack_penalty: M of (E54, the DOB-VCBF-QP), for the inexact slack.
-        linear_penalty: N of (E71): what the slack itself costs, beside M times its
+        linear_penalty: N of (E71): the penalty of the slack itself, beside M times its
             square.
-        unit: What the row was divided by; its slack is multiplied by it.
+        unit: The divisor of the row, which multiplies its slack.
     """
 
     a: Array
@@ -51,7 +51,7 @@ class VolumeRow:
         return math.isfinite(self.c) and bool(np.isfinite(self.a).all())
 
     def slack(self, u: Array) -> float:
-        """Returns how far the row gives way at an input, at most 0."""
+        """Returns the row's slack at an input, at most 0."""
         return self.unit * min(0.0, self.c - float(self.a @ u))
 
 
@@ -65,7 +65,7 @@ class Frame:
         size: 1, as a rule.
         metric: The cost is |metric (z - reference)|^2; no singular value is below 1,
             shape (m, m). None for the identity.
-        cost_unit: What the cost was divided by for that.
+        cost_unit: The divisor of the cost for that.
     """
 
     origin: Array
@@ -107,7 +107,7 @@ class Frame:
 
     @property
     def reach(self) -> float:
-        """How large coordinates are in a bounded input set, with its origin in it."""
+        """The bound of coordinates in a bounded input set that contains the origin."""
         return 2.0 / self.size
 
     def input(self, z: Array) -> Array:
@@ -128,12 +128,12 @@ class QP(NamedTuple):
         A: The rows, shape (n, d).
         b: Their right-hand sides, shape (n,).
         reference: Shape (d,).
-        num_firm: How many rows, the first, limit the input whatever the state.
+        num_firm: The number of first rows, which limit the input in every state.
         cut: Which barrier rows follow those.
-        num_hard: How many rows, the first, do not give way.
+        num_hard: The number of first rows, which do not give way.
         has_hard_volume: Whether the last of those is the volume row.
-        further_rows: Those behind the feasible set's: "volume", or an index there.
-        num_decays: How many variables, after the inputs, are growths (E69).
+        further_rows: The rows after the feasible set's: "volume", or an index there.
+        num_decays: The number of variables, after the inputs, that are growths (E69).
     """
 
     frame: Frame
@@ -279,7 +279,7 @@ def _distances(feasible: FeasibleSet, frame: Frame) -> list[Array]:
 
 
 def solve_qp(qp: QP, solver: str) -> tuple[Projection, QP]:
-    """Returns a QP's minimiser; where its volume row leaves none, that of one it does.
+    """Returns a QP's minimiser; the volume row is relaxed if it leaves none.
 
     The hard volume row gives way by the least that the others allow (E55, the exact
     penalty).

@@ -1,4 +1,4 @@
-"""Rows of unit length, of which a violation is a distance."""
+"""Rows of unit length, whose violation is a distance."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _FARTHEST = 1e20
 class UnitRows:
     """Rows ``A u <= b`` scaled to unit length, which measure a violation as a distance.
 
-    A row without a direction to speak of is a blank: zeros, and what stood to its
-    right. Blanks are rows of zeros, and those further away than 1e20.
+    A row without a direction is a blank: zeros, with its right-hand side. Blanks are
+    rows of zeros, and those further away than 1e20.
 
     Args:
         A: The rows, shape (n, m).

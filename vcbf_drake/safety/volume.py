@@ -30,10 +30,10 @@ class VolumeBarrier:
     B is the shape of the largest ellipsoid of inputs, in normalised inputs, so that
     det B = 1 for a box that no barrier cuts, whatever the units of the inputs.
 
-    The defaults are for a plant that nobody tuned them to: early and gentle. Over
-    random courses of five vehicles with weak inputs they kept 47 of 50 runs feasible,
-    the paper's form (gain 3, widening 1) 40, the same methods without a volume barrier
-    35 (docs/results/feasibility_defaults.md). The price is time: a vehicle slows down
+    The defaults suit plants without tuning: early and gentle. Over random courses of
+    five vehicles with weak inputs they kept 47 of 50 runs feasible, the paper's form
+    (gain 3, widening 1) 40, the same methods without a volume barrier 35
+    (docs/results/feasibility_defaults.md). The price is time: a vehicle slows down
     earlier. A widening of 4 with a gain of 0.3 kept as many, and more of them arrived.
 
     Attributes:
@@ -71,7 +71,7 @@ class VolumeBarrier:
 
     @property
     def choice(self) -> str:
-        """Who chose widening, gain and threshold, and why, in a sentence."""
+        """The origin of widening, gain and threshold, in a sentence."""
         default = VolumeBarrier()
         is_default = (self.widening, self.gain) == (default.widening, default.gain)
         words = "widening and gain are given"
@@ -209,7 +209,7 @@ class VolumeMeasure:
     ) -> tuple[Array, Array]:
         """Returns frame (m, m) and center (m,) of the largest ellipsoid of inputs.
 
-        Of the set as it is, whatever the widening; nan where there is none.
+        The ellipsoid is that of the set without widening; nan where there is none.
 
         Args:
             feasible: The feasible set.
@@ -247,9 +247,9 @@ def volume_row(
         volume: V_v and its derivatives.
         model: The plant's f, g, E.
         state: Shape (n,).
-        known: What is known of the disturbance.
+        known: The ball of the disturbance.
         barrier: Its gain and penalty.
-        total_derivative: Which derivative.
+        total_derivative: Whether the derivative is total.
     """
     drift, input_matrix = model.drift_and_input_matrix(state)
     along_disturbance = volume.state @ model.disturbance_matrix

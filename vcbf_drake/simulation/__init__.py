@@ -1,4 +1,4 @@
-"""Scenarios, the loop they describe, and what happens when it runs."""
+"""Scenarios, the loops that they describe, and their simulation."""
 
 from vcbf_drake.simulation.faults import Faults
 from vcbf_drake.simulation.fleet import Fleet, make_fleet_loop

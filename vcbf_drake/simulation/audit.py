@@ -1,4 +1,4 @@
-"""What a run promised, compared with the truth at every tick and judged."""
+"""The audit of a run: its promises, compared with the true states at every tick."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from vcbf_drake.safety import Assumption, FilterStatus, InputSet, SafetyFilter
 from vcbf_drake.safety.decay import DecayRates
 from vcbf_drake.simulation.collision_monitor import TOUCH
 
-# What `audit_margins` has a margin of, in its order.
+# The promises of `audit_margins`, in its order.
 PROMISES = {
     "estimate": "|d - dhat| <= error bound (E28)",
     "disturbance term": "Lambda <= w'd in every row (E44)",
@@ -32,21 +32,21 @@ PROMISES = {
     "solver": "every answer was verified",
     "input": "the input is finite and inside its limits",
 }
-# What the theorems ask of a run rather than promise of it.
+# Conditions of the theorems on a run, in contrast to their promises.
 CONDITIONS = ("row between ticks", "slack", "feasible", "solver")
 MEASUREMENT = "measurement"
 QUADRATURE = "quadrature"
-# What an estimate's error bound rests on and a run shows; a certificate needs all.
+# The conditions of an error bound that a run shows; a certificate needs all.
 KNOWLEDGE = ("estimate", MEASUREMENT, QUADRATURE)
 BETWEEN_TICKS = "barrier between ticks"
-# What Theorem 5 asks of a run or promises of it, and its hypotheses, faults apart.
+# The conditions and promises of Theorem 5, and its hypotheses, without faults.
 FEASIBILITY = ("plan", "disturbance", "barrier", BETWEEN_TICKS, "input")
 FEASIBILITY_HYPOTHESES = ("certified plan", "exact state", "obstacles as told")
 VOLUME_DECREASE = "volume decrease"
 AUTHORITY = "authority"
 
-# What rounding may take from a margin that is exactly 0, and what integration may take
-# from one that is the state's.
+# The tolerances of a margin that is exactly 0, for rounding, and of one that depends on
+# the state, for integration.
 ROUNDING = 1e-9
 _TOLERANCES = {"barrier": TOUCH, "chain": TOUCH}
 # A row that the whole input range moves by less than this is out of reach.
@@ -59,7 +59,7 @@ def audit_margins(
     barriers: BarrierSet,
     bounds: DisturbanceBounds,
 ) -> Array:
-    """Compares what the filter promised with what a simulation knows to be true.
+    """Compares the filter's promises with the true states of a simulation.
 
     Returns the margin of each of `PROMISES` at every tick, shape (T, P): negative where
     it is broken, nan where the method does not promise it. A broken yes-or-no promise
@@ -68,8 +68,8 @@ def audit_margins(
     Args:
         log: The arrays of the log, one row a control tick.
         safety_filter: The filter that is watched.
-        barriers: What is truly there, whatever the filter perceives.
-        bounds: What is declared of the disturbance.
+        barriers: The true barriers, whatever the filter perceives.
+        bounds: The declared bounds of the disturbance.
     """
     estimate, bound = known_along(log, safety_filter, bounds.delta1)
     seen = log["obstacles"] if barriers.obstacles_size else None
@@ -131,7 +131,7 @@ def audit_findings(
         log: The arrays of the log, one row a control tick.
         path: What was at the integrator's steps: ``time`` (S,) [s], ``least_height``.
         volume_gain: lambda_Vv [1/s].
-        observer: What the method's estimates come from; None where it has none.
+        observer: The observer of the method; None where it has none.
     """
     times = log["time"]
     found = {
@@ -163,7 +163,7 @@ def audit_findings(
 def _of_measurements(
     log: Mapping[str, Array], observer: DisturbanceObserver
 ) -> dict[str, dict[str, Any]]:
-    """What an error bound rests on, and only the measurements of a run can show."""
+    """The findings on an error bound that only a run's measurements can show."""
     refused = np.diff(log["refused_intervals"], prepend=0.0)
     largest = log["quadrature_error"]
     distinct, which = np.unique(largest, return_inverse=True)
@@ -218,7 +218,7 @@ def reasons_against(
 
 
 def _decrease_margin(times: Array, volume: Array, gain: float) -> Array:
-    """By how much V_v(t + T) exceeds what the row at t lets it fall to, per second."""
+    """The margin of V_v(t + T) above the least that the row at t allows, per second."""
     elapsed = np.diff(times)
     margin = (volume[1:] - volume[:-1] * np.exp(-gain * elapsed)) / elapsed
     return np.nan_to_num(margin, nan=np.inf)
@@ -230,10 +230,10 @@ def finding(
     """Returns the finding of one promise, as `audit_findings` has it.
 
     Args:
-        statement: What was promised.
+        statement: The promise.
         times: When it was looked at, shape (T,) [s].
-        margins: How well it was kept, shape (T,); negative where it was not.
-        tolerance: What rounding may take from a margin.
+        margins: The margins, shape (T,); negative where the promise is broken.
+        tolerance: The tolerance of a margin, for rounding.
     """
     broken = np.flatnonzero(margins < -tolerance)
     worst = int(np.argmin(margins))
@@ -267,7 +267,7 @@ def _are_inside(inputs: Array, input_set: InputSet) -> NDArray[np.bool_]:
 
 
 def _certain(promised: Array) -> Array:
-    """What was promised but could not be found is as bad as can be."""
+    """A promised quantity, with -inf where it could not be computed."""
     return np.where(np.isnan(promised), -np.inf, promised)
 
 

@@ -38,12 +38,12 @@ if TYPE_CHECKING:
     from vcbf_drake.simulation.scenario import Scenario
 
 
-# What a filter's answers are at a tick that loses them, its command aside.
+# The filter's answers, apart from the command, at a tick that loses them.
 _NO_ANSWER = {"slack": 0.0, "status": FilterStatus.FAILED, "row_margin": np.nan}
 
 
 class LostAnswers(LeafSystem):
-    """Puts something else in the place of a filter's answers where they are lost.
+    """Replaces a filter's answers at the ticks that lose them.
 
     .. pydrake_system::
 
@@ -69,7 +69,7 @@ class LostAnswers(LeafSystem):
         """Declares the ports.
 
         Args:
-            faults: What is wrong with solvers and process.
+            faults: The faults of solvers and process.
             period: Time between ticks [s].
             input_set: The inputs that the actuators can deliver.
         """
@@ -122,7 +122,7 @@ def true_disturbance(
 
     Args:
         builder: Holds the source of the declared one.
-        faults: What is wrong with it.
+        faults: The faults of the disturbance.
         declared: The source's port.
     """
     acting = declared
@@ -148,12 +148,12 @@ def true_disturbance(
 def faulty_measurement(
     builder: DiagramBuilder, scenario: Scenario, state: OutputPort
 ) -> OutputPort:
-    """Returns the port of what reaches filter, observer and controller.
+    """Returns the port of the measured state with its faults.
 
     Args:
         builder: Holds the plant, and its noise.
         scenario: With its faults.
-        state: What a sensor without them would deliver.
+        state: The state that a sensor without faults would deliver.
     """
     faults, n = scenario.faults, state.size()
     if any(faults.measurement_bias):

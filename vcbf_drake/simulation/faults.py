@@ -79,7 +79,7 @@ def fault_assumptions(faults: Faults, noise: Sequence[float]) -> Iterator[Assump
     """Yields the hypotheses that faults and noise break; none without.
 
     Args:
-        faults: What is wrong with the loop.
+        faults: The faults of the loop.
         noise: Standard deviations of the measured states; empty for none.
     """
     whole = _hypotheses(Faults(), [])

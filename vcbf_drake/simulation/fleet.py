@@ -30,10 +30,10 @@ from vcbf_drake.simulation.scenario import Scenario, validate
 from vcbf_drake.typed import check_fields, typed
 
 OTHERS = "other vehicles"
-# What all vehicles of a fleet have in common: they share the time.
+# The settings that all vehicles of a fleet share, since they share the time.
 _SHARED = ("period", "duration", "integrator", "ends_at_target")
 _STEP = 1e-6  # Of the derivative along a velocity [s].
-_TOLD = 1e-5  # What rounding takes from an acceleration, of its bound.
+_TOLD = 1e-5  # The tolerance of an acceleration for rounding, relative to its bound.
 
 
 @dataclass(kw_only=True)

@@ -70,9 +70,9 @@ def make_loop(
     Args:
         scenario: A validated scenario.
         controller: In the place of the vehicle's own, with its ports.
-        others: What the other vehicles are called, where there are some: the diagram
-            has the ports ``others``, which takes what describes them, and ``state`` and
-            ``held_input`` then.
+        others: The names of the other vehicles, if any: the diagram then has the port
+            ``others``, for their description, and the ports ``state`` and
+            ``held_input``.
     """
     builder = DiagramBuilder()
     simulated = add_simulated_plant(builder, scenario)
@@ -125,7 +125,7 @@ class SimulatedPlant(NamedTuple):
 
     Attributes:
         plant: The plant.
-        input: What its actuators take; still to be connected.
+        input: The port of the actuators' input; still to be connected.
         source: The disturbance as it is declared.
         disturbance: The disturbance that acts.
         state: The measured state.
@@ -179,7 +179,8 @@ def add_controller_and_filter(
         state: The measured state.
         observer: Estimates the disturbance; see `AddSafetyFilter`.
         plant_input: Takes the held input; None leaves that to be connected.
-        applied_input: What the plant really applied; the held input by default.
+        applied_input: The input that the plant really applied; the held input by
+            default.
         obstacles: What is seen of the obstacles; they are known without.
         others: Or what the other vehicles are called: then these alone are seen.
     """
@@ -298,7 +299,7 @@ def add_collision_monitor(
     barrier_set: BarrierSet,
     seen: OutputPort | None = None,
 ) -> None:
-    """Adds what ends a simulation when a barrier becomes negative.
+    """Adds the monitor that ends a simulation when a barrier becomes negative.
 
     Args:
         builder: Holds the plant.

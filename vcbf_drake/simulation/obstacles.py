@@ -78,7 +78,7 @@ class Carrier(NamedTuple):
     Attributes:
         position: Where it is, from the state.
         radius: How much of the body around it is meant [m].
-        name: What is put behind a barrier's name.
+        name: The suffix of a barrier's name.
     """
 
     position: Position
@@ -136,11 +136,11 @@ def seen_barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
 
 
 def other_vehicles(scenario: Scenario, others: Sequence[str]) -> PerceivedSpheres:
-    """Returns what describes the other vehicles, one slot each.
+    """Returns the perceived spheres of the other vehicles, one slot each.
 
     Args:
         scenario: Of the vehicle that keeps apart.
-        others: What the others are called.
+        others: The names of the others.
     """
     form = scenario.separation.form
     return PerceivedSpheres(len(others), len(scenario.target), form)
@@ -153,7 +153,7 @@ def separation_barriers(
 
     Args:
         scenario: Of the vehicle that keeps apart.
-        others: What the others are called, in the order of their slots.
+        others: The names of the others, in the order of their slots.
         margin: The distance to keep from each, beyond that which it is told [m].
     """
     apart = scenario.separation
@@ -171,7 +171,7 @@ def _robust(scenario: Scenario, found: Sequence[Barrier]) -> list[Barrier]:
 
 
 def perceived_spheres(scenario: Scenario) -> PerceivedSpheres:
-    """Returns what describes the spheres; their margins are in the radii."""
+    """Returns the perceived spheres; their margins are included in the radii."""
     capacity = len(scenario.spheres)
     if scenario.hardware.obstacles == "perceived":
         capacity = scenario.hardware.most_obstacles
@@ -200,7 +200,7 @@ def _all_barriers(
     numbered: Sequence[tuple[int, AnyObstacle]],
     found: list[Barrier],
 ) -> list[Barrier | StateInputLimit]:
-    """What was found, with the barriers of some obstacles and the vehicle's limits."""
+    """The given barriers, with those of some obstacles and the vehicle's limits."""
     points, names, settings = body(scenario), scenario.state_names, scenario.barrier
     for number, obstacle in numbered:
         if isinstance(obstacle, StateLimit):
@@ -245,7 +245,7 @@ def check_place(
         obstacle: What must let it.
         at: The field of the place.
         position: The place [m].
-        what: What the obstacle is called in the scenario.
+        what: The name of the obstacle in the scenario.
         target: Whether it is the target, over which a moving obstacle may pass.
         radius: How much of the body around the place is meant [m].
 
@@ -291,7 +291,7 @@ def check_fits(
     Args:
         obstacle: What must fit.
         path: Where it is in the scenario.
-        names: What the vehicle's states are called.
+        names: The names of the vehicle's states.
         size: How many dimensions its position has.
 
     Raises:

@@ -1,4 +1,4 @@
-"""A scenario from a Python file: what its function ``scenario()`` returns."""
+"""Scenarios from Python files, returned by their function ``scenario()``."""
 
 from __future__ import annotations
 

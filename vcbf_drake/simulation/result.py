@@ -1,4 +1,4 @@
-"""What a simulation returns, and how it is kept on disk."""
+"""The result of a simulation, in memory and on disk."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from vcbf_drake.simulation.scenario import Scenario
 
 @dataclass(frozen=True)
 class Result:
-    """One run: what was asked for, what happened, and every tick of it.
+    """One run: its scenario, its summary and its log.
 
     Attributes:
         scenario: The resolved scenario.

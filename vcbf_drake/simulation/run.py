@@ -1,4 +1,4 @@
-"""simulate: run a scenario's loop and say what happened."""
+"""simulate: the simulation of a scenario's loop, and its result."""
 
 from __future__ import annotations
 
@@ -186,7 +186,7 @@ def make_simulator(diagram: Diagram, scenario: Scenario | Fleet) -> Simulator:
 def loop_assumptions(
     scenario: Scenario, diagram: Diagram, context: Context, has_others: bool = False
 ) -> tuple[Assumption, ...]:
-    """Returns the hypotheses with the numbers of a loop, at what its context holds.
+    """Returns the hypotheses with the numbers of a loop at its context.
 
     Args:
         scenario: What `make_loop` made the loop of.

@@ -91,7 +91,7 @@ class Scenario(FilterSettings):
         hardware: Settings of hardware in the loop over LCM.
     """
 
-    # Where the values of keys are that older files have.
+    # The new keys of values in older files.
     MOVED: ClassVar[dict[str, str]] = {
         "plant": "part of vehicle",
         "controller": "vehicle.controller",
@@ -277,7 +277,7 @@ class Scenario(FilterSettings):
 
     @property
     def state_names(self) -> list[str]:
-        """What the vehicle's states are called."""
+        """The names of the vehicle's states."""
         return [*channels_of(self.vehicle.make_plant()).states]
 
 

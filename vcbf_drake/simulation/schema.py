@@ -53,7 +53,7 @@ def scenario_schema() -> dict[str, Any]:
 
 
 def _descriptions(schema: type) -> dict[str, str]:
-    """Returns what a dataclass's docstring, and its parents', say of its fields."""
+    """Returns the descriptions of a dataclass's fields, from its docstrings."""
     found: dict[str, str] = {}
     for each in reversed(schema.__mro__):
         if not is_dataclass(each):

@@ -165,8 +165,8 @@ class ObstaclesInSight(LeafSystem):
         """Declares the ports.
 
         Args:
-            obstacles: What is there.
-            spheres: How it is reported, one slot an obstacle.
+            obstacles: The obstacles.
+            spheres: The format of the port, one slot per obstacle.
             num_states: n.
             positions: From states (T, n) to positions (T, k) [m].
             sight: The distance from which a surface is seen [m].

@@ -1,4 +1,4 @@
-"""What a run came to, in the numbers people compare."""
+"""The summary of a run: the numbers that runs are compared by."""
 
 from __future__ import annotations
 
@@ -55,10 +55,10 @@ def summarise(
     """Returns the summary of a run, without assumptions, audit and timings.
 
     Args:
-        scenario: What was run.
+        scenario: The scenario of the run.
         safety_filter: The filter that ran.
         log: The arrays of the log, one row a control tick.
-        path: What was at the integrator's steps, as `RunLog.path` has it.
+        path: The motion at the integrator's steps, as in `RunLog.path`.
         ending: How it ended.
     """
     infeasible = log["status"] == FilterStatus.INFEASIBLE
@@ -110,10 +110,10 @@ def judge(
     """Returns the summary of a simulated run, with its assumptions and audit.
 
     Args:
-        scenario: What was run.
+        scenario: The scenario of the run.
         diagram: Its vehicle's loop.
         log: The arrays of the log, one row a control tick.
-        path: What was at the integrator's steps, as `RunLog.path` has it.
+        path: The motion at the integrator's steps, as in `RunLog.path`.
         found: The hypotheses at the start.
         ending: How it ended.
     """
@@ -160,7 +160,7 @@ def _certified_least(
     log: Mapping[str, Array],
     ending: Ending,
 ) -> float | None:
-    """What h was nowhere below (E87); None where that cannot be certified."""
+    """The certified lower bound of h (E87); None without a certificate."""
     if not is_certifiable(scenario, found):
         return None
     source = diagram.GetSubsystemByName("disturbance")
@@ -185,7 +185,7 @@ def arrival(
     """Returns when the vehicle arrived, None if never, and its last distance [s, m].
 
     Args:
-        scenario: What was run.
+        scenario: The scenario of the run.
         path: The times of the integrator's steps, and the true state there.
     """
     away = scenario.vehicle.positions(path["state"]) - np.array(scenario.target)

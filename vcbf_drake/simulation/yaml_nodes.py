@@ -135,7 +135,7 @@ def locate(node: Node, path: KeyPath) -> str:
 
 
 def directory_of(node: Node) -> Path:
-    """What paths are relative to: where a file is, or where an override was written."""
+    """The base of relative paths: the directory of a file, or of an override."""
     source = node.start_mark.name
     return Path() if source == _OVERRIDE else Path(source).parent
 
@@ -151,7 +151,7 @@ def _refusal(node: Node, problem: str) -> ScenarioError:
 
 
 def shown(node: Node) -> str:
-    """Returns what messages call a node."""
+    """Returns the text of a node for messages."""
     if isinstance(node, yaml.CollectionNode):
         return "a list" if isinstance(node, yaml.SequenceNode) else "a mapping"
     if node is None or (node.style is None and node.value in ("", "~", "null")):

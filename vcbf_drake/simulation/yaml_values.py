@@ -34,7 +34,7 @@ from vcbf_drake.typed import (
     tag_of,
 )
 
-# What people write for an angle: 90deg, 90°, pi/2.
+# The notations of an angle: 90deg, 90°, pi/2.
 _ANGLE = re.compile(r"\d *(deg|°)|\bpi\b|\brad\b")
 # No quantity is as large, in SI units; a product of a few such numbers is still finite.
 _LARGEST = 1e15
@@ -69,7 +69,7 @@ def tagged_types(hint: Any) -> dict[str, Any]:
 
 
 def build(node: Node, hint: Any, path: KeyPath = ()) -> Any:
-    """Returns what a node holds, where a type is asked for.
+    """Returns the value of a node, of a given type.
 
     Raises:
         InvalidValueError: It holds something else.
@@ -158,7 +158,7 @@ def _build_scalar(node: Node, kind: Any, path: KeyPath) -> float | bool | str | 
 
 
 def plain(value: Any, hint: Any) -> Any:
-    """Returns what YAML can hold; a member of a union has its tag."""
+    """Returns plain data for YAML; a member of a union has its tag."""
     if is_dataclass(value):
         kind: Any = type(value)
         hints = field_types(kind)

@@ -26,14 +26,14 @@ class FaultDraw:
     """A fault, drawn anew for every trial, from a random start.
 
     Attributes:
-        name: What results call it.
+        name: Its name in results.
     """
 
     name: str
 
     @property
     def description(self) -> str:
-        """What is wrong, with its numbers."""
+        """The fault and its numbers, in words."""
         return _FAULTS[self.name][0]
 
     def draw(self, scenario: Scenario, seed: int, index: int) -> dict[str, Any]:
@@ -90,7 +90,7 @@ def _seed(generator: Generator) -> int:
 
 
 _Fault = dict[str, Any] | Callable[[Scenario, Generator], dict[str, Any]]
-# What is wrong in words, and the scenario's `faults` that make it so.
+# The faults in words, and the scenario's `faults` that produce them.
 _FAULTS: dict[str, tuple[str, _Fault]] = {
     "none": ("nothing is wrong", {}),
     "noise": ("white noise of 0.005 (m, rad, m/s, rad/s) on every state", {}),
@@ -131,7 +131,7 @@ def fault_trials(
 
     Args:
         scenarios: Names of shipped scenarios or paths of YAML files.
-        trials: How many of each kind; they share their draws.
+        trials: The number of trials of each kind; they share their draws.
         seed: Of the draws.
     """
     return {
@@ -154,7 +154,7 @@ def fault_trials(
 
 
 def summarise_faults(records: Sequence[Record]) -> dict[str, Any]:
-    """Returns what a fault did to one method, over its trials.
+    """Returns the summary of a fault's effect on one method, over its trials.
 
     Args:
         records: Of one kind of trial.

@@ -1,4 +1,4 @@
-"""run_study: many trials, one line of a file each, however often it is interrupted."""
+"""run_study: many trials, one line of a file each, resumed after interruptions."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def _run(
     elif workers == 1 and len(trials) <= TRIALS_A_PROCESS:
         yield from map(run_trial, trials)
     else:
-        # What waits in a pool is lost with it: no more trials than processes.
+        # A broken pool loses its waiting trials: there are no more than processes.
         with WorkerProcesses(workers) as processes:
             yield from _run_with(processes, trials, workers)
 
@@ -138,7 +138,7 @@ def _key(identity: Record) -> str:
 def _read(path: Path, wanted: dict[str, Trial]) -> Iterator[Record]:
     """Yields the records of the file's whole lines."""
     content = path.read_bytes() if path.exists() else b""
-    # What follows the last line break was cut short; it may be JSON all the same.
+    # Text after the last line break was cut short, even if it is valid JSON.
     for number, line in enumerate(content.split(b"\n")[:-1], start=1):
         try:
             record = json.loads(line)

@@ -1,4 +1,4 @@
-"""One trial of a study: what to run, and the record of what happened."""
+"""One trial of a study and its record."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Trial:
 
     @property
     def identity(self) -> Record:
-        """What tells this trial from every other; part of its record."""
+        """The identity of the trial among all others; part of its record."""
         return {
             "scenario": " ".join([self.scenario, self.scenario_name]).strip(),
             "overrides": self.overrides,

@@ -1,4 +1,4 @@
-"""Variations of a scenario: what is drawn anew for every trial of a study."""
+"""Variations of a scenario: random values, drawn anew for every trial."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from vcbf_drake.safety import METHODS, SafetyFilter
 from vcbf_drake.viz.block_graph import Block, Wire, graph_dot, write_dot
 from vcbf_drake.viz.style import METHOD_STYLES
 
-# What only looks on, at everything.
+# The systems that only observe the others.
 _NOT_DRAWN = VectorLogSink
 
 _SCALAR = "_\N{MATHEMATICAL BOLD SCRIPT CAPITAL T}"  # Begins a template's arguments.
@@ -189,7 +189,7 @@ def _given(
 
 
 def _steps(safety_filter: SafetyFilter) -> dict[str, tuple[str, ...]]:
-    """What each entry computes, numbered on the way from state to input."""
+    """The computation of each entry, numbered on the way from state to input."""
     method, settings = safety_filter.method, safety_filter.settings
     steps: dict[str, tuple[str, ...]] = {
         "barrier rows": ("1  barrier rows (E7)",),

@@ -1,4 +1,4 @@
-"""The inputs that a filter could choose from at one tick, its choice, their picture."""
+"""The feasible set of a tick and the filter's choice, with their picture."""
 
 from __future__ import annotations
 
@@ -291,7 +291,7 @@ def _draw_or_tell(axes: Axes, run: Run, time: float) -> None:
 def _draw_forbidden(
     axes: Axes, chosen: FeasibleSet, row: int, view: Array, conflicting: bool
 ) -> None:
-    """What one barrier forbids, whatever the other inputs are; in red in a conflict."""
+    """The inputs that one barrier excludes in every case; in red in a conflict."""
     normal, others = chosen.A[row, :2], chosen.A[row, 2:]
     least = np.minimum(others * chosen.low[2:], others * chosen.high[2:]).sum()
     bound = chosen.b[row] - least

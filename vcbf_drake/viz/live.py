@@ -36,7 +36,7 @@ from vcbf_drake.viz.stage import Stage, body_path, set_stage
 _PLOTTED = 0.1  # Time between two points of the plots, at least [s].
 _NOTHING_YET = dict.fromkeys(("outcome", "infeasible_at", "collided_at", "reached_at"))
 _LOOK_AGAIN = 0.02  # For what a browser has to be told [s].
-_DEAD = 0.08  # What a stick at rest may be off its middle.
+_DEAD = 0.08  # The greatest deflection of a stick at rest.
 _KEYS = ("ArrowLeft", "ArrowRight"), ("ArrowDown", "ArrowUp")
 
 
@@ -88,7 +88,7 @@ class LiveView:
         self._stream.going.wait()
         early = self._lead + now - time.monotonic()
         time.sleep(max(early, 0.0))
-        self._lead -= min(early, 0.0)  # What was lost is not made up for.
+        self._lead -= min(early, 0.0)  # Lost frames are not made up for.
 
     def close(self) -> None:
         """Ends the page's server; what the browsers show stays as it is."""
@@ -110,7 +110,7 @@ class LiveView:
         self._lead = time.monotonic()
 
     def _point(self, index: int, log: dict[str, Array]) -> dict[str, Any]:
-        """What the page does not know yet of a vehicle."""
+        """The new data of a vehicle for the page."""
         assert self._stage is not None  # There is no point before the stage.
         now, run = float(log["time"][0]), self._stage.runs[index]
         place = run.vehicle.positions(log["state"])

@@ -1,4 +1,4 @@
-"""Runs as pictures know them: a result, its label, its colour, and what happened."""
+"""Runs for pictures: a result with its label, colour and events."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Drawn:
-    """What pictures have to know of a motion, whatever it comes from.
+    """The data of a motion for pictures, from any source.
 
     Attributes:
         label: A name that no other one in the picture has.
@@ -87,7 +87,7 @@ class Run(Drawn):
 
     @property
     def scenario(self) -> Scenario:
-        """What was run."""
+        """The scenario of the run."""
         return self.result.scenario
 
     @property
@@ -97,7 +97,7 @@ class Run(Drawn):
 
     @cached_property
     def channels(self) -> Channels:
-        """What the plant's states and inputs are called."""
+        """The names of the plant's states and inputs."""
         return channels_of(self.vehicle.make_plant())
 
     @property
@@ -222,7 +222,7 @@ def _events(summary: Mapping[str, Any]) -> Iterator[Event]:
 
 
 def _differences(scenarios: Sequence[Any]) -> list[str]:
-    """What tells each scenario from the others, such as ``k_p = 0.4``."""
+    """The differences of each scenario from the others, such as ``k_p = 0.4``."""
     entries = [dict(_entries(scenario)) for scenario in scenarios]
     keys = dict.fromkeys(key for each in entries for key in each)
     words = [

@@ -25,7 +25,7 @@ MAX_FRAMES = 300  # A page should stay small; the browser fills in between.
 
 @dataclass(frozen=True)
 class View:
-    """What a camera and the labels have to know of the scene.
+    """The view of the scene for a camera and the labels.
 
     Attributes:
         points: What a view of the whole has to contain, shape (k, 3) [m].
@@ -96,7 +96,7 @@ class Moving:
 
 @dataclass(frozen=True)
 class Stage:
-    """What a replay of a scenario shows.
+    """The content of a scenario's replay.
 
     Attributes:
         runs: The runs, the one to bring out last.

@@ -29,7 +29,7 @@ _VERDICTS = {
     False: Text("does not hold", "red"),
     None: Text("information", "dim"),
 }
-# What 80 columns leave to the methods, beside the labels, and for how many that is.
+# The part of 80 columns for the methods, beside the labels, and their number.
 _METHODS_WIDTH, _MOST_METHODS = 66, 6
 # A log from hardware does not know the truth.
 _GUARANTEED = {True: "yes", False: "no", None: "-"}

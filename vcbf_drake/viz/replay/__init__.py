@@ -54,7 +54,7 @@ def write_page(path: Path, page: str) -> Path:
 
 
 def stage_words(stage: Stage) -> dict[str, str]:
-    """What a stage's card says: first the title, with which the description starts."""
+    """The text of a stage's card: the title, then the rest of the description."""
     scenario = stage.run.scenario
     title, _, rest = scenario.description.strip().partition("\n")
     name = tag_of(type(stage.run.vehicle)).removeprefix("!").lower()

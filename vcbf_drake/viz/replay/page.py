@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 MAX_SAMPLES = 800  # A plot is a few hundred pixels wide.
 MAX_SETS = 400
-_UNSAFE_BELOW = "barrier", "volume"  # What is below 0 is shaded.
+_UNSAFE_BELOW = "barrier", "volume"  # The range below 0 is shaded.
 SCRIPTS = "plots.js", "choice.js", "scene.js", "player.js"
 MESHCAT_TITLE = "<title>Drake MeshCat</title>"
 PHONES = '<meta name="viewport" content="width=device-width, initial-scale=1">'
@@ -50,7 +50,7 @@ def whole_page(
         data: What the scripts show, JSON values only.
         title: The card's first line, and the page's title.
         description: What is shown.
-        remark: What has to be said for the picture to be read rightly.
+        remark: A remark that is needed to read the picture correctly.
     """
     # In JSON inside HTML only "<" could end the element early.
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
@@ -75,7 +75,7 @@ def page_data(
     live: bool = False,
     trails: Sequence[Array] = (),
 ) -> dict[str, Any]:
-    """What the page's scripts show; ``None`` where a number is missing.
+    """The data of the page's scripts; ``None`` where a number is missing.
 
     Args:
         shown: The runs, the one to bring out last, and where each one's label is at
@@ -117,7 +117,7 @@ def _run_data(run: Drawn, path: Array) -> dict[str, Any]:
 
 
 def series_data(run: Drawn, path: Array) -> dict[str, Any]:
-    """What grows of a run as it goes on; its path has a place for every frame."""
+    """The time series of a run; its path has a position for every frame."""
     kept, log = _kept(len(run.time), MAX_SAMPLES), run.log
     data: dict[str, Any] = {
         "events": [vars(event) for event in run.events],

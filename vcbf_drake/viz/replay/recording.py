@@ -137,7 +137,7 @@ def write_diagram_replay(
 
 
 def _filtered(shown: Drawn, safety_filter: SafetyFilter) -> Drawn:
-    """What is shown, with the name and the inputs of its filter."""
+    """The diagram, with the name and the inputs of its filter."""
     inputs = [f"input {k}" for k in range(safety_filter.model.num_inputs)]
     box = safety_filter.input_set
     ends = box.center - box.scale, box.center + box.scale
@@ -169,7 +169,7 @@ def _systems(diagram: Diagram) -> Iterator[System]:
 
 
 def _parts(inspector: SceneGraphInspector, frame: FrameId) -> Iterator[Part]:
-    """What a frame carries for illustration."""
+    """The illustration geometry of a frame."""
     for geometry in inspector.GetGeometries(frame, Role.kIllustration):
         properties = inspector.GetIllustrationProperties(geometry)
         color = properties.GetPropertyOrDefault("phong", "diffuse", _GREY)

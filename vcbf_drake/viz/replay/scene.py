@@ -1,4 +1,4 @@
-"""What is drawn into Meshcat's scene, and the recording of what moves there."""
+"""Meshcat's scene of a replay, and the recording of its motions."""
 
 from __future__ import annotations
 
