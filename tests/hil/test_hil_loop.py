@@ -25,7 +25,7 @@ from vcbf_drake import (
     simulate,
 )
 from vcbf_drake.disturbances import DisturbanceBounds
-from vcbf_drake.errors import ModelError, ScenarioError
+from vcbf_drake.errors import InvalidValueError, ModelError, ScenarioError
 from vcbf_drake.hil import (
     Bus,
     ControllerProcess,
@@ -209,7 +209,9 @@ def test_a_tick_whose_solvers_fail_asks_for_the_fallback_where_it_stops() -> Non
 
 
 def test_a_fault_that_only_a_simulation_has_is_refused() -> None:
-    with pytest.raises(ScenarioError, match=r"^faults\.sight: 2\.5 m; it must be 0 on"):
+    with pytest.raises(
+        InvalidValueError, match=r"^faults\.sight: 2\.5; it must be 0 on"
+    ):
         InProcess(scenario("car-avoidance", faults={"sight": 2.5}))
 
 
@@ -221,7 +223,7 @@ def test_time_limits_below_the_period_are_refused() -> None:
 def test_a_low_rate_is_simulated_and_asks_a_bus_for_longer_time_limits() -> None:
     loaded = load_scenario("car-avoidance", {"period": 0.1})
     with pytest.raises(
-        ScenarioError, match=r"hardware\.command_timeout: 0\.1; .*0\.1 s"
+        InvalidValueError, match=r"^hardware\.command_timeout: 0\.1; .*0\.1 s"
     ):
         InProcess(loaded)
 
@@ -229,7 +231,9 @@ def test_a_low_rate_is_simulated_and_asks_a_bus_for_longer_time_limits() -> None
 def test_a_rate_that_no_inbox_believes_is_refused() -> None:
     loaded = load_scenario("car-avoidance")
     loaded.period = 1e-7  # As --rate does.
-    with pytest.raises(ScenarioError, match=r"period: 1e-07 s; .* at least 0\.0001 s"):
+    with pytest.raises(
+        InvalidValueError, match=r"^period: 1e-07; .* at least 0\.0001 s"
+    ):
         InProcess(loaded)
 
 

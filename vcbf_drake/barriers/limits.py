@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from pydrake.symbolic import Expression
@@ -48,7 +48,8 @@ class StateInputLimit:
         self.name = name
 
 
-class EarlyInputLimit(StateInputLimit):
+@dataclass(frozen=True)
+class EarlyInputLimit:
     """The limit for a level of a barrier's chain that an input enters early (E8a).
 
     `BarrierSet` makes it where the relative degree of a barrier is mixed.
@@ -59,15 +60,14 @@ class EarlyInputLimit(StateInputLimit):
         row: The number of the barrier's own row.
     """
 
-    def __init__(self, barrier: Barrier, level: int, row: int) -> None:
-        """Stores a barrier, the number of a derivative, and the barrier's row."""
-        name = f"{barrier.name} (derivative {level})"
-        super().__init__(_no_function, barrier.parameters, name)
-        self.barrier, self.level, self.row = barrier, level, row
+    barrier: Barrier
+    level: int
+    row: int
 
-
-def _no_function(x: Expressions, t: Expression, p: Expressions) -> Any:
-    raise NotImplementedError("its row is derived from its barrier's chain")
+    @property
+    def name(self) -> str:
+        """Its name in error messages and logs."""
+        return f"{self.barrier.name} (derivative {self.level})"
 
 
 @typed

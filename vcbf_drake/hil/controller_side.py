@@ -161,7 +161,7 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
         bus: Carries states in and commands out; LCM's default one if None.
 
     Raises:
-        ScenarioError: A time limit is shorter than the control period.
+        InvalidValueError: A time limit is shorter than the control period.
     """
     bus = bus or Bus()
     check_timing(scenario)

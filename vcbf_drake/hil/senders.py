@@ -11,7 +11,7 @@ from enum import Enum
 import math
 from typing import Any
 
-from vcbf_drake.errors import InvalidValueError, ScenarioError
+from vcbf_drake.checks import require
 from vcbf_drake.simulation.scenario import Scenario
 
 # The shortest period of a sender's messages [s].
@@ -297,21 +297,15 @@ def check_timing(scenario: Scenario) -> None:
     """Checks that a scenario's period, time limits and sight suit a bus.
 
     Raises:
-        ScenarioError: The control period is shorter than an inbox believes of any
+        InvalidValueError: The control period is shorter than an inbox believes of any
             sender, or not below a time limit; or obstacles are in sight only where a
             simulation looks.
     """
-    if scenario.faults.sight > 0.0:
-        raise ScenarioError(
-            f"faults.sight: {scenario.faults.sight:g} m; it must be 0 on a bus, where a"
-            " vehicle says what it sees (hardware.obstacles: perceived)"
-        )
-    if scenario.period < SHORTEST_PERIOD:
-        raise ScenarioError(
-            f"period: {scenario.period:g} s; on a bus it must be at least"
-            f" {SHORTEST_PERIOD:g} s"
-        )
-    try:
-        scenario.check_hardware_times()
-    except InvalidValueError as error:
-        raise ScenarioError(str(error)) from None
+    sight, period = scenario.faults.sight, scenario.period
+    rule = (
+        "0 on a bus, where a vehicle says what it sees (hardware.obstacles: perceived)"
+    )
+    require(sight <= 0.0, ("faults", "sight"), sight, rule)
+    rule = f"at least {SHORTEST_PERIOD:g} s on a bus"
+    require(period >= SHORTEST_PERIOD, "period", period, rule)
+    scenario.check_hardware_times()

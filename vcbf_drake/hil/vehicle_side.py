@@ -255,7 +255,7 @@ def make_vehicle(scenario: Scenario, bus: Bus) -> Diagram:
         bus: The bus, for states, obstacles and commands.
 
     Raises:
-        ScenarioError: A time limit is shorter than the control period.
+        InvalidValueError: A time limit is shorter than the control period.
     """
     check_timing(scenario)
     builder = DiagramBuilder()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from vcbf_drake.barriers import Barrier, StateInputLimit
 from vcbf_drake.checks import Array
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.decay import DecayRates
@@ -32,7 +31,7 @@ class Decider:
     def __init__(
         self,
         model: ControlAffineModel,
-        barriers: Sequence[Barrier | StateInputLimit],
+        barriers: Sequence[object],
         input_set: InputSet,
         settings: FilterSettings,
         row_holder: RowHolder | None,
