@@ -87,8 +87,8 @@ def AddSafetyFilter(
             where it cannot be derived (a discrete plant), or where the plant's
             disturbance port has another name:
             ``ControlAffineModel.from_system(boat, "thrust", "gust")``.
-        obstacles: What is perceived, where there are `PerceivedSpheres` among the
-            barriers; None leaves the filter's port ``obstacles`` to connect.
+        obstacles: The port of the perceived obstacles, if there are `PerceivedSpheres`
+            among the barriers; None leaves the filter's port ``obstacles`` to connect.
         applied_input: The mean input that the plant really applied since the last
             tick, where it tells; the held input by default.
         name: The filter's name; hold, observer and monitor are named after it.
@@ -103,7 +103,7 @@ def AddSafetyFilter(
     if plant is not None:
         plant_input = plant if isinstance(plant, InputPort) else find_input_port(plant)
         system = plant_input.get_system()
-        # What holds between ticks is certified on symbolic dynamics.
+        # Certificates between ticks need symbolic dynamics.
         symbolic = settings.between_ticks == "certified"
         model = model or ControlAffineModel.from_system(
             system, plant_input, symbolic=symbolic

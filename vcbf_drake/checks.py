@@ -29,7 +29,7 @@ def check_parameter(
     Args:
         name: The parameter's name, or the path to it, for the message.
         value: The number, or the list of numbers if `size` is given.
-        size: How many numbers the list must have; None for a single number.
+        size: The required length of the list; None for a single number.
         zero_allowed: Whether 0 is allowed too.
         infinity_allowed: Whether infinity is allowed too.
 
@@ -62,7 +62,7 @@ def check_finite(
     Args:
         name: The parameter's name, or the path to it, for the message.
         value: The number, or the list of numbers if `size` or `names` is given.
-        size: How many numbers the list must have; None for a single number.
+        size: The required length of the list; None for a single number.
         names: Or what each of them is called.
         infinity_allowed: Whether infinity, of either sign, is allowed too.
 
@@ -100,7 +100,7 @@ def require(allowed: bool, name: str | Path, value: object, rule: str) -> None:
         allowed: Whether it is.
         name: Its name, or the path to it.
         value: The given value.
-        rule: The rule that it breaks.
+        rule: The requirement.
 
     Raises:
         InvalidValueError: It is not allowed.
@@ -149,9 +149,9 @@ def finite_array(values: Any, name: str | Path, dimensions: int, rule: str) -> A
 
     Args:
         values: The numbers.
-        name: What they are, or the path to them, for the error message.
-        dimensions: How many the array must have.
-        rule: What it must be, for the error message.
+        name: The name of the values, or their path, for the error message.
+        dimensions: The required number of dimensions.
+        rule: The requirement, for the error message.
 
     Raises:
         InvalidValueError: Not numbers, in rows of other lengths, or not finite.
@@ -170,7 +170,7 @@ def finite_vector(values: Sequence[float] | Array, name: str) -> Array:
 
     Args:
         values: The numbers.
-        name: What they are, for the error message.
+        name: The name of the values, for the error message.
 
     Raises:
         InvalidValueError: Not one-dimensional, or not finite.

@@ -94,7 +94,7 @@ class InvalidValueError(ModelError, ValueError):
     """A value that a user gave and that is not allowed.
 
     Attributes:
-        path: Where it is, from the object that was to be made.
+        path: The path of the value, from the object that was to be made.
         problem: The value, and what is allowed.
     """
 

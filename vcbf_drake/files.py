@@ -126,7 +126,7 @@ def json_text(value: Any, indent: int | None = 2) -> str:
 
     Args:
         value: Dictionaries, lists, tuples, texts and numbers.
-        indent: How far an inner line is indented; None for one line.
+        indent: The indentation of inner lines; None for one line.
     """
     return json.dumps(_plain(value), indent=indent, allow_nan=False) + "\n"
 
@@ -145,12 +145,12 @@ class WriterThread(Generic[_T]):
 
     Args:
         write: Called with one item after the other, in that thread.
-        capacity: How many items may wait.
-        patience: How long `close` waits for the last one [s].
+        capacity: The number of items that may wait.
+        patience: The time for which `close` waits for the last one [s].
         end: Called after it, in that thread.
 
     Attributes:
-        lost: How many found no room.
+        lost: The number of items that found no room.
     """
 
     def __init__(

@@ -99,7 +99,7 @@ def check_fields(made: Any, prefix: str = "") -> None:
 
     Args:
         made: The new instance.
-        prefix: What the path begins with: "box: " for example.
+        prefix: The start of the path: "box: " for example.
 
     Raises:
         InvalidValueError: A field is of another type.

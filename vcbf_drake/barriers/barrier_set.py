@@ -41,9 +41,9 @@ class BarrierSet:
         barriers: The given barriers and limits, then the limits of early levels (E8a).
         early: The indices of the rows of early levels.
         names: The N names of the rows; equal names are numbered.
-        obstacles_size: How many numbers describe the perceived obstacles.
+        obstacles_size: The number of numbers that describe the perceived obstacles.
         followed: The names of the barriers that follow a trajectory.
-        num_entries: How many entries [A, b, w] a row has, m + 1 + q.
+        num_entries: The number of entries [A, b, w] of a row, m + 1 + q.
     """
 
     @typed

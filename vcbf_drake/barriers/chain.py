@@ -69,8 +69,8 @@ class Symbols:
 
         Args:
             function: The function of a barrier or a limit.
-            of_position: How many coordinates of the position it takes in place of x;
-                None for x.
+            of_position: The number of coordinates of the position that it takes in
+                place of x; None for x.
 
         Raises:
             ModelError: It raises.

@@ -184,7 +184,7 @@ def position_function(position: Position, size: int, name: str) -> PositionFunct
 
     Args:
         position: Indices or a function.
-        size: How many dimensions k the position has.
+        size: The number k of dimensions of the position.
         name: The barrier's name, for the error message.
 
     Raises:

@@ -22,7 +22,7 @@ from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.qp import FilterDecision, FilterStatus
 from vcbf_drake.safety.row_holder import Tick
 
-# How often the stretch between a filter's input and a manoeuvre's is halved.
+# The number of bisections between a filter's input and a manoeuvre's.
 _HALVINGS = 5
 _TOLERANCE = 1e-9
 # Into whiles of which lengths [s] a box's time is parted, and how many of each.

@@ -23,7 +23,7 @@ from vcbf_drake.safety import (
     Tick,
 )
 
-# How many ticks are looked at together: a log on disk need not fit the memory.
+# The number of ticks processed together: a log on disk need not fit the memory.
 _BLOCK = 4096
 # Hypotheses that make the guarantees but no part of what is said of the rows here.
 _IRRELEVANT = (
@@ -56,7 +56,7 @@ def is_certifiable(settings: FilterSettings, assumptions: Sequence[Assumption]) 
     """Returns whether knowledge of state and disturbance permits a certificate.
 
     Args:
-        settings: Of what is run.
+        settings: The settings of the run.
         assumptions: Its hypotheses.
     """
     # The explicit step's bound is calibrated, not proven (E27).
@@ -81,7 +81,7 @@ def certified_least_barrier(
     Args:
         safety_filter: The filter that ran.
         log: The arrays of the log, one row a control tick.
-        holds: How many ticks' inputs were held for a whole period.
+        holds: The number of ticks whose inputs were held for a whole period.
         period: The control period [s].
         disturbance_bound: delta1 [m/s^2].
 
@@ -173,7 +173,7 @@ class _Holds:
         return -math.inf if any(map(math.isnan, found)) else min(found)
 
     def _known(self, k: int) -> DisturbanceKnowledge:
-        """Returns the filter's ball of the disturbance at one tick."""
+        """Returns the filter's knowledge of the disturbance at one tick."""
         estimate, bound = self._estimates[k], float(self._bounds[k])
         return DisturbanceKnowledge(
             estimate, np.zeros_like(estimate), bound + self._hold_margin, 0.0, 0.0

@@ -24,7 +24,7 @@ from vcbf_drake.model.control_affine import ControlAffineModel
 
 _Ends = list[tuple[float, float]]
 
-# How much wider than needed a guess is, relative to how far the state moves.
+# The excess width of a guess, relative to the motion of the state.
 _INFLATION = 0.1
 _ATTEMPTS = 10
 
@@ -40,7 +40,7 @@ class RowEnclosures:
         """Takes the rows' functions.
 
         Args:
-            functions: Of every row.
+            functions: The functions of every row.
             num_entries: m + 1 + q.
         """
         self._functions = functions
@@ -79,7 +79,7 @@ class RowEnclosures:
         """Encloses every row's entries, shape (N, m + 1 + q).
 
         Args:
-            box: Where [x; t] is, n + 1 intervals.
+            box: The box of [x; t], n + 1 intervals.
         """
         k = self._num_entries
         rows = [_ends(each.row, box, each.constants, k) for each in self._functions]
@@ -91,7 +91,7 @@ class RowEnclosures:
         """Encloses some rows' derivatives, shape (len(rows), m + 1 + q, n + 1).
 
         Args:
-            box: Where [x; t] is, n + 1 intervals.
+            box: The box of [x; t], n + 1 intervals.
             rows: Which rows.
         """
         k, size = self._num_entries, len(box)
@@ -103,7 +103,7 @@ class RowEnclosures:
         """Encloses every h, shape (N,); infinite for a limit.
 
         Args:
-            box: Where [x; t] is, n + 1 intervals.
+            box: The box of [x; t], n + 1 intervals.
         """
         values = [
             _ends(each.value, box, each.parameters, 1)
@@ -140,8 +140,8 @@ def nominal_rate_over(
 
     Args:
         model: The plant.
-        box: Where x is, n intervals or numbers.
-        inputs: Where u is, m of them.
+        box: The box of x, n intervals or numbers.
+        inputs: The box of u, m of them.
 
     Raises:
         ModelError: f or g has no enclosure on intervals.
@@ -156,8 +156,8 @@ class ReachTube:
     """A box that holds the state for a while, and its rates there.
 
     Attributes:
-        states: Where the state is, n intervals.
-        rates: Where dx/dt is, n intervals or numbers.
+        states: The box of the state, n intervals.
+        rates: The box of dx/dt, n intervals or numbers.
     """
 
     states: list[Interval]
@@ -178,9 +178,9 @@ def reach_tube(
 
     Args:
         model: The plant.
-        start: Where the state is at the beginning, n intervals or numbers.
-        inputs: Where the input is, m of them.
-        disturbances: Where the disturbance is, q of them.
+        start: The box of the initial state, n intervals or numbers.
+        inputs: The box of the input, m of them.
+        disturbances: The box of the disturbance, q of them.
         duration: The duration [s].
 
     Raises:

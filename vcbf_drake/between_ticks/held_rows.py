@@ -24,7 +24,7 @@ from vcbf_drake.safety.row_holder import Tick
 
 _Pair: TypeAlias = tuple[Array, Array]  # Middles and radii of intervals.
 
-# How far below 0 a row's chi counts as 0, as for a row at the tick itself.
+# The tolerance of a row's chi below 0, as for a row at the tick itself.
 _TOLERANCE = 1e-9
 # The excess of a margin over a row's loss without it: the next input loses a different
 # amount.
@@ -76,7 +76,7 @@ class HeldRows:
         """Returns where each channel of d is: near its estimate, and within delta1.
 
         Args:
-            known: The ball of the disturbance until the next tick.
+            known: The knowledge of the disturbance until the next tick.
         """
         ball = Interval(-known.bound, known.bound)
         return [self.bounded(ball + estimate) for estimate in known.estimate.tolist()]
@@ -85,7 +85,7 @@ class HeldRows:
         """Returns the part of an interval that is within delta1.
 
         Args:
-            channel: Where a channel of d is, as far as an estimate tells [m/s^2].
+            channel: The interval of a channel of d, by an estimate [m/s^2].
         """
         most = self._disturbance_bound
         low, high = max(channel.low, -most), min(channel.high, most)
@@ -101,9 +101,9 @@ class HeldRows:
         """Returns a tube around the state until the next tick; None without one.
 
         Args:
-            start: Where the state is at the tick, n numbers or intervals.
-            inputs: Where the held input is, m of them.
-            disturbances: Where the disturbance is, q of them.
+            start: The state at the tick, n numbers or intervals.
+            inputs: The held input, m of them.
+            disturbances: The disturbance, q of them.
         """
         try:
             return reach_tube(self._model, start, inputs, disturbances, self.period)
@@ -143,7 +143,7 @@ class HeldRows:
         row's least chi is -inf.
 
         Args:
-            state: Where the motion begins, shape (n,).
+            state: The initial state of the motion, shape (n,).
             u: The input that is held, shape (m,).
         """
         q, most = self._model.num_disturbances, self._disturbance_bound

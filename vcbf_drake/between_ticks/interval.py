@@ -269,7 +269,7 @@ def interval_function(function: CompiledFunction) -> IntervalFunction:
     raises where it cannot.
 
     Args:
-        function: What `compile_nodes` returned.
+        function: A function compiled by `compile_nodes`.
 
     Raises:
         ModelError: The code tells cases apart, or calls what has no enclosure here.

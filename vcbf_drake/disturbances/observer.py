@@ -114,8 +114,8 @@ class DisturbanceObserver(LeafSystem):
         basis: The basis of the error bound; only ``proven`` and ``worst case`` are
             certain.
         period: Time between measurements [s].
-        estimate_gain: How the unknown error drives the estimate [1/s] (E60):
-            d(dhat)/dt = estimate_rate + estimate_gain (d - dhat).
+        estimate_gain: The gain from the unknown error to the estimate's rate [1/s]
+            (E60): d(dhat)/dt = estimate_rate + estimate_gain (d - dhat).
         longest_interval: The longest time between measurements that is bridged [s];
             infinite unless given.
     """

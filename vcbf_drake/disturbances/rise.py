@@ -184,7 +184,7 @@ class RiseObserver(DisturbanceObserver):
         """Returns the inequalities that the error bound rests on (E20), (E32), (E42).
 
         Args:
-            quadrature: How far off a mean may be [m/s^2].
+            quadrature: The bound of a mean's quadrature error [m/s^2].
         """
         intervals = self._intervals
         bounds = with_quadrature(self.bounds, quadrature, intervals.shortest)

@@ -78,7 +78,7 @@ class RiseGains(Checked):
 
     @property
     def stiffness(self) -> float:
-        """How strongly xtil drives I in (E18), alpha gamma + 1 [1/s^2]."""
+        """The gain from xtil to dI/dt in (E18), alpha gamma + 1 [1/s^2]."""
         return self.alpha * self.gamma + 1.0
 
     def denominator(self, dt: float) -> float:

@@ -94,7 +94,7 @@ class SmoothStep:
     Attributes:
         amplitude: One final value per disturbed channel [m/s^2].
         start: Time at which the rise begins [s].
-        duration: How long it rises [s]; s = (t - start) / duration. A sudden step is
+        duration: Duration of the rise [s]; s = (t - start) / duration. A sudden step is
             not C2.
     """
 
@@ -219,7 +219,7 @@ class DisturbanceSource(Diagram):
         Args:
             signals: Any of `Constant`, `Sinusoid`, `SmoothStep`, `BandLimitedNoise`,
                 `Recorded`, all for the same number of channels.
-            horizon: How long the simulation lasts at most [s].
+            horizon: The longest duration of the simulation [s].
             num_disturbances: q; needed only where `signals` is empty, for d = 0.
 
         Raises:

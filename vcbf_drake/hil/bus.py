@@ -91,7 +91,7 @@ class LinkFaults:
         delay: Delay of the other messages [s].
         jitter: Greatest deviation from that delay [s]; messages may then overtake each
             other.
-        seed: Of the generator.
+        seed: The seed of the generator.
 
     Raises:
         InvalidValueError: A number is outside what is allowed.

@@ -92,7 +92,7 @@ class VehicleLink:
         """Adds the sender of the filter's input, and the audit.
 
         Args:
-            safety: What `AddSafetyFilter` returned, with ``plant=None``.
+            safety: The result of `AddSafetyFilter` with ``plant=None``.
             reference: The controller's port.
             watchdogs: Further watchdogs, such as that of the obstacles.
             noise: The standard deviations of the measured state, (n,).

@@ -334,7 +334,7 @@ class LiveAudit(LeafSystem):
             [model.disturbance_matrix * self._delta1, g * self._range]
         )
         rate = model.nominal_rate(x_0, u)
-        # What a push of an interval's length does to the rates, for half of it.
+        # The effect of a push of an interval's length on the rates, for half of it.
         turned = sum(
             np.abs(model.nominal_rate(x_0 + elapsed * push, u) - rate)
             for push in pushes.T

@@ -87,8 +87,8 @@ class StateReceiver(LeafSystem):
         bus: The bus of the states.
         num_states: n.
         num_inputs: m.
-        settings: How old a state may be, and how long a vehicle must be silent before
-            another one of its name is controlled in its place.
+        settings: The settings, with the greatest age of a state and the silence of a
+            vehicle after which another one of its name is controlled in its place.
 
     Attributes:
         inbox: The inbox of the states.
@@ -228,7 +228,7 @@ class ObstacleInbox(Inbox):
     """The inbox of a vehicle's obstacles, with the resulting request to it.
 
     Args:
-        bus: Where messages come from.
+        bus: The bus of the messages.
         vehicle: The states of that vehicle; messages of another one are refused.
         settings: The settings, with the greatest age of a message.
         take: Takes an accepted message; returns its fault, empty for none.

@@ -147,7 +147,7 @@ class Sender:
         if self._is_known and time < self._time:
             return Rejection(Reason.TIME, f"back by {self._time - time:.3g} s")
         is_silent = now - self.heard_at > 2 * max_age
-        # What leaps is silent for us alone, and stays what it is.
+        # A vehicle whose time leaps keeps its record: it was silent for us alone.
         if not self._is_known or (is_silent and not self._leaps):
             self._start = time, now
         start, began = self._start

@@ -132,7 +132,7 @@ class VehicleEnd(LeafSystem):
             lambda command, now: self._waiting.append(_Received(command, now)),
             max_clock_offset=self._settings.max_clock_offset,
             echo=lambda command: (command.state_utime, command.state_age),
-            # What answers another vehicle was not made for this one.
+            # An answer to another vehicle was not made for this one.
             refusal=lambda command: (
                 None if command.state_session == bus.session else Reason.ADDRESS
             ),

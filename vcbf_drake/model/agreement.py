@@ -48,7 +48,7 @@ def sample_points(
     their negatives, from nearest to farthest, each after the place itself.
 
     Args:
-        size: How many arguments there are.
+        size: The number of arguments.
         places: Values of arguments that matter, such as an obstacle's coordinates.
         scales: The distance of each pair from its middle.
     """

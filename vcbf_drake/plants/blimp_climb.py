@@ -30,7 +30,8 @@ class BlimpClimb(Manoeuvre):
     where nothing is above it.
 
     Args:
-        parameters: Of a blimp with equal masses, and drags, in surge and sway.
+        parameters: Parameters of a blimp with equal masses, and drags, in surge and
+            sway.
         lower: Least surge force [N], heave force [N] and yaw moment [N m].
         upper: Greatest ones.
         disturbance_bound: delta1 [m/s^2].
@@ -95,8 +96,8 @@ class BlimpClimb(Manoeuvre):
         surge, heave, moment = u.tolist()
         T, thrust = self._period, surge / self._mass
         middle = yaw + 0.5 * yaw_rate * T
-        # By how much the thrust turns while it is held: the drag of no yaw rate is
-        # larger than the moment's, or that of the first one.
+        # The rotation of the thrust while it is held: the drag of every yaw rate is at
+        # most the moment, or that of the first yaw rate.
         yawing = (2.0 * abs(moment) + self._yaw_drag * abs(yaw_rate)) / self._inertia
         turned = abs(thrust) * (0.5 * abs(yaw_rate) * T + 0.5 * yawing * T * T)
         c, s = thrust * math.cos(middle), thrust * math.sin(middle)

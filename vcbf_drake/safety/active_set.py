@@ -132,7 +132,7 @@ class _Face:
 
         Args:
             near: Which rows these are.
-            num_rows: Of how many.
+            num_rows: The number of all rows.
         """
         conflict, tolerance, joined = None, self._tolerance, 0
         while not (conflict or (tolerance and joined == _PATIENCE * len(self._b))):

@@ -97,9 +97,9 @@ def start_assumptions(
 
     Args:
         safety_filter: The filter.
-        levels: The value of its port of that name.
-        authority: Likewise.
-        volume: Likewise.
+        levels: The value of its port ``levels``.
+        authority: The value of its port ``authority``.
+        volume: The value of its port ``volume``.
         threshold: xi, which is in it.
     """
     names = safety_filter.barrier_set.names

@@ -127,7 +127,7 @@ def polish(
         b: Their right-hand sides, shape (n,).
         center: c of the proposal, shape (m,).
         frame: F with F F' = B^2, shape (m, m).
-        multipliers: Of the rows, shape (n,).
+        multipliers: Multipliers of the rows, shape (n,).
 
     Returns:
         The best ellipsoid with a bound; None without one.
@@ -172,7 +172,7 @@ def certified(
         b: The right-hand sides.
         center: c.
         frame: F.
-        multipliers: Of the rows.
+        multipliers: Multipliers of the rows.
     """
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         n, length, e, w = _contacts(A, b, center, frame, multipliers)

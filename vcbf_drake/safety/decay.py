@@ -22,7 +22,7 @@ DEFAULT_PENALTY = 100.0
 
 @dataclass(frozen=True)
 class DecayRates:
-    """How much each barrier's last decay rate may grow (E69).
+    """The growth of each barrier's last decay rate, and its limit (E69).
 
     A row asks for phi' >= -lambda phi, with phi = phi_(r-1) and lambda = lambda_r of
     (E3), or for phi' >= -class_k(phi). With a factor omega on the right its right-hand
@@ -59,7 +59,7 @@ class DecayRates:
             chain: phi_0, ..., phi_(r-1) of each row; whatever may follow is ignored.
             barriers: The barriers and limits behind the rows.
             period: The hold period [s].
-            penalty: Of the squared growth.
+            penalty: The penalty of the squared growth.
             only_where_empty: Whether they grow only where the rows have no input.
         """
         slopes, most = np.zeros(len(barriers)), np.ones(len(barriers))

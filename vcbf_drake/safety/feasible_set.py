@@ -17,7 +17,7 @@ from vcbf_drake.safety.input_set import InputSet
 
 
 class DisturbanceKnowledge(NamedTuple):
-    """The ball of the disturbance d at one time: ``|d - estimate| <= bound``.
+    """The knowledge of the disturbance d at one time: ``|d - estimate| <= bound``.
 
     Attributes:
         estimate: The estimate, shape (q,) [m/s^2].
@@ -25,7 +25,7 @@ class DisturbanceKnowledge(NamedTuple):
             error, shape (q,) [m/s^3].
         bound: The bound on the error's norm [m/s^2].
         bound_rate: The bound's time derivative [m/s^3].
-        gain: How strongly the unknown error drives the estimate [1/s]:
+        gain: The gain from the unknown error to the estimate's rate [1/s]:
             d(estimate)/dt = rate + gain (d - estimate).
     """
 
@@ -39,7 +39,7 @@ class DisturbanceKnowledge(NamedTuple):
     def of(
         estimate: DisturbanceEstimate, margin: float, gain: float
     ) -> DisturbanceKnowledge:
-        """Returns the ball of an observer's estimate while an input is held.
+        """Returns the knowledge from an observer's estimate while an input is held.
 
         Args:
             estimate: At the tick.
@@ -56,7 +56,7 @@ class DisturbanceKnowledge(NamedTuple):
 
     @staticmethod
     def constant(num_disturbances: int, bound: float) -> DisturbanceKnowledge:
-        """Returns the ball without an observer: a fixed one around zero."""
+        """Returns the knowledge without an observer: a fixed ball around zero."""
         zero = np.zeros(num_disturbances)
         return DisturbanceKnowledge(zero, zero, bound, 0.0, 0.0)
 
@@ -101,7 +101,7 @@ class FeasibleSet(NamedTuple):
         input_set: The input limits, for every state.
         rows: The barrier rows.
         bound: The right-hand side of each with its margin, b + Lambda, shape (N,).
-        known: The ball of the disturbance in the rows.
+        known: The knowledge of the disturbance in the rows.
         costs: The costs of violated rows.
         normals: The barrier rows in normalised inputs v, u = center + scale v, (N, m).
         distance: Their right-hand sides, shape (N,). The set takes no notice of soft
@@ -177,7 +177,7 @@ def feasible_set(
     Args:
         input_set: The inputs the actuators can produce.
         rows: The barriers' rows at one state and time.
-        known: The ball of the disturbance there.
+        known: The knowledge of the disturbance there.
         costs: The costs of violated rows; by default all are hard.
     """
     bound = rows.b + disturbance_margin(rows, known)

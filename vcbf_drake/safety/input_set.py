@@ -162,7 +162,8 @@ class InputSet:
 
         Args:
             u: An input; one with entries that are not finite is in no set.
-            tolerance: How far outside still counts, in normalised inputs.
+            tolerance: The greatest violation that still counts as inside, in normalised
+                inputs.
         """
         u = np.asarray(u, dtype=float)
         if not np.all(np.isfinite(u)):
@@ -264,7 +265,7 @@ def check_inputs(input_set: InputSet, num_inputs: int, effort_limits: Array) -> 
     Args:
         input_set: The set.
         num_inputs: The plant's.
-        effort_limits: Where the plant clamps each input, shape (m,).
+        effort_limits: The limit at which the plant clamps each input, shape (m,).
 
     Raises:
         InvalidValueError: It cannot.

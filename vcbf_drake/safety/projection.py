@@ -52,7 +52,7 @@ _REACHES = (1e-7, 1e-4)
 _EXACT = 1e-10
 # ... and no point's cost is lower by more than this, relative to its terms.
 _LP_GAP = 5e-11
-# How long its proximal steps are; after these rational numbers decide.
+# The lengths of its proximal steps; after these, rational numbers decide.
 _STEPS = (1e4, 1e8, 1e8)
 # The scale of its cost: Clp's tolerance on multipliers is absolute.
 _SHARPNESS = 1e4
@@ -82,8 +82,8 @@ def nearest_point(
         A: The rows, shape (n, m).
         b: The right-hand sides, shape (n,).
         reference: The point to stay close to, shape (m,).
-        num_firm: How many rows, the first, are never opened: together they must have
-            an interior.
+        num_firm: The number of first rows that are never opened: together they must
+            have an interior.
         solver: The name of the solver that proposes, one of `SOLVERS`.
 
     Raises:
@@ -106,7 +106,7 @@ def nearest_in(
     Args:
         rows: The rows.
         reference: As for `nearest_point`, like the others.
-        num_firm: How many rows, the first, are never opened.
+        num_firm: The number of first rows that are never opened.
         solver: The solver's name.
 
     Raises:
@@ -141,8 +141,8 @@ def minimise_linear(
         cost: Shape (m,).
         A: The rows, shape (n, m).
         b: The right-hand sides, shape (n,).
-        num_firm: How many rows, the first, are not opened as those of `nearest_point`
-            are; by default all.
+        num_firm: The number of first rows that are not opened, as for `nearest_point`;
+            by default all.
         reach: The bound of a point's entries where rows bound them.
 
     Raises:
@@ -192,7 +192,8 @@ def opened(rows: UnitRows, num_firm: int) -> Array:
 
     Args:
         rows: Its rows.
-        num_firm: How many rows, the first, stay where they are; blank rows do too.
+        num_firm: The number of first rows that are not opened; blank rows are not
+            either.
     """
     right = np.where(rows.is_blank, rows.b, rows.b + OPENING)
     right[:num_firm] = rows.b[:num_firm]

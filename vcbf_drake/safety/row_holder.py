@@ -23,7 +23,7 @@ class Tick(NamedTuple):
         rows: The barrier rows.
         state: Shape (n,).
         time: The time of the tick [s].
-        known: The ball of the disturbance until the next tick.
+        known: The knowledge of the disturbance until the next tick.
         obstacles: The perceived obstacles, shape (obstacles_size,).
     """
 

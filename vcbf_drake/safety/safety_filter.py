@@ -279,7 +279,7 @@ class SafetyFilter(CachedSystem):
         return self.backup_rows.most_of_each(of_rows)
 
     def knowledge(self, context: Context) -> DisturbanceKnowledge:
-        """Returns the ball of the disturbance that this method uses."""
+        """Returns the knowledge of the disturbance that this method uses."""
         if self._estimate is None:
             is_worst = self.method.disturbance == "worst_case"
             bound = self.bounds.delta1 if is_worst else 0.0

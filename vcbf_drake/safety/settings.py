@@ -271,7 +271,7 @@ class FilterSettings:
 
         Args:
             model: The plant's.
-            bounds: Of the disturbance.
+            bounds: The bounds of the disturbance.
             noise: Standard deviation of the measured disturbed channels [m/s].
             period: Time between measurements [s]; the observer's own by default.
             longest_interval: See `DisturbanceObserver`.

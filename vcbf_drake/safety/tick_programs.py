@@ -48,7 +48,7 @@ class TickPrograms:
         Args:
             qp: The QP that was solved.
             feasible: The feasible set whose ellipsoid was found.
-            names: Of the feasible set's rows.
+            names: The names of the feasible set's rows.
             widening: kappa of the volume barrier.
         """
         A, reference, _ = qp.as_projection()

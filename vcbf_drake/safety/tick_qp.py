@@ -267,7 +267,7 @@ def _with_slacks(qp: QP, yielding: Sequence[VolumeRow]) -> QP:
 
 
 def _distances(feasible: FeasibleSet, frame: Frame) -> list[Array]:
-    """How far limits and barrier rows that can matter are from a frame's origin.
+    """The distances of limits and relevant barrier rows from a frame's origin.
 
     From the rows as given: where two large numbers cancel, little is left.
     """

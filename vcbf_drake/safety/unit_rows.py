@@ -81,7 +81,7 @@ class UnitRows:
         """Returns multipliers of the rows as given, infinite of subnormal ones.
 
         Args:
-            multipliers: Of the unit rows, blanks too, shape (n,).
+            multipliers: Multipliers of the unit rows, blanks too, shape (n,).
         """
         with np.errstate(over="ignore"):
             given: Array = multipliers / self.length
@@ -91,7 +91,7 @@ class UnitRows:
         """Returns multipliers of the rows as given, shape (n,).
 
         Args:
-            multipliers: Of `without_blanks`.
+            multipliers: Multipliers of the rows of `without_blanks`.
         """
         restored = np.zeros(len(self.b))
         restored[~self.is_blank] = multipliers

@@ -247,7 +247,7 @@ def volume_row(
         volume: V_v and its derivatives.
         model: The plant's f, g, E.
         state: Shape (n,).
-        known: The ball of the disturbance.
+        known: The knowledge of the disturbance.
         barrier: Its gain and penalty.
         total_derivative: Whether the derivative is total.
     """

@@ -83,7 +83,7 @@ def audit_margins(
         # It asks nothing of the barriers' own chains.
         chi[:] = chain[:] = np.inf
     if safety_filter.method.feasibility == "decay":
-        # What the law promises is phi' >= -omega lambda phi, for any omega allowed.
+        # The law promises phi' >= -omega lambda phi, for any allowed omega.
         period, watched = safety_filter.settings.period, barriers.barriers
         chi += [DecayRates.at(each, watched, period).room for each in rows.chain]
     volume = slack = lasting = plan = within = np.full(len(status), np.nan)
@@ -129,7 +129,7 @@ def audit_findings(
 
     Args:
         log: The arrays of the log, one row a control tick.
-        path: What was at the integrator's steps: ``time`` (S,) [s], ``least_height``.
+        path: The motion at the integrator's steps: ``time`` (S,) [s], ``least_height``.
         volume_gain: lambda_Vv [1/s].
         observer: The observer of the method; None where it has none.
     """
@@ -205,7 +205,8 @@ def reasons_against(
 
     Args:
         assumptions: The hypotheses at the start: for its inputs alone, Theorem 5's.
-        findings: What `audit_findings` returns: then those of `FEASIBILITY`.
+        findings: The findings of `audit_findings`: for its inputs alone, those of
+            `FEASIBILITY`.
         collided: Whether the run ended in a collision.
     """
     hypotheses = [

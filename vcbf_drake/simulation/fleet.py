@@ -45,7 +45,7 @@ class Fleet:
     `Separation.distance` from them; a run ends for all where it ends for one.
 
     Attributes:
-        name: What results are called; in a file, its top-level key.
+        name: The name of the results; in a file, its top-level key.
         vehicles: Their scenarios; of several, each has a name of its own.
     """
 
@@ -156,8 +156,8 @@ def loops_of(diagram: Diagram, fleet: Fleet) -> list[Diagram]:
     """Returns the diagram of each vehicle's loop.
 
     Args:
-        diagram: What `make_fleet_loop` made.
-        fleet: Of what.
+        diagram: A diagram of `make_fleet_loop`.
+        fleet: The fleet of the diagram.
     """
     if len(fleet.vehicles) == 1:
         return [diagram]
@@ -183,7 +183,7 @@ class OtherVehicles(LeafSystem):
 
         Args:
             others: The other vehicles.
-            models: Of their plants.
+            models: The models of their plants.
             distance: The distance to keep from each [m].
         """
         super().__init__()
@@ -220,7 +220,7 @@ def others_assumption(scenario: Scenario) -> Assumption:
     """Returns the hypothesis on how the other vehicles accelerate.
 
     Args:
-        scenario: Of the vehicle that keeps apart.
+        scenario: The scenario of the vehicle that keeps apart.
     """
     bound, method = scenario.separation.acceleration, METHODS[scenario.method]
     return Assumption(
@@ -242,7 +242,7 @@ def others_finding(log: Mapping[str, Array], scenario: Scenario) -> dict[str, An
 
     Args:
         log: The arrays of the log, one row a control tick.
-        scenario: Of the vehicle that keeps apart.
+        scenario: The scenario of the vehicle that keeps apart.
     """
     k, time = len(scenario.target), log["time"]
     seen = log["obstacles"].reshape(len(time), -1, 2 * k + 2)
@@ -264,7 +264,7 @@ def least_separation(places: Sequence[Array], own: int) -> float:
     """Returns the least distance of a vehicle from the others [m].
 
     Args:
-        places: Where each vehicle was at the integrator's steps, (S, k) [m].
+        places: Each vehicle's positions at the integrator's steps, (S, k) [m].
         own: Which vehicle.
     """
     others = [each for i, each in enumerate(places) if i != own]

@@ -34,8 +34,8 @@ class RunLog:
 
         Args:
             diagram: A loop that `make_loop` made.
-            directory: Where the log grows, with the path in its directory ``path``; in
-                memory if None.
+            directory: The directory of the growing log, with the path in its directory
+                ``path``; in memory if None.
         """
         self._sinks = {
             system.get_name().removeprefix(LOG_PREFIX): system
@@ -128,7 +128,7 @@ class LogFiles:
         """Makes the directory and empties it of arrays.
 
         Args:
-            directory: Where the files go.
+            directory: The directory of the files.
         """
         self._directory = Path(directory)
         self._directory.mkdir(parents=True, exist_ok=True)
@@ -140,7 +140,7 @@ class LogFiles:
         """Adds a piece to each array's end; the pieces differ in their first axis only.
 
         Args:
-            arrays: Of the same names every time.
+            arrays: The pieces, of the same names every time.
         """
         for name, values in arrays.items():
             piece, path = np.ascontiguousarray(values), self._path(name)
@@ -171,7 +171,7 @@ def read_log_files(directory: str | Path) -> dict[str, Array]:
     """Returns the arrays that `LogFiles` has written so far, equally long each.
 
     Args:
-        directory: Where the files are.
+        directory: The directory of the files.
 
     Raises:
         FileNotFoundError: There are none.

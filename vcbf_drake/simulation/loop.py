@@ -174,14 +174,14 @@ def add_controller_and_filter(
         builder: Holds what measures the state.
         scenario: A validated scenario.
         model: The plant's.
-        bounds: Of the disturbance.
+        bounds: The bounds of the disturbance.
         controller: In the place of the vehicle's own, with its ports.
         state: The measured state.
         observer: Estimates the disturbance; see `AddSafetyFilter`.
         plant_input: Takes the held input; None leaves that to be connected.
         applied_input: The input that the plant really applied; the held input by
             default.
-        obstacles: What is seen of the obstacles; they are known without.
+        obstacles: The port of the obstacles in sight; without it they are known.
         others: Or what the other vehicles are called: then these alone are seen.
     """
     if controller is None:
@@ -238,7 +238,7 @@ def make_observer(
     Args:
         scenario: A validated scenario.
         model: The plant's.
-        bounds: Of the disturbance.
+        bounds: The bounds of the disturbance.
         period: Time between measurements [s].
         longest_interval: See `DisturbanceObserver`.
     """
@@ -303,9 +303,9 @@ def add_collision_monitor(
 
     Args:
         builder: Holds the plant.
-        plant: What must not collide.
+        plant: The plant.
         barrier_set: With what.
-        seen: Where the perceived ones of the barriers are.
+        seen: The port of the perceived obstacles.
     """
     state = state_port_of(plant)
     monitor = builder.AddNamedSystem(

@@ -76,8 +76,8 @@ class Carrier(NamedTuple):
     """A point of the robot's body that keeps clear of obstacles.
 
     Attributes:
-        position: Where it is, from the state.
-        radius: How much of the body around it is meant [m].
+        position: The function from the state to its position.
+        radius: The radius of the body around it [m].
         name: The suffix of a barrier's name.
     """
 
@@ -139,7 +139,7 @@ def other_vehicles(scenario: Scenario, others: Sequence[str]) -> PerceivedSphere
     """Returns the perceived spheres of the other vehicles, one slot each.
 
     Args:
-        scenario: Of the vehicle that keeps apart.
+        scenario: The scenario of the vehicle that keeps apart.
         others: The names of the others.
     """
     form = scenario.separation.form
@@ -152,7 +152,7 @@ def separation_barriers(
     """Returns the barriers of the other vehicles.
 
     Args:
-        scenario: Of the vehicle that keeps apart.
+        scenario: The scenario of the vehicle that keeps apart.
         others: The names of the others, in the order of their slots.
         margin: The distance to keep from each, beyond that which it is told [m].
     """
@@ -239,18 +239,18 @@ def check_place(
     target: bool,
     radius: float = 0.0,
 ) -> None:
-    """Checks that a place is one where an obstacle lets the vehicle be.
+    """Checks that a place of the vehicle is clear of an obstacle.
 
     Args:
-        obstacle: What must let it.
+        obstacle: The obstacle.
         at: The field of the place.
         position: The place [m].
         what: The name of the obstacle in the scenario.
         target: Whether it is the target, over which a moving obstacle may pass.
-        radius: How much of the body around the place is meant [m].
+        radius: The radius of the body around the place [m].
 
     Raises:
-        InvalidValueError: It is not.
+        InvalidValueError: The place is inside the obstacle or its margin.
     """
     if isinstance(obstacle, Shape) and not (target and obstacle.moves):
         height = obstacle.grown(radius).height(position)
@@ -289,10 +289,10 @@ def check_fits(
     """Checks that an obstacle has the vehicle's dimensions, or names one of its states.
 
     Args:
-        obstacle: What must fit.
-        path: Where it is in the scenario.
+        obstacle: The obstacle.
+        path: Its path in the scenario.
         names: The names of the vehicle's states.
-        size: How many dimensions its position has.
+        size: The number of dimensions of its position.
 
     Raises:
         InvalidValueError: It does not fit.

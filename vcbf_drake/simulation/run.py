@@ -51,7 +51,7 @@ _WITNESS_ACCURACY = 1e-4
 # How often what was logged is finished, audited and put away: after this time [s], and
 # this many ticks, at the latest. Memory does not grow with a run but for its log.
 _LONGEST_PIECE, _MOST_TICKS = 10.0, 250
-_FRAMES = 25.0  # How often who watches is called, at least [Hz].
+_FRAMES = 25.0  # The least rate at which `watch` is called [Hz].
 
 
 @typed
@@ -69,9 +69,9 @@ def simulate(
         scenario: The scenario, or what `load_scenario` takes.
         progress: Called now and then with the fraction of the duration that is done.
         step_time: Whether to measure the filter's step afterwards, for the summary.
-        log_directory: Where the log grows while the run goes, one .npy file an array,
-            readable at any time by `read_log_files`; the result's arrays are mapped
-            from there, and memory stays flat. In memory if None.
+        log_directory: The directory of the log that grows with the run, one .npy file
+            per array, readable at any time by `read_log_files`; the result's arrays are
+            mapped from there, and memory stays flat. In memory if None.
         watch: Called with the loop and its context at the start, some 25 times a second
             of the motion, and at the end; it may take its time.
         controller: In the place of the vehicle's own, with its ports.
@@ -189,7 +189,7 @@ def loop_assumptions(
     """Returns the hypotheses with the numbers of a loop at its context.
 
     Args:
-        scenario: What `make_loop` made the loop of.
+        scenario: The scenario of the loop.
         diagram: The loop.
         context: The root's.
         has_others: Whether there are other vehicles.
@@ -250,11 +250,11 @@ def _ends_at_target(
 
 
 def _stops(scenario: Scenario, least: int) -> list[float]:
-    """Where to stop on the way, at control ticks so that no step is cut; the end.
+    """The times to stop at, all control ticks so that no step is cut, and the end.
 
     Args:
         scenario: The scenario.
-        least: How many pieces to make at least.
+        least: The least number of pieces.
     """
     duration, period = scenario.duration, scenario.period
     longest = min(_LONGEST_PIECE, _MOST_TICKS * period)
@@ -274,7 +274,7 @@ def _ending(
     several: bool,
     path: Mapping[str, Array],
 ) -> Ending:
-    """How the run ended for one vehicle: another's monitor may have ended it."""
+    """The ending of a run for one vehicle: another's monitor may have ended it."""
     monitor = ""
     if _has_ended(status):
         *_, owner, monitor = status.system().GetSystemPathname().split("::")

@@ -159,7 +159,7 @@ class Scenario(FilterSettings):
         require(period <= duration, "period", period, rule)
         delay = self.faults.measurement_delay
         require(delay <= duration, ("faults", "measurement_delay"), delay, rule)
-        # Who simulates at a low rate need not know the limits that a bus has.
+        # A simulation at a low rate need not satisfy the limits of a bus.
         if self.hardware != Hardware():
             self.check_hardware_times()
 
@@ -241,13 +241,13 @@ class Scenario(FilterSettings):
 
     @property
     def start(self) -> list[float]:
-        """Where the vehicle is at time zero [m]."""
+        """The position of the vehicle at time zero [m]."""
         states = np.array([self.initial_state])
         return [*map(float, self.vehicle.positions(states)[0])]
 
     @property
     def arrival_distance(self) -> float:
-        """How far from the target the vehicle has arrived [m]."""
+        """The distance from the target that counts as arrival [m]."""
         if self.arrival_tolerance is not None:
             return self.arrival_tolerance
         way = math.dist(self.start, self.target)

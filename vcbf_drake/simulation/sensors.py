@@ -55,9 +55,9 @@ class MeasurementNoise(LeafSystem):
         """Declares the ports.
 
         Args:
-            standard_deviation: Of each state, shape (n,) [the state's unit].
-            period: How long one sample lasts [s].
-            seed: Of the generator.
+            standard_deviation: Standard deviation of each state, shape (n,) [its unit].
+            period: Time between samples [s].
+            seed: Seed of the generator.
         """
         super().__init__()
         self._deviation = np.asarray(standard_deviation, dtype=float)
@@ -102,9 +102,9 @@ class UnreliableSensor(LeafSystem):
         Args:
             size: n, of the state.
             period: Time between samples [s].
-            delay: How old the output is at least [s].
+            delay: The least age of the output [s].
             loss: Probability that a sample is lost.
-            seed: Of what is lost.
+            seed: Seed of the losses.
         """
         super().__init__()
         self._period, self._delay, self._loss, self._seed = period, delay, loss, seed

@@ -24,7 +24,7 @@ def step_cpu_time(
 
     Args:
         safety_filter: The filter that ran.
-        log: What was logged.
+        log: The log of the run.
     """
     context = safety_filter.CreateDefaultContext()
     ticks = np.unique(

@@ -34,7 +34,7 @@ from vcbf_drake.simulation.scenario import Scenario
 
 @dataclass(frozen=True)
 class Ending:
-    """How a simulation ended.
+    """The ending of a simulation.
 
     Attributes:
         time: When [s].
@@ -59,7 +59,7 @@ def summarise(
         safety_filter: The filter that ran.
         log: The arrays of the log, one row a control tick.
         path: The motion at the integrator's steps, as in `RunLog.path`.
-        ending: How it ended.
+        ending: The ending of the run.
     """
     infeasible = log["status"] == FilterStatus.INFEASIBLE
     infeasible_at = _first(log["time"], infeasible)
@@ -115,7 +115,7 @@ def judge(
         log: The arrays of the log, one row a control tick.
         path: The motion at the integrator's steps, as in `RunLog.path`.
         found: The hypotheses at the start.
-        ending: How it ended.
+        ending: The ending of the run.
     """
     safety_filter: SafetyFilter = diagram.GetSubsystemByName("filter")
     summary = summarise(scenario, safety_filter, log, path, ending)

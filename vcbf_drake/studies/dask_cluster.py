@@ -11,8 +11,8 @@ from typing import Any
 from vcbf_drake.environment import installed_version
 
 _PACKAGES = ("vcbf-drake", "drake", "numpy")
-_PATIENCE = 10.0  # How long a scheduler may take to answer [s].
-_START = 60.0  # How long a cluster may take to have a worker [s].
+_PATIENCE = 10.0  # The time limit of a scheduler's answer [s].
+_START = 60.0  # The time limit of a cluster's first worker [s].
 
 
 @contextmanager

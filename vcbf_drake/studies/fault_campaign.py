@@ -132,7 +132,7 @@ def fault_trials(
     Args:
         scenarios: Names of shipped scenarios or paths of YAML files.
         trials: The number of trials of each kind; they share their draws.
-        seed: Of the draws.
+        seed: The seed of the draws.
     """
     return {
         (scenario, fault.name, method, fidelity): [
@@ -157,7 +157,7 @@ def summarise_faults(records: Sequence[Record]) -> dict[str, Any]:
     """Returns the summary of a fault's effect on one method, over its trials.
 
     Args:
-        records: Of one kind of trial.
+        records: The records of one kind of trial.
     """
     ended = [each for each in records if each["error"] is None]
     ticks = sum(each["ticks"] for each in ended)

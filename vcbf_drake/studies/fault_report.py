@@ -41,7 +41,7 @@ def headline(summaries: Mapping[Kind, Mapping[str, Any]]) -> list[str]:
     """Returns the campaign's main findings, one sentence each.
 
     Args:
-        summaries: What `summarise_faults` returns, for each kind of trial.
+        summaries: The results of `summarise_faults`, for each kind of trial.
     """
 
     def total(name: str) -> int:
@@ -64,9 +64,9 @@ def campaign_markdown(
     """Returns the campaign's page.
 
     Args:
-        summaries: What `summarise_faults` returns, for each kind of trial.
-        trials: How many of each kind.
-        seed: Of the draws.
+        summaries: The results of `summarise_faults`, for each kind of trial.
+        trials: The number of trials of each kind.
+        seed: The seed of the draws.
         command: The command that makes this page.
     """
     lines = [

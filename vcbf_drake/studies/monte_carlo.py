@@ -34,10 +34,10 @@ def run_study(
     Args:
         trials: The trials, each different from the others.
         path: The file; it is made if it is missing.
-        executor: What runs the trials, for example Dask's; it stays open. By default
-            `workers` processes; a few trials for one worker run in this one.
-        workers: How many processes, when there is no executor. The calling script
-            needs an ``if __name__ == "__main__"`` guard for them.
+        executor: The executor of the trials, for example Dask's; it stays open. By
+            default `workers` processes; a few trials for one worker run in this one.
+        workers: The number of processes, without an executor. The calling script needs
+            an ``if __name__ == "__main__"`` guard for them.
         progress: Called after each trial with the fraction that is done.
 
     Raises:

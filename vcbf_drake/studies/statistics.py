@@ -82,7 +82,7 @@ def share_interval(count: int, total: int) -> Interval | None:
 
     Args:
         count: In how many.
-        total: Of how many.
+        total: The total number.
     """
     if total == 0:
         return None

@@ -47,7 +47,7 @@ class Trial:
         method: The safety filter.
         index: Which draw of the variation; a pair of trials shares it.
         seed: The study's seed.
-        variation: What is drawn.
+        variation: The variation that is drawn.
         overrides: YAML text with values that replace the scenario's; empty for none.
         scenario_name: Which scenario of a file that holds several; else empty.
     """

@@ -28,7 +28,7 @@ class WorkerProcesses(Executor):
         """Starts the first ones.
 
         Args:
-            workers: How many at once.
+            workers: The number of simultaneous workers.
         """
         self._workers = workers
         self._renew()
@@ -60,7 +60,7 @@ def new_pool(workers: int) -> ProcessPoolExecutor:
     """Returns worker processes that end with this one.
 
     Args:
-        workers: How many.
+        workers: The number of workers.
     """
     # A forked process would share the threads' locks of solvers and of Meshcat.
     return ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _prepare)

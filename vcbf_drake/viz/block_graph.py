@@ -104,7 +104,7 @@ def write_dot(dot: str, directory: Path, name: str) -> list[Path]:
 
     Args:
         dot: The text.
-        directory: Where to write; it is made.
+        directory: The directory to write to; it is made.
         name: The file name without its ending.
 
     Returns:

@@ -40,7 +40,7 @@ def write_diagram(
     Args:
         system: A built diagram, such as `make_loop` returns, or a filter, such as its
             ``diagram.GetSubsystemByName("filter")``, whose inside is drawn.
-        directory: Where to write; it is made.
+        directory: The directory to write to; it is made.
         name: The file name without its ending.
 
     Returns:

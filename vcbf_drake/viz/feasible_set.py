@@ -39,7 +39,7 @@ class FeasibleSet:
     Attributes:
         A: The rows, shape (n, m).
         b: The right-hand sides, shape (n,).
-        limits: How many leading rows are the input set's.
+        limits: The number of leading rows that are the input set's.
         low: The least inputs to show, shape (m,): the limits where they are finite.
         high: The greatest inputs to show, shape (m,).
         shape: The inscribed ellipsoid's matrix, shape (m, m); nan when there is none.
@@ -48,7 +48,7 @@ class FeasibleSet:
         input: The chosen input, shape (m,).
         corners: The corners of the set between low and high, shape (k, m).
         volume: The volume barrier V_v; nan when the filter did not know it.
-        decay: By how much barriers decay faster than A and b say (E69); 1: they do not.
+        decay: The factor of faster decay rates than in A and b (E69); 1 for none.
     """
 
     A: Array

@@ -50,7 +50,7 @@ def write_figures(results: Sequence[Result], directory: Path) -> list[Path]:
     Args:
         results: Results of one scenario under one or several methods, the one to bring
             out last.
-        directory: Where to write; it is made.
+        directory: The directory to write to; it is made.
 
     Returns:
         The paths, in the order of writing.

@@ -53,7 +53,7 @@ class LiveView:
         """Starts the page's server, which this computer alone can see.
 
         Args:
-            scenarios: What will run: that of each vehicle.
+            scenarios: The scenario of each vehicle of the run.
             tell: Called with the page's address, once.
         """
         self.meshcat = private_meshcat()
@@ -88,7 +88,7 @@ class LiveView:
         self._stream.going.wait()
         early = self._lead + now - time.monotonic()
         time.sleep(max(early, 0.0))
-        self._lead -= min(early, 0.0)  # Lost frames are not made up for.
+        self._lead -= min(early, 0.0)  # Lost time is not made up for.
 
     def close(self) -> None:
         """Ends the page's server; what the browsers show stays as it is."""
@@ -157,8 +157,8 @@ class Stick(LeafSystem):
         """Adds a slider for every input, from its least to its greatest value.
 
         Args:
-            meshcat: Whose page has them.
-            scenario: What will run.
+            meshcat: The Meshcat whose page shows the sliders.
+            scenario: The scenario of the run.
 
         Raises:
             InvalidValueError: An input has no limit.

@@ -41,8 +41,8 @@ def write_running_times(
 
     Args:
         records: The records of the trials.
-        summary: What `summarise_study` says of them.
-        directory: Where to write; it exists.
+        summary: The result of `summarise_study`.
+        directory: An existing directory to write to.
 
     Returns:
         The two paths.

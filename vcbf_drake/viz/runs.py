@@ -31,7 +31,7 @@ class Event:
     Attributes:
         time: When it happened [s].
         kind: ``infeasible``, ``collision``, ``reached`` or ``timeout``.
-        text: What happened, in words.
+        text: The event in words.
     """
 
     time: float
@@ -48,7 +48,7 @@ class Drawn:
         color: A hexadecimal colour.
         dashes: On and off lengths [points]; empty for a solid line.
         ghost: Whether another one of the same vehicle is to be brought out.
-        events: What happened, in the order it happened.
+        events: The events in the order of time.
         time: The control ticks, shape (T,) [s].
         log: The arrays of a `Result`'s log.
         inputs: The inputs' names with units.
@@ -92,7 +92,7 @@ class Run(Drawn):
 
     @property
     def vehicle(self) -> Vehicle:
-        """Who moved."""
+        """The vehicle of the run."""
         return self.scenario.vehicle
 
     @cached_property
@@ -107,12 +107,12 @@ class Run(Drawn):
 
     @cached_property
     def path(self) -> Array:
-        """Where the vehicle is at every tick, shape (T, 3) [m]."""
+        """The vehicle's position at every tick, shape (T, 3) [m]."""
         return in_space(self.vehicle.positions(self.log["state"]))
 
     @property
     def target(self) -> Array:
-        """Where it is to go, shape (3,) [m]."""
+        """The target position, shape (3,) [m]."""
         return in_space(self.scenario.target)
 
     @property

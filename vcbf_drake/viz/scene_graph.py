@@ -49,7 +49,7 @@ class PosedGeometry(LeafSystem):
         """Registers the bodies.
 
         Args:
-            scene_graph: Where to.
+            scene_graph: The SceneGraph to register with.
             bodies: Their pieces, by the name of each one's frame, one of its kind.
 
         Raises:
@@ -100,8 +100,8 @@ class VehicleGeometry(PosedGeometry):
         """Registers the vehicle.
 
         Args:
-            scene_graph: Where to.
-            vehicle: Whose geometry and pose it has.
+            scene_graph: The SceneGraph to register with.
+            vehicle: The vehicle of the geometry and the pose.
             name: The frame's name; give each vehicle its own.
             color: A hexadecimal colour.
         """
@@ -151,9 +151,9 @@ class ObstacleGeometry(PosedGeometry):
         """Registers the obstacles, margins left out; in the plane they are pillars.
 
         Args:
-            scene_graph: Where to.
-            obstacles: What to show.
-            name: What the frames are called; a number is added.
+            scene_graph: The SceneGraph to register with.
+            obstacles: The obstacles to show.
+            name: The name of the frames; a number is added.
             color: A hexadecimal colour.
         """
         bodies: dict[str, list[Part]] = {}

@@ -42,7 +42,7 @@ class Piece:
 
     Attributes:
         shape: One of Drake's shapes.
-        pose: Where it is, at time 0.
+        pose: The pose at time 0.
         surface: Points whose hull it is, shape (k, 3) [m].
     """
 
@@ -63,7 +63,7 @@ class Solid:
     Attributes:
         body: The obstacle.
         keep_out: The obstacle with its margin around it; None without a margin.
-        obstacle: What it is a solid of, and moves with.
+        obstacle: The obstacle that it is a solid of, and moves with.
     """
 
     body: Piece
@@ -82,7 +82,7 @@ class Solid:
         return self.keep_out or self.body
 
     def offset_at(self, time: float) -> Array:
-        """How far it has moved by a time [s], shape (3,) [m]."""
+        """The displacement at a time [s], shape (3,) [m]."""
         return place_at(self.obstacle, time) - place_at(self.obstacle, 0.0)
 
     def key_times(self, end: float) -> Array:
@@ -111,10 +111,10 @@ class Wall:
         """A slab one of whose faces is the wall, and where it is.
 
         Args:
-            middle: What it is centred on, shape (3,) [m].
-            size: How long it is [m].
-            height: How high, where it is upright [m].
-            thick: How thick, on the safe side; negative: on the other one [m].
+            middle: The point that it is centred on, shape (3,) [m].
+            size: The length [m].
+            height: The height, if it is upright [m].
+            thick: The thickness, on the safe side; negative for the other side [m].
         """
         is_upright = abs(self.normal[2]) < 0.5
         across = np.cross(np.eye(3)[2 if is_upright else 0], self.normal)
@@ -134,7 +134,7 @@ def solids_of(scenario: Scenario, height: float = 0.1) -> list[Solid]:
 
     Args:
         scenario: The scenario.
-        height: How high they are in the plane [m].
+        height: The height of obstacles in the plane [m].
     """
     return [
         solid
@@ -149,7 +149,7 @@ def solids(obstacle: object, height: float) -> Iterator[Solid]:
 
     Args:
         obstacle: An obstacle of `vcbf_drake.barriers`.
-        height: How high it is in the plane [m].
+        height: The height of an obstacle in the plane [m].
     """
     if isinstance(obstacle, MovingObstacle):
         start = RigidTransform(place_at(obstacle, 0.0))
@@ -167,7 +167,7 @@ def solids(obstacle: object, height: float) -> Iterator[Solid]:
 
 
 def place_at(obstacle: object, time: float) -> Array:
-    """Where an obstacle's centre is at a time [s], shape (3,) [m]; 0 without one."""
+    """The position of an obstacle's centre at a time [s], (3,) [m]; 0 without one."""
     if isinstance(obstacle, MovingObstacle):
         return in_space(obstacle.offset_at(time))
     if isinstance(obstacle, Obstacle):

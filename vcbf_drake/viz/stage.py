@@ -28,12 +28,12 @@ class View:
     """The view of the scene for a camera and the labels.
 
     Attributes:
-        points: What a view of the whole has to contain, shape (k, 3) [m].
+        points: The points that a view of the whole contains, shape (k, 3) [m].
         low: The least corner of the floor, shape (3,) [m].
         high: The greatest corner of what is shown, shape (3,) [m].
         span: The measure of everything drawn for the eye [m].
         toward: The direction of the eye, shape (3,).
-        rise: How far vehicles reach above their positions [m].
+        rise: The height of vehicles above their positions [m].
         places: Named ones, shape (3,) each [m].
         few: Whether there are so few things that balls may be finer than Meshcat's.
     """
@@ -68,11 +68,11 @@ class Moving:
     """A rigid body and how it moves.
 
     Attributes:
-        path: Where it is in Meshcat's tree.
+        path: The path in Meshcat's tree.
         parts: Its pieces, in its own frame.
         times: Times between which it goes straight on, or nearly, shape (F,) [s].
-        poses: Where its frame is in the world at these times.
-        scale: What its parts are drawn at.
+        poses: The poses of its frame in the world at these times.
+        scale: The scale at which its parts are drawn.
     """
 
     path: str
@@ -101,9 +101,9 @@ class Stage:
     Attributes:
         runs: The runs, the one to bring out last.
         time: The frames' times, shape (F,) [s].
-        paths: Of each run the vehicle's place at every frame, shape (F, 3) [m]; it
+        paths: The vehicle's position in each run at every frame, shape (F, 3) [m]; it
             rests once the run is over.
-        tasks: Of each vehicle that is no ghost its name, its start and its target,
+        tasks: The name, the start and the target of each vehicle that is no ghost,
             shape (3,) [m].
         solids: The obstacles.
         bodies: Everything that stands or moves: vehicles, obstacles, walls.
@@ -178,7 +178,7 @@ def set_stage(results: Sequence[Result]) -> Stage:
 
 
 def body_path(index: int, body: str) -> str:
-    """Where a body of a run's vehicle is in Meshcat's tree."""
+    """The path of a body of a run's vehicle in Meshcat's tree."""
     return f"vehicle/{index}/{body or 'point'}"
 
 

@@ -33,7 +33,7 @@ ALARM = "#c8102e"
 
 @dataclass(frozen=True)
 class MethodStyle:
-    """How one method is named and drawn, everywhere.
+    """The name and the look of one method in every picture.
 
     Attributes:
         label: The name people read.

@@ -108,8 +108,8 @@ def print_hardware_report(side: str, report: Mapping[str, Any]) -> None:
     """Prints the report of a vehicle's or a controller's process.
 
     Args:
-        side: Whose report it is.
-        report: What `PlantProcess.report` or `ControllerProcess.report` returned, or
+        side: The side of the report.
+        report: The result of `PlantProcess.report` or `ControllerProcess.report`, or
             that of a `LogReplay`.
     """
     console = _console(f"\n{side} of {report['scenario']}")

@@ -47,9 +47,9 @@ def whole_page(
 
     Args:
         page: Meshcat's page with its recording.
-        data: What the scripts show, JSON values only.
+        data: The data of the scripts, JSON values only.
         title: The card's first line, and the page's title.
-        description: What is shown.
+        description: The description of the page.
         remark: A remark that is needed to read the picture correctly.
     """
     # In JSON inside HTML only "<" could end the element early.
@@ -81,7 +81,7 @@ def page_data(
         shown: The runs, the one to bring out last, and where each one's label is at
             every frame, shape (F, 3) [m].
         view: The scene.
-        duration: How long the motion lasts [s].
+        duration: The duration of the motion [s].
         unit: The barriers' unit; empty where they have several.
         live: Whether more is to come: nobody knows of the slack yet.
         trails: The ways of others, shape (F, 3) each [m].

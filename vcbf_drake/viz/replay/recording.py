@@ -59,9 +59,9 @@ def write_diagram_replay(
     Args:
         diagram: A built diagram with a SceneGraph.
         path: The page to write; its directory is made.
-        duration: How long to run it [s]; it may end itself earlier.
-        context: Where it starts; left as it is. The default context if None. With a
-            log, what everything but the plant's state is taken from.
+        duration: The duration of the run [s]; the diagram may end it earlier.
+        context: The initial context, which is not changed. The default context if None.
+            With a log, what everything but the plant's state is taken from.
         title: The page's title; the diagram's name if empty.
         log: In the place of a duration: the plant's state as a `VectorLogSink` logged
             it, or arrays such as ``numpy.load("log.npz")`` has: ``time`` (T,) and
@@ -146,7 +146,7 @@ def _filtered(shown: Drawn, safety_filter: SafetyFilter) -> Drawn:
 
 
 def _ways(bodies: Sequence[Moving], sources: Sequence[str]) -> list[Array]:
-    """Of every source the way of the body that moves; the farthest one last."""
+    """For every source the path of the moving body; the longest one last."""
     ways = [np.array([pose.translation() for pose in b.poses]) for b in bodies]
     travel = [float(np.ptp(each, axis=0).sum()) for each in ways]
     *ranked, last = sorted(range(len(bodies)), key=travel.__getitem__)

@@ -47,7 +47,7 @@ def record(
     Args:
         meshcat: The scene.
         rate: The recording's frames a second.
-        bodies: What may move.
+        bodies: The bodies that may move.
         appearing: The paths of what is not there before a time [s].
     """
     meshcat.StartRecording(rate, set_visualizations_while_recording=False)
@@ -134,7 +134,7 @@ def tube(
         points: The path, which rests nowhere, shape (n, 3) [m].
         normal: The plane's, of length 1, shape (3,).
         radius: The tube's [m].
-        sides: How many it has.
+        sides: The number of sides.
 
     Returns:
         The vertices, shape (n sides, 3), and the triangles as indices into them,
