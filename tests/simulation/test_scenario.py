@@ -420,7 +420,10 @@ REFUSED = [
     ("{noise: {seed: '3'}}", "noise.seed", "'3'; it must be a whole number"),
     ("{noise: {seed: 1.5}}", "noise.seed", "'1.5'; it must be a whole number"),
     ("{method: 3}", "method", "3; it must be text"),
-    ("{target: 3}", "target", "3; it must be a list of numbers"),
+    ("{target: 3}", "target", "expected a list, got '3'"),
+    ("{noise: {std: 3.5}}", "noise.std", "expected a list, got '3.5'"),
+    ("{disturbance: 3}", "disturbance", "expected a list, got '3'"),
+    ("{obstacles: }", "obstacles", "expected a list, got nothing"),
     (
         "{obstacles: {center: [1]}}",
         "obstacles",

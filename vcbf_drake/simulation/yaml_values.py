@@ -82,10 +82,10 @@ def build(node: Node, hint: Any, path: KeyPath = ()) -> Any:
         return _build_object(node, classes, path, inspect.isabstract(hint))
     if node.tag.startswith("!"):
         raise InvalidValueError(path, f"tag {node.tag}; no tag is expected here")
-    if isinstance(node, yaml.ScalarNode):
-        return _build_scalar(node, kind, path)
     item = item_type(kind)
-    if item is None or is_mapping:
+    if item is None and isinstance(node, yaml.ScalarNode):
+        return _build_scalar(node, kind, path)
+    if item is None or not isinstance(node, yaml.SequenceNode):
         expected = in_words(hint) if item is None else "a list"
         raise InvalidValueError(path, f"expected {expected}, got {shown(node)}")
     made = [build(each, item, (*path, i)) for i, each in enumerate(node.value)]
