@@ -243,6 +243,19 @@ def test_nameless_systems_show_no_addresses() -> None:
     assert "@" not in dot
 
 
+def test_a_colon_in_a_name_begins_no_port() -> None:
+    builder = DiagramBuilder()
+    adder = builder.AddNamedSystem("seen by: north", Adder(1, 2))
+    gain = builder.AddNamedSystem("arm::gain", Gain(1.0, 2))
+    builder.Connect(adder.get_output_port(), gain.get_input_port())
+    dot = diagram_dot(builder.Build())
+    (edge,) = parsed(dot).get_edges()
+    ends = edge.get_source(), edge.get_destination()
+    nodes = {node.get_name() for node in parsed(dot).get_nodes()}
+    assert {end.rsplit(":", 2)[0] for end in ends} <= nodes
+    assert "<B>seen by: north</B>" in dot and "<B>arm::gain</B>" in dot
+
+
 def test_a_diagram_with_one_system_is_drawn() -> None:
     builder = DiagramBuilder()
     builder.AddNamedSystem("a <b> & c", Gain(2.0, 1))

@@ -83,11 +83,11 @@ def graph_dot(blocks: Sequence[Block], wires: Sequence[Wire], title: str) -> str
     graph.set_edge_defaults(color=_quoted(_LINES), arrowsize=0.7, fontsize=9, **font)
     backward = _backward(blocks, wires)
     for block in blocks:
-        graph.add_node(Node(_quoted(block.name), label=_table(block, wires)))
+        graph.add_node(Node(_identifier(block.name), label=_table(block, wires)))
     bundles = _bundles(blocks, [w for w in wires if w not in backward])
     for (source, sink), bundle in bundles.items():
         text = _quoted(f" {len(bundle)} signals ")
-        ends = f"{_quoted(source)}:e", f"{_quoted(sink)}:w"
+        ends = f"{_identifier(source)}:e", f"{_identifier(sink)}:w"
         graph.add_edge(Edge(*ends, weight=4, penwidth=2.5, label=text))
     bundled = {wire for bundle in bundles.values() for wire in bundle}
     nets: dict[tuple[str, int], list[Wire]] = {}
@@ -166,7 +166,7 @@ def _net(name: str, net: Sequence[Wire], backward: Collection[Wire]) -> Iterator
     """
     from pydot import Edge, Node
 
-    source = f"{_quoted(net[0].source)}:out_{net[0].output}:e"
+    source = f"{_identifier(net[0].source)}:out_{net[0].output}:e"
     point: dict[str, Any] = dict(shape="point", width=0.04, color=_quoted(_LINES))
     returning = [wire for wire in net if wire in backward]
     for wire in net:
@@ -185,7 +185,7 @@ def _net(name: str, net: Sequence[Wire], backward: Collection[Wire]) -> Iterator
 
 
 def _sink(wire: Wire) -> str:
-    return f"{_quoted(wire.sink)}:in_{wire.input}:w"
+    return f"{_identifier(wire.sink)}:in_{wire.input}:w"
 
 
 def _size(wire: Wire) -> dict[str, Any]:
@@ -219,6 +219,11 @@ def _cell(port: str, side: str, name: str, wired: bool) -> str:
     """The cell of a port, which is paler without a wire."""
     text = f'<FONT COLOR="{INK if wired else MUTED}">{escape(name) or "&#160;"}</FONT>'
     return f'<TD ALIGN="{side}" PORT="{port}">{text}</TD>'
+
+
+def _identifier(name: str) -> str:
+    """A block's name in quotes; a colon in it would begin a port for pydot."""
+    return _quoted(name.replace(":", "&#58;"))
 
 
 def _quoted(text: str) -> str:
