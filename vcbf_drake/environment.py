@@ -6,9 +6,9 @@ import logging
 
 
 def show_warnings_only() -> None:
-    """Keeps all but warnings and errors of Drake's log from being printed.
+    """Restricts Drake's printed log to warnings and errors.
 
-    A solver's own messages are for whoever debugs solvers. By a filter, for importing
+    A solver's own messages serve the debugging of solvers. By a filter, for importing
     pydrake sets the log's level anew.
     """
     logging.getLogger("drake").addFilter(_is_warning)

@@ -106,7 +106,7 @@ class InvalidValueError(ModelError, ValueError):
 
 @contextmanager
 def below(*path: str | int) -> Iterator[None]:
-    """Says where the part is that refuses a value: puts a path before its own.
+    """Prefixes the path of an invalid value with that of the part that refuses it.
 
     Raises:
         InvalidValueError: A part raised it, or a `ValueError`, or a `VcbfError`.
@@ -134,7 +134,7 @@ class UserCodeError(VcbfError):
 
 @contextmanager
 def naming_user_code(time: Callable[[], float]) -> Iterator[None]:
-    """Says which system raised an error, when, and at which line of a user's own.
+    """Adds the system, the time and the line of the user's code to an error.
 
     Args:
         time: Returns the time of the context that was evaluated [s].
@@ -178,7 +178,7 @@ def _is_own(file: str) -> bool:
 class ScenarioError(VcbfError):
     """A scenario cannot be loaded: one line with file, key, value, what is allowed.
 
-    The line is printable, whatever the file holds: other characters are escaped.
+    The line is printable for any file: other characters are escaped.
     """
 
     def __init__(self, message: str) -> None:

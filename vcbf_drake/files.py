@@ -41,7 +41,7 @@ def resolved(name: str, directory: Path) -> str:
 
 
 def read_text(path: Path) -> str:
-    """Returns what a text file holds.
+    """Returns the content of a text file.
 
     Raises:
         ScenarioError: It cannot be read.
@@ -58,7 +58,7 @@ def read_text(path: Path) -> str:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Opens a file that takes the path's place when it is whole.
+    """Opens a file that replaces the path when it is complete.
 
     Args:
         path: Its directory exists.
@@ -141,7 +141,7 @@ def _plain(value: Any) -> Any:
 
 
 class WriterThread(Generic[_T]):
-    """A thread that writes what it is given, so that a slow reader stops nobody.
+    """A thread that writes items, so that a slow reader does not stop the program.
 
     Args:
         write: Called with one item after the other, in that thread.
@@ -169,18 +169,18 @@ class WriterThread(Generic[_T]):
 
     @property
     def is_open(self) -> bool:
-        """Whether something still waits to be written, or it is not closed."""
+        """Whether items wait to be written, or the writer is not closed."""
         return self._thread.is_alive()
 
     def __call__(self, item: _T) -> None:
-        """Has an item written, or counts it as lost."""
+        """Queues an item, or counts it as lost."""
         try:
             self._queue.put_nowait(item)
         except queue.Full:
             self.lost += 1
 
     def close(self) -> None:
-        """Writes what waits, as long as the patience lasts."""
+        """Writes the waiting items within the time limit."""
         self._closing = True
         with suppress(queue.Full):
             self._queue.put_nowait(None)  # Wakes the thread.

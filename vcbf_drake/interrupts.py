@@ -23,7 +23,7 @@ def end_at_once(number: int, frame: object) -> None:
 
 
 def say_interrupted() -> None:
-    """Writes the one line, unless nobody can read it any more."""
+    """Writes the line, unless stderr is closed."""
     try:
         os.write(2, b"vcbf-drake: interrupted\n")
     except OSError:
@@ -38,13 +38,13 @@ def end_at_once_on_signals() -> None:
 
 
 def handle(number: int, handler: Callable[[int, FrameType | None], object]) -> None:
-    """Sets a signal's handler, unless it is ignored: nohup means what it says."""
+    """Sets a signal's handler, unless the signal is ignored, as by nohup."""
     if signal.getsignal(number) is not signal.SIG_IGN:
         signal.signal(number, handler)
 
 
 def raise_on_interrupt() -> None:
-    """Has Ctrl-C raise from now on: whoever works then tidies up after itself."""
+    """Makes Ctrl-C raise from now on, so that running work can clean up."""
     if signal.getsignal(signal.SIGINT) is end_at_once:
         signal.signal(signal.SIGINT, _raise_unless_importing)
 

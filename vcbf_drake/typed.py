@@ -1,8 +1,8 @@
 """Arguments and fields beside the types that they are declared with.
 
 A number in quotes, None, or a list of lists where a list belongs is answered where it
-is given, in one line, and not by whatever trips over it later. A type in `Annotated`
-has further checks of its values: their ranges.
+is given, in one line, and not by an unrelated error later. A type in `Annotated` has
+further checks of its values: their ranges.
 """
 
 from __future__ import annotations

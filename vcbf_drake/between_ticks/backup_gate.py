@@ -34,8 +34,8 @@ class BackupGate:
     """Keeps a certified plan at every tick: an input, and a manoeuvre after it.
 
     A plan is certified where every barrier is at least 0 in all its cells, by interval
-    arithmetic (E90). From a certified plan the manoeuvre leads to another one, so that
-    a filter that had one once has one for ever (Theorem 5).
+    arithmetic (E90). From a certified plan the manoeuvre leads to another one, so a
+    filter that starts with one keeps one for all time (Theorem 5).
 
     Attributes:
         manoeuvres: The plant's, the first to be preferred.
@@ -314,7 +314,7 @@ _UNKNOWN = Interval(-1e300, 1e300)
 
 
 def _value(function: RowFunctions, box: Box) -> Interval:
-    """Encloses a barrier over a box; anything where it is singular, or the box none."""
+    """Encloses a barrier over a box; unbounded where it is singular or overflows."""
     value = interval_function(function.value)
     try:
         if not all(low <= high for low, high in box):

@@ -243,7 +243,7 @@ def _write_line(line: str) -> None:
 def _telling() -> closing[WriterThread[str]]:
     """Lines on stderr, from a thread of its own.
 
-    Whoever reads them may stall, or be gone: that costs lines and no flight.
+    A reader that stalls or ends loses lines, but does not stop the run.
     """
     return closing(WriterThread(_write_line, _MOST_LINES, _LAST_WORDS))
 

@@ -19,7 +19,7 @@ def progress() -> Iterator[Callable[[str], Advance]]:
     """Yields a function that begins a task and returns what to call as it goes on.
 
     That is called with the fraction that is done. A task begins when the one before it
-    is done. The time that is left is told; bars disappear when all is done.
+    is done. It shows the remaining time; bars disappear at the end.
     """
     if sys.stderr.isatty():
         with _bars() as begin:

@@ -66,9 +66,9 @@ class LinearDisturbanceObserver(DisturbanceObserver):
             bounds: delta1, delta2 and delta3 of the disturbance (E16).
             rate: l, the rate at which the estimate follows [1/s].
             noise: Standard deviation of the measured disturbed channels [m/s].
-            longest_interval: The longest time between measurements that is bridged,
-                and that the bound is for, whatever shorter ones come [s]. By default
-                every time is bridged, and the bound is for the period.
+            longest_interval: The longest time between measurements that is bridged, and
+                that the bound is for, also with shorter ones [s]. By default every time
+                is bridged, and the bound is for the period.
 
         Raises:
             ValueError: Period or rate are not positive, or the noise is below 0.

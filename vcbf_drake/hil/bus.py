@@ -115,7 +115,7 @@ class Bus:
     """Publishes, subscribes and waits on an LCM bus, with a clock and faults.
 
     A DrakeLcm subscription keeps one message and drops what comes before that one is
-    handled, so whoever owns a bus polls it or waits on it without long breaks.
+    handled, so the owner of a bus has to poll it or wait on it without long breaks.
 
     Args:
         lcm: The bus; shared by both halves for ``memq://``, which is private to it.

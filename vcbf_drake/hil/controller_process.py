@@ -91,7 +91,7 @@ class ControllerProcess(HardwareProcess):
     """Drives a hardware loop: one tick for every arriving state.
 
     The loop's time is the time of the state, so the observer's intervals are the
-    vehicle's, whatever the bus does. A vehicle that sends faster than the control
+    vehicle's, for any delays of the bus. A vehicle that sends faster than the control
     period is sampled. Without states, it sends a status once per control period, and
     after the first state also commands, as the watchdogs decide.
 

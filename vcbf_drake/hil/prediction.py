@@ -155,8 +155,8 @@ class StatePredictor(LeafSystem):
         sent, (_, delay) = self._sent(context), self._usable_delays(context)
         begin = context.get_time()
         end = begin + self.horizon(context)
-        # A command is applied from when it arrives to when the next one does. What was
-        # before the first one that is remembered is taken for that one.
+        # A command is applied from when it arrives to when the next one does. The first
+        # remembered command stands for all earlier ones.
         arrivals = np.clip(sent[:, 0] + delay, begin, end)
         arrivals[0] = begin
         for arrival, following, u in zip(

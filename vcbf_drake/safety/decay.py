@@ -56,7 +56,7 @@ class DecayRates:
         """Returns the rates at a tick.
 
         Args:
-            chain: phi_0, ..., phi_(r-1) of each row; whatever may follow is ignored.
+            chain: phi_0, ..., phi_(r-1) of each row; further entries are ignored.
             barriers: The barriers and limits behind the rows.
             period: The hold period [s].
             penalty: The penalty of the squared growth.

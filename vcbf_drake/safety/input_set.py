@@ -14,10 +14,10 @@ from vcbf_drake.safety.projection import minimise_linear, nearest_point
 from vcbf_drake.safety.unit_rows import UnitRows
 from vcbf_drake.typed import typed
 
-# A point this many input ranges away is as good as one infinitely far; without limits,
-# one this many units away.
+# A point this many input ranges away (without limits, units away) counts as infinitely
+# far.
 _FARTHEST, _FARTHEST_IN_UNITS = 1e6, 1e15
-# A limit this large is as good as infinite: beside it a unit is next to rounding.
+# A limit this large counts as infinite: beside it a unit is close to rounding.
 _AS_GOOD_AS_NONE = 1e15
 # Rows are met to this, in normalised inputs, before a projection returns.
 _TOLERANCE = 1e-10
@@ -28,7 +28,7 @@ class InputSet:
 
     In normalised inputs v, u = center + scale * v, its bounding box is |v_j| <= 1. An
     input that its rows fix, as of a dead actuator, has scale 0 and stays at its center
-    whatever v says. Only a box may have infinite limits: see `InputSet.box`.
+    for every v. Only a box may have infinite limits: see `InputSet.box`.
 
     Args:
         A: The rows, shape (k, m). Rows of zeros with b_i >= 0 are dropped.
@@ -139,7 +139,7 @@ class InputSet:
         return self.A_normalised[self.limits], self.b_normalised[self.limits]
 
     def normalised_near(self, u: Array) -> Array:
-        """Returns v of an input, brought near where it is as good as infinitely far."""
+        """Returns v of an input, clipped where it counts as infinitely far."""
         with np.errstate(over="ignore"):
             v = self.normalised(u)
         if max(map(abs, v.tolist())) > _FARTHEST:

@@ -40,7 +40,7 @@ class RowNames(tuple[str, ...]):
         """
         scale, num_limits = self._input_set.scale, len(self._input_set.b)
         limiting = np.isfinite(b).nonzero()[0]
-        # Beside a limit as good as none, rows are next to nothing: they have a size.
+        # Beside a very large limit, rows are negligible: the size rescales them.
         for origin, size in (
             (self._input_set.center, 1.0),
             _place_and_size(self._input_set, A[num_limits:], b[num_limits:]),

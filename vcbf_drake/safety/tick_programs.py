@@ -20,7 +20,7 @@ class TickPrograms:
 
     Both are stated anew, with rows of unit length as the filter's solver was given
     them; nobody else holds them. The inputs are normalised, v with u = center + scale v
-    (see `InputSet`), but for weights of the cost and for limits as good as none.
+    (see `InputSet`), unless the cost has weights or limits are very large.
 
     Attributes:
         qp: min 1/2 |z - reference|^2 subject to ``A z <= b``; z is v, followed by the

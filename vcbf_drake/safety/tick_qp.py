@@ -313,8 +313,8 @@ def finer_frame(
 ) -> Frame | None:
     """Returns coordinates of the size of some barrier rows; None if a frame is that.
 
-    Limits may be as good as none, and then barrier rows are made of numbers that are
-    next to nothing in normalised inputs, and so is what separates them.
+    With very large limits, the numbers of barrier rows and their differences are
+    negligible in normalised inputs.
 
     Args:
         feasible: The feasible set.

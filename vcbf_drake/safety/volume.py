@@ -27,8 +27,8 @@ _LEAST_RADIUS, _MOST_THRESHOLD = 1e-4, 0.02
 class VolumeBarrier:
     """The barrier V_v = det B - xi on the volume of the feasible set (E49).
 
-    B is the shape of the largest ellipsoid of inputs, in normalised inputs, so that
-    det B = 1 for a box that no barrier cuts, whatever the units of the inputs.
+    B is the shape of the largest ellipsoid of inputs, in normalised inputs, so that det
+    B = 1 for a box that no barrier cuts, in any units of the inputs.
 
     The defaults suit plants without tuning: early and gentle. Over random courses of
     five vehicles with weak inputs they kept 47 of 50 runs feasible, the paper's form

@@ -61,8 +61,9 @@ class LostAnswers(LeafSystem):
         - row_margin
         - is_down
 
-    Where solvers fail it is the fallback; where the process is down, and ``is_down`` is
-    1, the input that is nearest to none. Both depend on the seed and the tick alone.
+    If solvers fail, the command is the fallback; while the process is down, and
+    ``is_down`` is 1, it is the input nearest to 0. Both depend on the seed and the tick
+    alone.
     """
 
     def __init__(self, faults: Faults, period: float, input_set: InputSet) -> None:
@@ -195,11 +196,10 @@ def faulty_actuator(
 def lose_answers(
     builder: DiagramBuilder, scenario: Scenario, loop: AddedSafetyFilter
 ) -> None:
-    """Lets a filter's solvers fail, and its process be killed, where these are faults.
+    """Adds the faults of a filter's solvers and process to its loop.
 
-    While the process is down it asks for nothing, and its observer forgets all. Call it
-    when everything that reads the filter's answers is connected: it reads them from
-    here then.
+    While the process is down there is no command, and the observer is reset. Call this
+    after all readers of the filter's answers are connected: it rewires them.
 
     Args:
         builder: Holds the loop.

@@ -41,8 +41,8 @@ class Fleet:
     """Vehicles that share a time and a place: several, or a scenario's only one.
 
     Each has its own controller, filter, observer and disturbance. Where there are
-    several, the filter of each is told where the others are and how fast, and keeps
-    `Separation.distance` from them; a run ends for all where it ends for one.
+    several, the filter of each receives positions and velocities of the others, and
+    keeps `Separation.distance` from them; a run ends for all where it ends for one.
 
     Attributes:
         name: The name of the results; in a file, its top-level key.
@@ -116,8 +116,8 @@ class Fleet:
 def make_fleet_loop(fleet: Fleet, controller: System | None = None) -> Diagram:
     """Returns the closed loops of a fleet: `make_loop` of a scenario's only vehicle.
 
-    Of several each is a diagram with its vehicle's name, and a system
-    ``seen by: NAME`` tells its filter of the others.
+    For several vehicles, each loop is a diagram with its vehicle's name, and a system
+    ``seen by: NAME`` reports the others to its filter.
 
     Args:
         fleet: The vehicles.
@@ -165,12 +165,12 @@ def loops_of(diagram: Diagram, fleet: Fleet) -> list[Diagram]:
 
 
 class OtherVehicles(LeafSystem):
-    """Tells one vehicle's filter where the others are, and how fast.
+    """Reports the positions and velocities of the others to one vehicle's filter.
 
     The input ports ``NAME: state`` and ``NAME: held_input`` are the others'; the output
     ``obstacles`` is what `PerceivedSpheres` describes, one slot a vehicle. A velocity
-    is what the model of the other says under the input that it holds, at a tick still
-    that of the last period: of a vehicle whose input is its velocity a period old.
+    is that of the other's model under its held input, which at a tick is still the
+    input of the last period: if the input is the velocity, it is one period old.
     """
 
     def __init__(
@@ -237,8 +237,8 @@ def others_assumption(scenario: Scenario) -> Assumption:
 def others_finding(log: Mapping[str, Array], scenario: Scenario) -> dict[str, Any]:
     """Returns the finding of how the other vehicles accelerated, from tick to tick.
 
-    Of a motion within the bound neither the velocity that is told nor the place strays
-    further from what was told at the last tick than at that acceleration.
+    In a motion within the bound, velocity and position deviate from the last tick's
+    message by no more than that acceleration allows.
 
     Args:
         log: The arrays of the log, one row a control tick.

@@ -77,7 +77,7 @@ def make_loop(
     builder = DiagramBuilder()
     simulated = add_simulated_plant(builder, scenario)
     plant, source = simulated.plant, simulated.source
-    # The filter knows the scenario's plant, whatever is wrong with the true one.
+    # The filter knows the scenario's plant, not the faults of the true one.
     model = scenario.make_model()
     if not others:
         seen = obstacles_in_sight(builder, scenario, plant)

@@ -154,7 +154,7 @@ def separation_barriers(
     Args:
         scenario: The scenario of the vehicle that keeps apart.
         others: The names of the others, in the order of their slots.
-        margin: The distance to keep from each, beyond that which it is told [m].
+        margin: The distance to keep from each, beyond the given radius [m].
     """
     apart = scenario.separation
     spheres = replace(other_vehicles(scenario, others), margin=margin)

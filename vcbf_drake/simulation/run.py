@@ -145,7 +145,7 @@ def simulate_fleet(
 def check_assumptions(scenario: Scenario | Fleet) -> tuple[Assumption, ...]:
     """Returns the theorems' hypotheses with numbers, before anything moves.
 
-    Those of several vehicles one after the other, each with its vehicle's name.
+    The hypotheses of several vehicles follow each other, with the vehicles' names.
     """
     fleet = scenario if isinstance(scenario, Fleet) else Fleet.of(scenario)
     diagram = make_fleet_loop(fleet)

@@ -111,9 +111,10 @@ class BarrierGains:
 class Separation(BarrierGains):
     """The barrier that keeps a vehicle apart from the others of its scenario.
 
-    Its filter is told, at every tick, where each of them is and how fast, and takes it
-    to keep that velocity. A row that allows for any acceleration of a bounded norm is
-    that of a distance which is `margin` greater (theory.md, "Other vehicles").
+    At every tick, its filter receives the position and the velocity of each of them,
+    and assumes that the velocity stays constant. A row that allows for any acceleration
+    of a bounded norm is that of a distance which is `margin` greater (theory.md, "Other
+    vehicles").
 
     Attributes:
         distance: Least distance between the positions [m]; 0 for a single vehicle.

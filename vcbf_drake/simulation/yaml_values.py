@@ -61,7 +61,7 @@ def _concrete(kind: Any) -> Iterator[Any]:
 def tagged_types(hint: Any) -> dict[str, Any]:
     """Returns the dataclasses that a hint allows, by their tags.
 
-    Of one tag it is the package's own, or the one that was made last.
+    For one tag it is the package's own class, or the one defined last.
     """
     found = [each for each in allowed_types(hint) if is_dataclass(each)]
     own = [each for each in found if each.__module__.startswith("vcbf_drake.")]

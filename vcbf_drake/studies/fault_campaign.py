@@ -55,7 +55,7 @@ class FaultDraw:
 
 
 def _random_start(scenario: Scenario, generator: Generator) -> dict[str, Any]:
-    """A start that is a little off, the same for every fault of an index."""
+    """A random start near the scenario's, the same for every fault of an index."""
     offsets = _START_OFFSETS[: len(scenario.target)]
     away = np.array([generator.uniform(*each) for each in offsets])
     start = scenario.vehicle.moved(np.array(scenario.initial_state), away)
@@ -185,13 +185,13 @@ def summarise_faults(records: Sequence[Record]) -> dict[str, Any]:
 
 
 def _recovered(record: Record) -> bool:
-    """Whether the last tick was a good one again, without a collision before."""
+    """Whether the last tick was feasible again, without a collision before."""
     good = record["final_status"] < FilterStatus.INFEASIBLE
     return bool(good and record["outcome"] != "collision")
 
 
 def _is_inside(record: Record) -> bool:
-    """Whether every hypothesis held, and all that the theorems ask of a run."""
+    """Whether every hypothesis and every condition of the theorems on a run held."""
     asked = [f"audit: {name}" for name in CONDITIONS]
     return not any(
         reason.startswith("hypothesis: ") or reason in asked

@@ -29,7 +29,7 @@ def run_study(
 
     Each record is a line of JSON, written when its trial ends. A study that was killed
     goes on where it was; a last line that was cut short is dropped. The finished file
-    lists the records in the order of the trials, whoever ran them and when.
+    lists the records in the order of the trials, independent of their execution.
 
     Args:
         trials: The trials, each different from the others.

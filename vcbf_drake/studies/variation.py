@@ -23,7 +23,7 @@ Generator = np.random.Generator
 
 
 class Draw(Protocol):
-    """Something that a study draws anew for every trial."""
+    """The base of random values that a study draws anew for every trial."""
 
     @property
     def name(self) -> str:
@@ -32,8 +32,8 @@ class Draw(Protocol):
     def draw(self, scenario: Scenario, seed: int, index: int) -> dict[str, Any]:
         """Returns one draw, as overrides of the scenario.
 
-        It depends on the seed and the index alone: every method of a pair sees the
-        same one, whatever runs before it or beside it.
+        It depends on the seed and the index alone: every method of a pair sees the same
+        one, independent of other trials.
 
         Args:
             scenario: The scenario around which to draw.

@@ -66,7 +66,7 @@ class FeasibleSet:
 
     @property
     def empty(self) -> bool:
-        """Whether there is nothing to choose from."""
+        """Whether the feasible set is empty."""
         return len(self.corners) == 0
 
     @property
@@ -276,7 +276,7 @@ def draw_feasible_set(axes: Axes, chosen: FeasibleSet, color: str) -> None:
 
 
 def _draw_or_tell(axes: Axes, run: Run, time: float) -> None:
-    """The set at a time with its volume, or that the run was over by then."""
+    """The set at a time with its volume, or the note that the run had ended."""
     chosen = feasible_set_at(run, time)
     draw_feasible_set(axes, chosen, run.color)
     if time > run.time[-1] + 1e-9:

@@ -35,7 +35,7 @@ from vcbf_drake.viz.stage import Stage, body_path, set_stage
 
 _PLOTTED = 0.1  # Time between two points of the plots, at least [s].
 _NOTHING_YET = dict.fromkeys(("outcome", "infeasible_at", "collided_at", "reached_at"))
-_LOOK_AGAIN = 0.02  # For what a browser has to be told [s].
+_LOOK_AGAIN = 0.02  # The period of checks for news to a browser [s].
 _DEAD = 0.08  # The greatest deflection of a stick at rest.
 _KEYS = ("ArrowLeft", "ArrowRight"), ("ArrowDown", "ArrowUp")
 
@@ -238,7 +238,7 @@ class _Stream:
                 self.end_headers()
 
             def log_message(self, *args: Any) -> None:
-                """Nobody reads the requests."""
+                """No log: nobody reads the requests."""
 
         self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
         self._server.daemon_threads = True

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Event:
-    """Something that changes how a run is described from then on.
+    """An event that changes the description of a run from then on.
 
     Attributes:
         time: When it happened [s].

@@ -87,7 +87,7 @@ class PosedGeometry(LeafSystem):
 
 
 class VehicleGeometry(PosedGeometry):
-    """Shows a vehicle where its state says that it is.
+    """Shows a vehicle at the pose of its state.
 
     Ports:
         state (n): the vehicle's state.

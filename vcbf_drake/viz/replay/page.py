@@ -105,7 +105,7 @@ def page_data(
 
 
 def _run_data(run: Drawn, path: Array) -> dict[str, Any]:
-    """A run as the page has it."""
+    """The page's data of a run."""
     names = ("label", "color", "ghost", "inputs")
     data: dict[str, Any] = {name: getattr(run, name) for name in names}
     data["dashes"] = " ".join(map(str, run.dashes))
