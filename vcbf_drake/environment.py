@@ -8,8 +8,8 @@ import logging
 def show_warnings_only() -> None:
     """Restricts Drake's printed log to warnings and errors.
 
-    A solver's own messages serve the debugging of solvers. By a filter, for importing
-    pydrake sets the log's level anew.
+    A solver's own messages serve the debugging of solvers. A filter is used because
+    importing pydrake resets the log's level.
     """
     logging.getLogger("drake").addFilter(_is_warning)
 

@@ -258,7 +258,7 @@ class _Check:
 def _least_share(
     find: Callable[[float], Array | None],
 ) -> tuple[Array, float] | None:
-    """Returns what is found at the least share, nearly, and that; from 0 to 1."""
+    """Returns the result at nearly the least share from 0 to 1, and that share."""
     low, high = 0.0, 1.0
     best = find(high)
     if best is None:

@@ -214,7 +214,7 @@ def _open_bus(
 def _logging(
     bus: Bus, scenario: Scenario, path: Path | None, force: bool, tell: Tell
 ) -> Iterator[None]:
-    """Logs what the bus sends and receives, if that is wanted."""
+    """Logs all messages of the bus, if requested."""
     if path is None:
         yield
         return

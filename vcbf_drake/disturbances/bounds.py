@@ -130,6 +130,6 @@ class DisturbanceEstimate(NamedTuple):
 
 
 def noise_peak(num_disturbances: int) -> float:
-    """Returns how many deviations the norm of q normals exceeds once in 10^4 ticks."""
+    """Returns the deviations that the norm of q normals exceeds once in 10^4 ticks."""
     # sqrt(q) + 3 is exceeded with probability 6e-5, whether q is 1, 2 or 3.
     return math.sqrt(num_disturbances) + 3.0

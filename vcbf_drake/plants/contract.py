@@ -58,7 +58,7 @@ def checked_plant(vehicle: Vehicle) -> System:
 
 
 def num_coordinates(vehicle: Vehicle, state: Sequence[float]) -> int:
-    """Returns how many coordinates a vehicle's position has, in a state (n,).
+    """Returns the number of coordinates of a vehicle's position at a state (n,).
 
     Raises:
         InvalidValueError: Its function does not return coordinates.
@@ -179,7 +179,7 @@ def _check_names(plant: Any) -> None:
 
 
 def _check_motion(vehicle: Vehicle, state: Array, inputs: Sequence[Array]) -> None:
-    """Checks that the plant's derivatives are finite: a zero mass, for example."""
+    """Checks that the plant's derivatives are finite, unlike with a zero mass."""
     plant = vehicle.make_plant()
     context = plant.CreateDefaultContext()
     if context.num_continuous_states() != len(state):
@@ -202,7 +202,7 @@ def _check_motion(vehicle: Vehicle, state: Array, inputs: Sequence[Array]) -> No
 
 
 def _check_numbers(made: Any) -> None:
-    """Checks that no field is nan, and that `Vehicle.altered` can scale its fields."""
+    """Checks that no field is nan, and the ranges of mass and drag."""
     for each in fields(made):
         value = getattr(made, each.name)
         if is_dataclass(value):

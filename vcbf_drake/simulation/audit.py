@@ -121,7 +121,7 @@ def audit_findings(
     volume_gain: float,
     observer: DisturbanceObserver | None = None,
 ) -> dict[str, dict[str, Any]]:
-    """Returns each watched promise: held or not, worst margin, when it first broke.
+    """Returns the finding of each promise: held or not, worst margin, first violation.
 
     A finding has ``statement``, ``held`` (None for what no proof promises), ``worst``
     (the least margin), ``worst_at`` and ``first_violation`` [s], None without one, and

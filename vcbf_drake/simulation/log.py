@@ -52,7 +52,7 @@ class RunLog:
             self.path = LogFiles(Path(directory) / _PATH)
 
     def take(self, context: Context) -> None:
-        """Moves what the sinks hold to the log.
+        """Moves the content of the sinks to the log.
 
         Args:
             context: The loop's.
@@ -87,7 +87,7 @@ class _Lists:
 
 
 def _taken(sink: System, context: Context) -> tuple[Array, Array]:
-    """The times and values that a sink holds, which then holds none."""
+    """The times and values of a sink, which is emptied."""
     log = sink.FindMutableLog(context)
     taken = log.sample_times().copy(), log.data().T.copy()
     log.Clear()

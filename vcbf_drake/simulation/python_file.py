@@ -62,7 +62,7 @@ def module_of(path: Path) -> ModuleType:
 
 
 def _place(path: Path, error: Exception) -> str:
-    """Returns the file with the last of its lines that the error passed."""
+    """Returns the file with its last line in the error's traceback."""
     if isinstance(error, SyntaxError):
         return f"{path}:{error.lineno}"
     frames = traceback.extract_tb(error.__traceback__)

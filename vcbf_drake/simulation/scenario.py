@@ -164,7 +164,7 @@ class Scenario(FilterSettings):
             self.check_hardware_times()
 
     def check_hardware_times(self) -> None:
-        """Checks that no watchdog bites between one message and the next.
+        """Checks that no watchdog responds between one message and the next.
 
         Raises:
             InvalidValueError: A time limit is not above the control period.
@@ -272,7 +272,7 @@ class Scenario(FilterSettings):
 
     @property
     def spheres(self) -> list[SphereObstacle]:
-        """The obstacles that are spheres: those that can be seen and told of."""
+        """The obstacles that are spheres: these can be seen and sent over the bus."""
         return [each for each in self.obstacles if isinstance(each, SphereObstacle)]
 
     @property

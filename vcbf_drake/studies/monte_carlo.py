@@ -78,7 +78,7 @@ def _run(
 def _run_with(
     executor: Executor, trials: Iterable[Trial], most: int
 ) -> Iterator[Record]:
-    """Yields the records of trials as they end, whatever becomes of the workers.
+    """Yields the records of trials as they end, also if workers die.
 
     A trial's own errors are in its record, so a failure is the executor's: its worker
     died, with this trial or with one beside it. Those trials are run again, each alone;
@@ -101,7 +101,7 @@ def _run_with(
 
 
 def _failure(executor: Executor, future: Future[Record]) -> BaseException | None:
-    """Why a trial has no record; raises when none will get one any more."""
+    """The reason why a trial has no record; raises if no trial can get one."""
     error = future.exception()  # Raises CancelledError.
     goes_on = isinstance(executor, WorkerProcesses)
     if isinstance(error, BrokenExecutor) and not goes_on:

@@ -166,5 +166,5 @@ def error_record(trial: Trial, error: str) -> Record:
 
 
 def _finite(value: float | None) -> float | None:
-    """The value, or None for what JSON has no number for."""
+    """The value, or None for numbers that JSON lacks."""
     return None if value is None or not math.isfinite(value) else value

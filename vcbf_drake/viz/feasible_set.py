@@ -149,7 +149,7 @@ def shadow(shape: Array) -> Array:
 
 
 def shown_inputs(log: Mapping[str, Array], limits: InputLimits) -> tuple[Array, Array]:
-    """The least and the greatest inputs to show, shape (m,) each.
+    """The least and the greatest shown inputs, shape (m,) each.
 
     They are the input's limits; where these are infinite, what the run asked for and
     got, with as much again on either side.

@@ -139,7 +139,7 @@ class VehicleGeometry(PosedGeometry):
 
 
 class ObstacleGeometry(PosedGeometry):
-    """Shows obstacles of any shape where they are at the context's time."""
+    """Shows obstacles of any shape at their positions at the context's time."""
 
     def __init__(
         self,

@@ -73,7 +73,7 @@ def disturbance_figure(runs: Sequence[Run]) -> Figure:
 
 
 def input_figure(runs: Sequence[Run]) -> Figure:
-    """The applied inputs of every run of such a vehicle, the last one's reference."""
+    """The applied inputs of every run of such a vehicle, and the last reference."""
     last = runs[-1]
     names, limits = last.inputs, last.scenario.input_set
     alike = [run for run in runs if run.inputs == names]

@@ -127,7 +127,7 @@ class Stage:
 
 
 def set_stage(results: Sequence[Result]) -> Stage:
-    """Collects what a replay of these results shows.
+    """Collects the content of a replay of these results.
 
     Args:
         results: Results of one scenario, the one to bring out last.

@@ -64,7 +64,7 @@ VEHICLE_COLORS = BLUE, "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56606e"
 
 @contextmanager
 def figure_style() -> Iterator[None]:
-    """Draw what is inside with this package's look, whatever the user's settings."""
+    """Draws with this package's look, independent of the user's settings."""
     from matplotlib import style
 
     sheet = Path(__file__).with_name("figures.mplstyle")

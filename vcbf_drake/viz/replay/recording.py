@@ -236,7 +236,7 @@ def _replayed(
 def _holder(
     diagram: Diagram, context: Context, size: int, plant: System | None
 ) -> System:
-    """The system whose state has a size: the plant given, or the only one."""
+    """The system with a state of a given size: the plant given, or the only one."""
 
     def holds(system: System) -> bool:
         own = system.GetMyContextFromRoot(context)

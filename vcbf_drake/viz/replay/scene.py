@@ -26,7 +26,7 @@ _TURNS = [0.0, 0.0, 0.0], [0.5 * np.pi, 0.0, 0.0], [0.0, 0.5 * np.pi, 0.0]
 
 
 def private_meshcat() -> Meshcat:
-    """A Meshcat that no other machine can see, on any free port, without a word."""
+    """A silent Meshcat on any free port, visible on this machine only."""
     logger = logging.getLogger("drake")
     level = logger.level
     logger.setLevel(logging.WARNING)  # Its address would help nobody.
@@ -180,7 +180,7 @@ def _draw_ring(
 
 
 def _draw_edges(meshcat: Meshcat, stage: Stage) -> None:
-    """On the ground, where the distance that has to be kept from obstacles ends."""
+    """The boundaries of the distances to obstacles, on the ground."""
     thin, up = 0.0015 * stage.view.span, np.array([0.0, 0.0, 1.0])
     for index, solid in enumerate(stage.solids):
         if stage.run.is_flat and solid.keep_out is not None:
