@@ -12,6 +12,7 @@ import math
 import os
 from pathlib import Path
 import re
+import socket
 import time
 from typing import Any, TypeAlias
 
@@ -350,6 +351,9 @@ def check_bus(url: str, patience: float = 1.0) -> None:
         if not _OPTION.fullmatch(option):
             known = "ttl=0 to ttl=255 and recv_buf_size=BYTES"
             raise BusError(f"{url}: no option {option}; there are {known}")
+    is_tcp = url.startswith("tcpq://")
+    if is_tcp:
+        _require_server(url, patience)
     arrived: list[bytes] = []
     token = f"{os.getpid()} {time.monotonic_ns()}".encode()
     deadline = time.monotonic() + patience
@@ -360,7 +364,21 @@ def check_bus(url: str, patience: float = 1.0) -> None:
             sender.Publish(_CHECK_CHANNEL, token)
             receiver.HandleSubscriptions(20)
     if token not in arrived:
-        is_tcp = url.startswith("tcpq://")
         raise BusError(
             f"{url} carries no messages: {_NO_SERVER if is_tcp else _NO_WAY}"
         )
+
+
+def _require_server(url: str, patience: float) -> None:
+    """Asks for a server before LCM does, which prints lines of its own.
+
+    Raises:
+        BusError: None answers there.
+    """
+    place = url.removeprefix("tcpq://").partition("?")[0]
+    host, _, port = place.partition(":")
+    try:
+        address = host or "localhost", int(port or 7700)
+        socket.create_connection(address, patience).close()
+    except (OSError, ValueError, OverflowError):
+        raise BusError(f"{url} carries no messages: {_NO_SERVER}") from None
