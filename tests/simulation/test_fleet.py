@@ -349,6 +349,21 @@ def test_a_wrong_fleet_is_refused_in_one_line(change: str, problem: str) -> None
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize(
+    "entry",
+    ["perod: 1", "separation: {distnce: 1}", "duration: -6", "input_set: {lower: [1]}"],
+)
+def test_a_wrong_entry_of_all_vehicles_is_found_in_its_own_line(
+    entry: str, tmp_path: Path
+) -> None:
+    own = "{initial_state: [0, 0, 0, 0], target: [5, 0]}"
+    path = tmp_path / "fleet.yaml"
+    path.write_text(f"fleet:\n  vehicle: !Car {{}}\n  {entry}\n  vehicles: [{own}]\n")
+    with pytest.raises(ScenarioError) as refused:
+        load_fleet(path)
+    assert str(refused.value).startswith(f"{path}:3: vehicles[0].")
+
+
 def test_where_one_vehicle_is_needed_several_are_refused() -> None:
     message = r"2 vehicles \(eastbound, northbound\), where one is needed"
     with pytest.raises(ScenarioError, match=message):

@@ -195,8 +195,9 @@ def _build_fleet(node: Node) -> Fleet:
     if not isinstance(listed, yaml.SequenceNode):
         raise InvalidValueError(VEHICLES, f"expected a list, got {shown(listed)}")
     shared = yaml.MappingNode(node.tag, [*entries.values()], node.start_mark)
+    # In place: a mistake in a shared entry is located where that entry is written.
+    listed.value[:] = [merged(shared, own) for own in listed.value]
     vehicles = [
-        build(merged(shared, own), Scenario, (VEHICLES, i))
-        for i, own in enumerate(listed.value)
+        build(each, Scenario, (VEHICLES, i)) for i, each in enumerate(listed.value)
     ]
     return Fleet(name=name.value, vehicles=vehicles)
