@@ -44,12 +44,10 @@ from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.step_time import step_cpu_time
 from vcbf_drake.simulation.summary import Ending, summarise
 
-# Session and sequence of a message.
-_Key = tuple[int, int]
+_Key = tuple[int, int]  # Session and sequence of a message.
 _STATES, _COMMANDS, _STATUSES = "VCBF_STATE", "VCBF_COMMAND", "VCBF_STATUS"
 _OBSTACLES = "VCBF_OBSTACLES"
-# The state that a status answers before the first one.
-_NO_STATE: _Key = (0, -1)
+_NO_STATE: _Key = (0, -1)  # Answered by a status before the first state.
 
 
 class LoggedController:
@@ -86,8 +84,7 @@ class LoggedController:
             _STATUSES: _decoded_status,
         }
         self._log = [(event, self._decoded(event)) for event in events]
-        # The first answer to each state, by the state, and messages without a new
-        # state.
+        # The first answer to each state, and messages without a new state.
         self._answers: dict[_Key, Any] = {}
         self._repeats: set[_Key] = set()
         strangers = self._strangers()
