@@ -15,7 +15,7 @@ help:
 	@echo "make reproduce   everything the paper shows, in out/reproduction (half an hour)"
 	@echo "make test        every test, on all processors"
 	@echo "make coverage    every test, and how much of each package they reach"
-	@echo "make properties  the filter's promises on a million hostile ticks (an hour)"
+	@echo "make properties  the filter's promises on a million hostile ticks (quarter of an hour)"
 	@echo "make mutation    MODULE=FILE TESTS=DIR: small faults that no test notices (hours)"
 	@echo "make results     the pages of docs/results made anew (hours)"
 	@echo "make images      the pictures of docs/images made anew (some minutes, chromium)"

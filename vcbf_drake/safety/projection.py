@@ -184,12 +184,9 @@ def _in_rationals(rows: UnitRows, b: Array, reference: Array) -> Projection:
     # Rows that only make up for the rounding of the others are not named: without them
     # the proof holds for all points that are no further away than the rows.
     z = found.conflict
-    is_light = z <= _NOISE * z.max()
-    heavy, reach = np.where(is_light, 0.0, z), max(1.0, float(np.abs(b).max()))
-    most = float(heavy @ b) + reach * float(np.abs(heavy @ rows.A).sum())
-    if most >= 0.5 * float(z @ b):
-        is_light &= z * np.abs(b) <= _LIGHTEST * -(z @ b)
-    raise _empty(rows, np.where(is_light, 0.0, z))
+    heavy, reach = np.where(z > _NOISE * z.max(), z, 0.0), max(1.0, np.abs(b).max())
+    most = heavy @ b + reach * np.abs(heavy @ rows.A).sum()
+    raise _empty(rows, heavy if most < 0.5 * (z @ b) else z)
 
 
 def opened(rows: UnitRows, num_firm: int) -> Array:
