@@ -16,7 +16,7 @@ from vcbf_drake.barriers import Barrier
 from vcbf_drake.between_ticks.certified_heights import certified_least_barrier
 from vcbf_drake.disturbances import DisturbanceEstimate, DisturbanceSource
 from vcbf_drake.disturbances.source import Constant
-from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.model.formulas import Expressions
 from vcbf_drake.plants import Car
 from vcbf_drake.safety import (
     FilterSettings,

@@ -24,9 +24,8 @@ from pydrake.symbolic import (
 )
 import pytest
 
-from vcbf_drake.model.compiled import CompiledFunction, compile_nodes
+from vcbf_drake.model.formulas import CompiledFunction, compile_nodes, read
 from vcbf_drake.model.graph import variable
-from vcbf_drake.model.reading import Reader
 
 x, y, z = Variable("x"), Variable("y"), Variable("z")
 EXPRESSIONS = [
@@ -45,8 +44,8 @@ EXPRESSIONS = [
 def compiled(arguments: Iterable[Variable], expressions: Any) -> CompiledFunction:
     """The function of pydrake's expressions, in C order."""
     nodes = {v: variable(v.get_name()) for v in arguments}
-    read = Reader(nodes).read(expressions)
-    return compile_nodes([*nodes.values()], read.ravel())
+    outputs = read(expressions, nodes).ravel()
+    return compile_nodes([*nodes.values()], outputs)
 
 
 def test_values_are_those_of_the_expressions() -> None:

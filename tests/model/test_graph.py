@@ -33,7 +33,7 @@ from pydrake.symbolic import (
 )
 import pytest
 
-from vcbf_drake.model.compiled import compile_nodes
+from vcbf_drake.model.formulas import compile_nodes, read
 from vcbf_drake.model.graph import (
     ONE,
     ZERO,
@@ -44,11 +44,10 @@ from vcbf_drake.model.graph import (
     variable,
     variables_of,
 )
-from vcbf_drake.model.reading import Reader
 
 x, y = Variable("x"), Variable("y")
 A, B = variable("a"), variable("b")
-READER = Reader({x: A, y: B})
+NODES = {x: A, y: B}
 SMOOTH = [
     x * y - 3.0 * x / (1.0 + y * y) + 0.5,
     pow(x * x + 0.3, 0.5) * pow(x * x + y * y + 1.0, 1.5),
@@ -74,7 +73,7 @@ def evaluate(nodes, point):
 
 @pytest.mark.parametrize("expression", [*SMOOTH, *SWITCHING])
 def test_values_and_first_derivatives(expression) -> None:
-    (node,) = READER.read([expression])
+    (node,) = read([expression], NODES)
     slopes = gradients([node], [A, B])[0]
     for point in POINTS:
         environment = dict(zip((x, y), point, strict=True))
@@ -91,7 +90,7 @@ def test_values_and_first_derivatives(expression) -> None:
 
 @pytest.mark.parametrize("expression", SMOOTH)
 def test_second_derivatives_are_pydrakes(expression) -> None:
-    (node,) = READER.read([expression])
+    (node,) = read([expression], NODES)
     second = gradients(gradients([node], [A, B]).ravel(), [A, B]).ravel()
     own = [expression.Differentiate(v).Differentiate(w) for v in (x, y) for w in (x, y)]
     for point in POINTS:
@@ -101,13 +100,13 @@ def test_second_derivatives_are_pydrakes(expression) -> None:
 
 
 def test_what_switches_has_no_second_derivative() -> None:
-    slopes = gradients(READER.read([abs(x)]), [A])[0]
+    slopes = gradients(read([abs(x)], NODES), [A])[0]
     with pytest.raises(ValueError, match="abs has no such derivative"):
         gradients(slopes, [A])
 
 
 def test_equal_formulas_are_one_node() -> None:
-    assert READER.read([sin(x) * y]) == READER.read([y * sin(x)])
+    assert read([sin(x) * y], NODES) == read([y * sin(x)], NODES)
     assert (A + B) - B is not A  # Rounding is kept.
     assert A - A is ZERO
     assert A * 0.0 is ZERO
@@ -130,7 +129,7 @@ def test_derivatives_of_what_is_shared_stay_short() -> None:
     """Pydrake's own would visit 2^40 nodes."""
     node = A
     for _ in range(40):
-        node = READER.read([sin(x)])[0] * node + 1.0 / (1.0 + node * node)
+        node = read([sin(x)], NODES)[0] * node + 1.0 / (1.0 + node * node)
     (slope,) = along([node], {A: ONE})
     point, step = np.array([0.4, 0.0]), np.array([1e-6, 0.0])
     rise = evaluate([node], point + step) - evaluate([node], point - step)
@@ -148,10 +147,10 @@ def test_long_sums_and_deep_formulas_compile() -> None:
 
 
 def test_substitution_and_the_variables_that_are_left() -> None:
-    (node,) = READER.read([x * sin(y) + abs(x)])
+    (node,) = read([x * sin(y) + abs(x)], NODES)
     (at_zero,) = substitute([node], {B: ZERO})
     assert variables_of([at_zero]) == {A}
-    assert at_zero is READER.read([abs(x)])[0]
+    assert at_zero is read([abs(x)], NODES)[0]
 
 
 def test_nodes_that_nobody_needs_are_forgotten() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from pydrake.symbolic import Expression
 
 from vcbf_drake.checks import Array, check_parameter, finite_vector, require
-from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.model.formulas import Expressions
 from vcbf_drake.typed import check_type, typed
 
 ClassK: TypeAlias = Callable[[Any], Any]

@@ -15,13 +15,14 @@ from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 from vcbf_drake.barriers.barrier import is_arithmetic
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.agreement import require_agreement, sample_points
-from vcbf_drake.model.compiled import (
+from vcbf_drake.model.control_affine import ControlAffineModel, Dynamics
+from vcbf_drake.model.formulas import (
     CompiledFunction,
     Expressions,
     compile_nodes,
+    explained,
+    read,
 )
-from vcbf_drake.model.control_affine import ControlAffineModel, Dynamics
-from vcbf_drake.model.explained import explained
 from vcbf_drake.model.graph import (
     ZERO,
     Node,
@@ -31,8 +32,7 @@ from vcbf_drake.model.graph import (
     variable,
 )
 from vcbf_drake.model.multibody_model import MultibodyModel
-from vcbf_drake.model.outputs import OutputSymbols, PointOutput
-from vcbf_drake.model.reading import Reader
+from vcbf_drake.model.position import PlantSymbols, PointCoordinate
 
 TIME, LEVEL = variable("t"), variable("level")
 
@@ -52,11 +52,13 @@ class Symbols:
         self._time = Variable("t")
         self._parameters = MakeVectorVariable(num_parameters, "p")
         self._outputs = (
-            OutputSymbols.of(model) if isinstance(model, MultibodyModel) else None
+            PlantSymbols.of(model.plant, model.state)
+            if isinstance(model, MultibodyModel)
+            else None
         )
 
     @property
-    def points(self) -> dict[Node, PointOutput]:
+    def points(self) -> dict[Node, PointCoordinate]:
         """The variables of the MultibodyPlant's points that the function depends on."""
         found = {} if self._outputs is None else self._outputs.points
         return {variable(v.get_name()): output for output, v in found.items()}
@@ -98,7 +100,7 @@ class Symbols:
         variables = [*self.model.state, self._time, *self._parameters, *points.values()]
         nodes = [*self.model.dynamics.x, TIME, *self.parameters, *self.points]
         try:
-            return Reader(dict(zip(variables, nodes, strict=True))).read(values)
+            return read(values, dict(zip(variables, nodes, strict=True)))
         except (TypeError, ValueError):
             raise ModelError(
                 "function(x, t, p) must return symbolic expressions or numbers"
@@ -147,7 +149,7 @@ def class_k_formula(function: Callable[[Any], Any] | None) -> Node | None:
     level = Variable("level")
     try:
         written = function(Expression(level))
-        node: Node = Reader({level: LEVEL}).read(written).item()
+        node: Node = read(written, {level: LEVEL}).item()
     except Exception as error:  # A user's own code may raise anything.
         raise ModelError(f"class_k fails on symbols: {explained(error)}") from None
     compiled = compile_nodes([LEVEL], [node], "class_k")

@@ -11,7 +11,7 @@ from pydrake.symbolic import Expression
 
 from vcbf_drake.barriers.barrier import BarrierFunction, arithmetic, is_arithmetic
 from vcbf_drake.checks import Array
-from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.model.formulas import Expressions
 
 
 def carried(formula: BarrierFunction, size: int, order: int) -> BarrierFunction:

@@ -11,7 +11,7 @@ from pydrake.symbolic import Expression
 
 from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
 from vcbf_drake.checks import Array, check_parameter, finite_vector, require
-from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.model.formulas import Expressions
 from vcbf_drake.typed import Positive, check_fields, check_type, typed
 
 LimitFunction: TypeAlias = Callable[

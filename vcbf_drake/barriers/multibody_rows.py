@@ -24,14 +24,9 @@ from vcbf_drake.model.graph import (
     variable,
     variables_of,
 )
-from vcbf_drake.model.multibody_model import MultibodyModel
-from vcbf_drake.model.outputs import (
-    Output,
-    PointOutput,
-    StateOutput,
-    jets,
-    jets_by_state,
-)
+from vcbf_drake.model.multibody_model import MultibodyModel, Output
+from vcbf_drake.model.numeric_dynamics import regular_state
+from vcbf_drake.model.position import PointCoordinate
 
 
 @dataclass(frozen=True)
@@ -53,24 +48,26 @@ class MultibodyRow:
     def value(self, *arguments: float) -> list[float]:
         """Returns [h] at (x, t, p)."""
         x, rest = self._split(arguments)
-        z = [each.value(self.model, x) for each in self.outputs]
+        z = map(self.model.at(x).value, self.outputs)
         return self.functions.value(*z, *rest)
 
     def row(self, *arguments: float) -> list[float]:
         """Returns [A, b, w] and the chain at (x, t, constants)."""
         x, rest = self._split(arguments)
-        motion = jets(self.model, x, self.outputs, self.order)
-        return self.functions.row(*motion.ravel().tolist(), *rest)
+        motion = self.model.at(x)
+        jets = [motion.jet(each, self.order) for each in self.outputs]
+        return self.functions.row(*np.ravel(jets).tolist(), *rest)
 
     def gradient(self, *arguments: float) -> list[float]:
         """Returns the derivatives of [A, b, w] by [x; t], in C order."""
         x, rest = self._split(arguments)
-        motion = jets(self.model, x, self.outputs, self.order)
-        by_state = jets_by_state(self.model, x, self.outputs, self.order)
-        flat = self.functions.gradient(*motion.ravel().tolist(), *rest)
-        by_motion = np.array(flat).reshape(-1, motion.size + 1)
-        by_x = by_motion[:, :-1] @ by_state.reshape(motion.size, -1)
-        found: list[float] = np.column_stack([by_x, by_motion[:, -1]]).ravel().tolist()
+        motion, order = self.model.at(x), self.order
+        jets = np.ravel([motion.jet(each, order) for each in self.outputs])
+        by_state = [motion.jet_by_state(each, order) for each in self.outputs]
+        flat = self.functions.gradient(*jets.tolist(), *rest)
+        by_jets = np.array(flat).reshape(-1, jets.size + 1)
+        by_x = by_jets[:, :-1] @ np.reshape(by_state, (jets.size, -1))
+        found: list[float] = np.column_stack([by_x, by_jets[:, -1]]).ravel().tolist()
         return found
 
     def _split(self, arguments: tuple[float, ...]) -> tuple[Array, tuple[float, ...]]:
@@ -81,7 +78,7 @@ class MultibodyRow:
 def multibody_row(
     model: MultibodyModel,
     formula: Formula,
-    points: Mapping[Node, PointOutput],
+    points: Mapping[Node, PointCoordinate],
     constants: Sequence[float],
 ) -> MultibodyRow:
     """Returns a barrier's row on a MultibodyPlant, its relative degree checked.
@@ -95,7 +92,7 @@ def multibody_row(
     Raises:
         ModelError: h cannot be derived, or its relative degree is not r.
     """
-    states = {node: StateOutput(i) for i, node in enumerate(model.dynamics.x)}
+    states = {node: i for i, node in enumerate(model.dynamics.x)}
     used, order = variables_of([formula.h]), formula.order
     known: dict[Node, Output] = {**states, **points}
     chosen = {node: output for node, output in known.items() if node in used}
@@ -144,8 +141,7 @@ def _require_order(
     if not outputs:
         raise ModelError(_no_authority(model, order))
     has_velocity = any(
-        isinstance(each, StateOutput) and each.index >= model.num_positions
-        for each in outputs
+        isinstance(each, int) and each >= model.num_positions for each in outputs
     )
     degree = 1 if has_velocity else 2
     if order != degree:
@@ -160,7 +156,7 @@ def _require_authority(row: MultibodyRow, constants: Sequence[float]) -> None:
     """Checks that an input enters the row at one of a few seeded states."""
     random, m = np.random.default_rng(0), row.model.num_inputs
     for scale in np.geomspace(0.1, 3.0, 8):
-        x = row.model.regular_state(random, scale)
+        x = regular_state(row.model.state_names, random, scale)
         try:
             entries = row.row(*x, 0.3, *constants)
         except (ArithmeticError, ValueError):  # Outside the domain of h.

@@ -21,7 +21,7 @@ from vcbf_drake.checks import (
     finite_vector,
     require,
 )
-from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.model.formulas import Expressions
 from vcbf_drake.typed import NotNegative, Positive, check_fields
 
 SphereForm = Literal["distance", "squared"]

@@ -25,8 +25,8 @@ from vcbf_drake.barriers.relative_degree import early_levels
 from vcbf_drake.barriers.subsystem import Subsystem
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
-from vcbf_drake.model.compiled import CompiledFunction, compile_nodes
 from vcbf_drake.model.control_affine import ControlAffineModel, Dynamics
+from vcbf_drake.model.formulas import CompiledFunction, compile_nodes
 from vcbf_drake.model.graph import Node, gradients, number
 from vcbf_drake.model.multibody_model import MultibodyModel
 

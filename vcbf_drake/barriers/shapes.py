@@ -19,7 +19,7 @@ from vcbf_drake.barriers.barrier import (
 )
 from vcbf_drake.barriers.followed import Followed, carried
 from vcbf_drake.checks import Array, finite_vector, require
-from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.model.formulas import Expressions
 from vcbf_drake.model.position import Position, PositionFunction
 from vcbf_drake.typed import NotNegative, Positive, check_fields, typed
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from vcbf_drake.barriers.chain import ChainFunctions, Formula
-from vcbf_drake.model.compiled import CompiledFunction
 from vcbf_drake.model.control_affine import Dynamics
+from vcbf_drake.model.formulas import CompiledFunction
 from vcbf_drake.model.graph import ZERO, Node, substitute, variable, variables_of
 
 

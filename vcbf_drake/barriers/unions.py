@@ -10,7 +10,7 @@ from pydrake.symbolic import Expression
 
 from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.checks import check_parameter, require
-from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.model.formulas import Expressions
 
 
 def all_of(barriers: Sequence[Barrier], smoothing: float, name: str = "all") -> Barrier:

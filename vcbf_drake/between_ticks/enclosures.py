@@ -19,8 +19,8 @@ from vcbf_drake.between_ticks.interval import (
 )
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
-from vcbf_drake.model.compiled import CompiledFunction
 from vcbf_drake.model.control_affine import ControlAffineModel
+from vcbf_drake.model.formulas import CompiledFunction
 
 _Ends = list[tuple[float, float]]
 

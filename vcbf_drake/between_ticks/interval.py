@@ -18,7 +18,7 @@ from typing import Any, TypeAlias, cast
 
 from vcbf_drake.barriers.subsystem import PlacedFunction
 from vcbf_drake.errors import ModelError
-from vcbf_drake.model.compiled import CompiledFunction, function_of
+from vcbf_drake.model.formulas import CompiledFunction, function_of
 
 Number: TypeAlias = "Interval | float"
 IntervalFunction: TypeAlias = Callable[..., list[Number]]

@@ -44,13 +44,8 @@ def sample_points(
 ) -> Iterator[Array]:
     """Yields arguments to compare at, shape (size,); the same ones every time.
 
-    They come in opposite pairs: around 0 first, then around vectors of the places and
-    their negatives, from nearest to farthest, each after the place itself.
-
-    Args:
-        size: The number of arguments.
-        places: Values of arguments that matter, such as an obstacle's coordinates.
-        scales: The distance of each pair from its middle.
+    They come in opposite pairs, at the distances `scales`: around 0 first, then around
+    vectors of the places and their negatives, each after the place itself.
     """
     random = np.random.default_rng(0)
     around = np.concatenate([[0.0], places, np.negative(places)])
@@ -84,8 +79,7 @@ def require_agreement(
         names: The names of the k numbers; one name for all of them.
 
     Raises:
-        ModelError: They differ; the message has the point, both values and a remedy. Or
-            the origin's values differ from call to call.
+        ModelError: They differ, or the origin's values differ from call to call.
     """
     compared = passed_over = 0
     for point in points:
@@ -140,13 +134,8 @@ def _require_repeatable(
         )
 
 
-def plain_numbers(values: Any) -> list[float]:
-    """Returns numbers, or expressions without a variable, as floats.
-
-    Raises:
-        TypeError: One of them is neither.
-        RuntimeError: An expression has a variable or no value.
-    """
+def _plain(values: Any) -> list[float]:
+    """Numbers, or expressions without a variable, as floats."""
     flat = np.asarray(values, dtype=object).flat
     return [v.Evaluate() if isinstance(v, Expression) else float(v) for v in flat]
 
@@ -155,7 +144,7 @@ def _numbers(function: NumberFunction, point: Array) -> Array | None:
     """The function's values, nan where they are not real; None if it raises."""
     try:
         with np.errstate(all="ignore"):
-            return np.array(plain_numbers(function(point)))
+            return np.array(_plain(function(point)))
     except ArithmeticError:
         return None
     except ValueError:  # The root of a negative number, say.

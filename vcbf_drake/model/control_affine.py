@@ -12,7 +12,7 @@ from pydrake.systems.framework import Context, System
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.agreement import require_agreement, sample_points
-from vcbf_drake.model.compiled import Expressions, compile_nodes
+from vcbf_drake.model.formulas import Expressions, compile_nodes, read
 from vcbf_drake.model.graph import (
     ONE,
     ZERO,
@@ -23,6 +23,7 @@ from vcbf_drake.model.graph import (
     variable,
 )
 from vcbf_drake.model.interface import (
+    DeclaredStates,
     PortChoice,
     declared_states,
     effort_limits_of,
@@ -35,7 +36,6 @@ from vcbf_drake.model.interface import (
 from vcbf_drake.model.manoeuvre import MakeManoeuvres
 from vcbf_drake.model.numeric_dynamics import NumericDynamics, plant_of
 from vcbf_drake.model.position import Position, named_position
-from vcbf_drake.model.reading import Reader
 from vcbf_drake.model.symbolic_dynamics import symbolic_dynamics
 from vcbf_drake.typed import typed
 
@@ -96,17 +96,11 @@ class ControlAffineModel:
         num_states: n.
         num_inputs: m.
         num_disturbances: q; 0 for a model without a disturbance.
-        state: The state's variables, shape (n,).
         dynamics: The formulas of f, g and E.
-        disturbance_matrix: E, shape (n, q).
-        state_names: The n names of the states.
-        name: The model's name in messages.
         effort_limits: The greatest |u_j|, shape (m,): beyond it the plant clamps its
             input (as a MultibodyPlant does), and the model does not hold. Usually
             infinite.
         wrapping_periods: The period of each state, shape (n,); usually infinite.
-        position: The indices of the position, or a function from x to it; None if the
-            plant names none.
         speed_matrix: S of the speed v = S x that a brake reduces, shape (k, n): the
             velocities of a MultibodyPlant; for other plants E⁺, the states that a
             disturbance acts on, or without one Drake's generalized velocities.
@@ -138,18 +132,13 @@ class ControlAffineModel:
                 f" must be ({n},), ({n}, m) and ({n}, q)"
             )
         self.state = state
-        self._describe(
-            m,
-            disturbance_matrix,
-            state_names,
-            name,
-            effort_limits,
-            wrapped_states,
-            position,
-        )
+        names = tuple(state_names or (f"x{i}" for i in range(n)))
+        about = DeclaredStates(names, wrapping(wrapped_states), position)
+        limits = np.full(m, np.inf) if effort_limits is None else effort_limits
+        self._describe(about, disturbance_matrix, name, limits)
         x = tuple(variable(f"x{i}") for i in range(n))
-        reader = Reader(dict(zip(state, x, strict=True)))
-        f, g = reader.read(drift), reader.read(input_matrix)
+        nodes = dict(zip(state, x, strict=True))
+        f, g = read(drift, nodes), read(input_matrix, nodes)
         E = tuple(map(tuple, disturbance_matrix.tolist()))
         self.dynamics = Dynamics(x, tuple(f), tuple(map(tuple, g)), E)
         self._f_and_g = compile_nodes(x, [*f, *g.flat], f"{name}, f and g")
@@ -158,13 +147,10 @@ class ControlAffineModel:
 
     def _describe(
         self,
-        num_inputs: int,
+        about: DeclaredStates,
         disturbance_matrix: Array,
-        state_names: Sequence[str] | None,
         name: str,
-        effort_limits: Array | None,
-        wrapped_states: Sequence[str] | Mapping[str, float],
-        position: Position | None,
+        effort_limits: Array,
     ) -> None:
         """Sets the attributes that every model has."""
         n, q = disturbance_matrix.shape
@@ -173,19 +159,15 @@ class ControlAffineModel:
                 f"{name}: the columns of the disturbance matrix E are dependent, so"
                 " the motion does not tell one disturbance from another"
             )
-        self.num_states, self.num_inputs, self.num_disturbances = n, num_inputs, q
-        self.disturbance_matrix = disturbance_matrix
-        self.state_names = tuple(state_names or (f"x{i}" for i in range(n)))
-        self.name = name
-        self.effort_limits = (
-            np.full(num_inputs, np.inf) if effort_limits is None else effort_limits
-        )
-        self.wrapping_periods = self._periods(wrapped_states)
+        self.num_states, self.num_disturbances = n, q
+        self.num_inputs, self.effort_limits = len(effort_limits), effort_limits
+        self.disturbance_matrix, self.name = disturbance_matrix, name
+        self.state_names, self.position = about.names, about.position
+        if self.position is None:
+            self.position = named_position(about.names)
+        self.wrapping_periods = self._periods(about.periods)
         wraps = np.isfinite(self.wrapping_periods).nonzero()[0].tolist()
         self._wraps = [(i, float(self.wrapping_periods[i])) for i in wraps]
-        self.position = (
-            named_position(self.state_names) if position is None else position
-        )
         self.speed_matrix = np.asarray(np.linalg.pinv(disturbance_matrix), dtype=float)
         self.make_manoeuvres: MakeManoeuvres | None = None
 
@@ -230,7 +212,7 @@ class ControlAffineModel:
 
         disturbance = find_disturbance_port(system, disturbance_port)
         port = find_input_port(system, input_port, disturbance)
-        is_plant, said = plant_of(system) is not None, declared_states(system)
+        is_plant, about = plant_of(system) is not None, declared_states(system)
         if is_plant and not symbolic:
             return MultibodyModel(system, port, disturbance, context)
         state, f, g, E = symbolic_dynamics(system, port, disturbance, context)
@@ -239,14 +221,14 @@ class ControlAffineModel:
             drift=f,
             input_matrix=g,
             disturbance_matrix=E,
-            state_names=said.names,
+            state_names=about.names,
             name=name_of(system),
             effort_limits=effort_limits_of(system, port),
-            wrapped_states=said.periods,
-            position=said.position,
+            wrapped_states=about.periods,
+            position=about.position,
         )
         if is_plant or not model.num_disturbances:
-            model.speed_matrix = np.eye(model.num_states)[[*said.velocities]]
+            model.speed_matrix = np.eye(model.num_states)[[*about.velocities]]
         own = NumericDynamics(system, port, disturbance, context)
         _require_same_rates(model, own.rate)
         model.make_manoeuvres = getattr(system, "make_manoeuvres", None)
@@ -317,12 +299,14 @@ class ControlAffineModel:
             ValueError: x has the wrong shape, or f or g no real value there.
             ArithmeticError: f or g is singular at x.
         """
-        x = np.asarray(x, dtype=float)
-        n = self.num_states
+        n, values = self.num_states, np.array(self._f_and_g(*self._checked(x).tolist()))
+        return values[:n], values[n:].reshape(n, self.num_inputs)
+
+    def _checked(self, x: Array) -> Array:
+        x, n = np.asarray(x, dtype=float), self.num_states
         if x.shape != (n,):
             raise ValueError(f"{self.name}: x has shape {x.shape}; it must be ({n},)")
-        values = np.array(self._f_and_g(*x.tolist()))
-        return values[:n], values[n:].reshape(n, self.num_inputs)
+        return x
 
     def nominal_rate(self, x: Array, u: Array) -> Array:
         """Evaluates f(x) + g(x) u, shape (n,): dx/dt without disturbance.

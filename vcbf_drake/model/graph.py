@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import count
 import math
+import operator
 from typing import Any, TypeAlias
 from weakref import WeakValueDictionary
 
@@ -25,14 +26,14 @@ _serial = count()
 
 
 def _with_number(
-    operator: Callable[[Node, Node], Node],
+    function: Callable[[Node, Node], Node],
 ) -> Callable[[Node, Node | float], Node]:
     """An operator that also accepts numbers, and leaves arrays to NumPy."""
 
     def applied(self: Node, other: Node | float) -> Node:
         if isinstance(other, np.ndarray):
             return NotImplemented
-        return operator(self, as_node(other))
+        return function(self, as_node(other))
 
     return applied
 
@@ -232,8 +233,19 @@ COMPARISONS = ("<", "<=", ">", ">=", "==", "!=")
 LOGIC = ("and", "or", "not")
 
 
+_OPERATORS: dict[str, Callable[..., Node]] = {
+    "+": operator.add,
+    "*": operator.mul,
+    "/": operator.truediv,
+    "pow": operator.pow,
+    "neg": operator.neg,
+}
+
+
 def apply(operation: str, *arguments: Node) -> Node:
-    """Returns the node of a function or comparison; a number if all arguments are."""
+    """Returns an operation's node, simplified where an argument is 0, 1 or a number."""
+    if operation in _OPERATORS:
+        return _OPERATORS[operation](*arguments)
     node = Node.of(operation, *arguments)
     function = getattr(math, operation, None)
     return node if function is None else _folded(function, node)
@@ -265,11 +277,7 @@ def variables_of(nodes: Iterable[Node]) -> set[Node]:
 
 
 def along(nodes: Iterable[Node], rates: Mapping[Node, Node]) -> list[Node]:
-    """Returns the derivatives of nodes whose variables have these rates.
-
-    Args:
-        nodes: The nodes to differentiate.
-        rates: The derivative of each variable; 0 where there is none.
+    """Returns the derivatives of nodes whose variables have these rates, or none.
 
     Raises:
         ValueError: One of them has no derivative.
@@ -329,20 +337,5 @@ def substitute(nodes: Iterable[Node], values: Mapping[Node, Node]) -> list[Node]
         elif all(new[p] is p for p in parents):
             new[node] = node
         else:
-            new[node] = rebuilt(node.operation, *(new[p] for p in parents))
+            new[node] = apply(node.operation, *(new[p] for p in parents))
     return [new[node] for node in nodes]
-
-
-_OPERATORS: dict[str, Callable[..., Node]] = {
-    "+": lambda a, b: a + b,
-    "*": lambda a, b: a * b,
-    "/": lambda a, b: a / b,
-    "pow": lambda a, b: a**b,
-    "neg": lambda a: -a,
-}
-
-
-def rebuilt(operation: str, *arguments: Node) -> Node:
-    """Returns an operation's node, simplified where an argument is 0, 1 or a number."""
-    operator = _OPERATORS.get(operation)
-    return operator(*arguments) if operator else apply(operation, *arguments)

@@ -41,8 +41,8 @@ class DeclaredStates:
 
     names: tuple[str, ...]
     periods: Mapping[str, Any]
-    position: tuple[int, ...] | None
-    velocities: tuple[int, ...]
+    position: Any
+    velocities: tuple[int, ...] = ()
 
 
 def declared_states(system: System) -> DeclaredStates:
@@ -112,8 +112,7 @@ def find_input_port(
     MultibodyPlant's is, or the only vector port but the disturbance's.
 
     Raises:
-        ModelError: There is no such port, it carries no vector or the disturbance, or
-            there are several and none is chosen.
+        ModelError: There is no such port, or none of several is chosen.
     """
     disturbance = disturbance or find_disturbance_port(system)
     if choice is not None:
@@ -245,11 +244,7 @@ def copy_values(
 ) -> None:
     """Copies time, state, parameters and ports' values to a twin's context.
 
-    Args:
-        system: A System.
-        context: Its context.
-        twin: The System itself, or the same in another scalar type.
-        target: The twin's context.
+    The twin is the System itself, or the same in another scalar type.
     """
     target.SetTimeStateAndParametersFrom(context)
     for port in vector_ports(system):

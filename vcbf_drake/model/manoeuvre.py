@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from vcbf_drake.checks import Array
-from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.model.formulas import Expressions
 
 Box: TypeAlias = list[tuple[float, float]]
 """Least and greatest value of every state and, last, of the time [s]: n + 1 pairs."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -27,9 +27,13 @@ from vcbf_drake.model.interface import (
     copy_values,
     effort_limits_of,
     name_of,
+    unit_quaternions,
     vector_ports,
     with_ports_held,
 )
+
+# The number of seeded states at which the form of the dynamics is checked.
+NUM_SAMPLES = 6
 
 
 class NumericDynamics:
@@ -154,7 +158,8 @@ class NumericDynamics:
             still = np.zeros((len(rate), q))
             return np.vstack([still, _solve(M, forces[1])])
         f = self.rate(x, self._none, np.zeros(q))
-        return np.array([self.rate(x, self._none, unit) - f for unit in np.eye(q)]).T
+        columns = [self.rate(x, self._none, unit) - f for unit in np.eye(q)]
+        return np.reshape(columns, (q, len(f))).T
 
     def manipulator_equation(self, x: Array) -> tuple[Array, Array, Array]:
         """Returns M (nv, nv), the bias (nv,) of M dv/dt + bias = tau, and dq/dt."""
@@ -227,6 +232,39 @@ def _solve(M: Array, right: Array) -> Array:
         return np.asarray(np.linalg.solve(M, right), dtype=float)
     except np.linalg.LinAlgError as error:
         raise ArithmeticError(f"the matrix of inertia is singular: {error}") from error
+
+
+def regular_state(
+    names: Sequence[str], random: np.random.Generator, scale: float = 1.0
+) -> Array:
+    """Returns a random state, shape (n,), its quaternions of unit length."""
+    return unit_quaternions(scale * random.normal(size=len(names)), names)
+
+
+def constant_matrix(
+    matrix_at: Callable[[Array], Array], names: Sequence[str], name: str
+) -> Array:
+    """Returns E, shape (n, q), from its values at a few seeded states.
+
+    Args:
+        matrix_at: E(x).
+        names: The names of the states.
+        name: The System's name in messages.
+
+    Raises:
+        ModelError: They differ.
+    """
+    random = np.random.default_rng(0)
+    found = [matrix_at(regular_state(names, random)) for _ in range(NUM_SAMPLES)]
+    largest = np.abs(found).max(initial=0.0)
+    varying = np.argwhere(~(np.ptp(found, axis=0) <= 1e-9 * largest))
+    if len(varying):
+        i, j = varying[0]
+        raise ModelError(
+            f"{name}: the disturbance matrix E is not constant: disturbance {j} acts on"
+            f" the derivative of {names[i]} differently from state to state"
+        )
+    return found[0]
 
 
 def _in_autodiff(system: Any) -> Any:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
+import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
+from pydrake.symbolic import Expression, Variable
 
 from vcbf_drake.checks import Array, finite_array, require
 from vcbf_drake.errors import ModelError
-from vcbf_drake.model.compiled import Expressions
-from vcbf_drake.model.outputs import OutputSymbols
+from vcbf_drake.model.formulas import Expressions
 from vcbf_drake.model.symbolic_dynamics import give_mass, to_symbolic
 from vcbf_drake.typed import typed
 
@@ -44,6 +45,47 @@ def frames_of(plant: MultibodyPlant) -> list[str]:
     instances = map(ModelInstanceIndex, range(1, plant.num_model_instances()))
     indices = [i for instance in instances for i in plant.GetFrameIndices(instance)]
     return [*filter(None, (plant.get_frame(i).name() for i in indices))]
+
+
+class PointCoordinate(NamedTuple):
+    """A world coordinate of a body's point: frame, place in it (3,) [m] and axis."""
+
+    frame: str
+    offset: tuple[float, ...]
+    axis: int
+
+
+class PlantSymbols(np.ndarray):
+    """The symbolic state of a MultibodyPlant, with variables for its points.
+
+    A `point_position` of the same plant takes one variable per coordinate from it, in
+    place of a formula that would grow too large.
+    """
+
+    plant: Any
+    points: dict[PointCoordinate, Variable]
+
+    @staticmethod
+    def of(plant: MultibodyPlant, state: Expressions) -> PlantSymbols:
+        """Returns the state of a plant, shape (n,)."""
+        symbols = np.array([Expression(v) for v in state]).view(PlantSymbols)
+        symbols.plant, symbols.points = plant, {}
+        return symbols
+
+    def __array_finalize__(self, origin: Any) -> None:
+        self.plant = getattr(origin, "plant", None)
+        self.points = getattr(origin, "points", {})
+
+    def point(
+        self, frame: str, offset: tuple[float, ...], axes: Iterable[int]
+    ) -> Expressions:
+        """Returns a variable for each of some coordinates of a point, shape (k,)."""
+        found = []
+        for axis in axes:
+            name = f"{frame}{offset}[{axis}]"
+            coordinate = PointCoordinate(frame, offset, axis)
+            found.append(self.points.setdefault(coordinate, Variable(name)))
+        return np.array([Expression(v) for v in found])
 
 
 @typed
@@ -90,17 +132,16 @@ def point_position(
         return symbolic, symbolic.GetFrameByName(frame), context
 
     def position(x: Expressions) -> Expressions:
-        if isinstance(x, OutputSymbols) and x.plant is plant:
-            return x.point(frame, tuple(offset.tolist()), chosen)
-        if isinstance(x, OutputSymbols):
+        if isinstance(x, PlantSymbols):
+            if x.plant is plant:
+                return x.point(frame, tuple(offset.tolist()), chosen)
             size, of_plant = plant.num_positions(), x.plant.num_positions()
             if size != of_plant:
                 raise ModelError(
                     f"point_position is of {name}, which has {size} positions; the"
                     f" filter's plant has {of_plant}"
                 )
-        numbers = x.dtype == float
-        tree, moving, context = in_numbers if numbers else in_symbols()
+        tree, moving, context = in_numbers if x.dtype == float else in_symbols()
         tree.SetPositions(context, x[: tree.num_positions()])
         world = tree.world_frame()
         points = tree.CalcPointsPositions(context, moving, offset, world)

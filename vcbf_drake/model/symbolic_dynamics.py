@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,13 @@ from pydrake.systems.framework import Context, System
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
-from vcbf_drake.model.compiled import Expressions, compile_nodes
-from vcbf_drake.model.explained import explained, first_line
+from vcbf_drake.model.formulas import (
+    Expressions,
+    compile_nodes,
+    explained,
+    first_line,
+    read,
+)
 from vcbf_drake.model.graph import (
     ZERO,
     Node,
@@ -32,7 +37,7 @@ from vcbf_drake.model.interface import (
     name_of,
     with_ports_held,
 )
-from vcbf_drake.model.reading import Reader
+from vcbf_drake.model.numeric_dynamics import constant_matrix
 
 # A negligible mass, for massless bodies that newer Drake would divide by [kg].
 _MASS = 1e-15
@@ -45,12 +50,6 @@ def symbolic_dynamics(
 
     They are derived from the implicit form (CalcImplicitTimeDerivativesResidual), which
     is symbolic for a MultibodyPlant of several joints too; its explicit form is not.
-
-    Args:
-        system: The System; all its state must be continuous.
-        input_port: The port of u.
-        disturbance_port: That of d; None without one.
-        context: Holds the parameters and other ports' values; None for the defaults.
 
     Returns:
         The state's variables in pydrake's terms, shape (n,); f, shape (n,), and g,
@@ -90,12 +89,12 @@ def symbolic_dynamics(
         key: np.array([variable(f"{key}{i}") for i in range(len(each))], dtype=object)
         for key, each in named.items()
     }
-    reader = Reader(
-        {time: variable("t")}
-        | {v: n for key in named for v, n in zip(named[key], nodes[key], strict=True)}
-    )
+    known = {time: variable("t")}
+    known |= {
+        v: n for key in named for v, n in zip(named[key], nodes[key], strict=True)
+    }
     try:
-        residual_nodes = reader.read(residual)
+        residual_nodes = read(residual, known)
     except NotImplementedError as error:
         raise ModelError(f"{name}: its dynamics cannot be compiled: {error}") from None
     force, mass_matrix = _force_and_mass(residual_nodes, nodes["r"])
@@ -103,8 +102,8 @@ def symbolic_dynamics(
     m, w = len(u), np.concatenate([nodes["u"], nodes["d"]])
     parts = _affine_parts(force, nodes["x"], w, state_names, name)
     parts = _solve(mass_matrix, parts)
-    E = _constant_matrix(parts[:, 1 + m :], nodes["x"], state_names, name)
-    return x, parts[:, 0], parts[:, 1 : 1 + m], E
+    E = _numbers(parts[:, 1 + m :], [*nodes["x"]])
+    return x, parts[:, 0], parts[:, 1 : 1 + m], constant_matrix(E, state_names, name)
 
 
 def _force_and_mass(residual: Nodes, rate: Nodes) -> tuple[Nodes, Nodes]:
@@ -120,28 +119,25 @@ def _affine_parts(
     force: Nodes, x: Nodes, w: Nodes, state_names: Sequence[str], name: str
 ) -> Nodes:
     """The parts [F0, F1], shape (n, 1 + m + q), of F = F0(x) + F1(x) w, w = [u; d]."""
-    rows = [_affine_row(each, x, w) for each in force]
-    for state, row in zip(state_names, rows, strict=True):
-        if row is None:
+    rows = []
+    for state, each in zip(state_names, force, strict=True):
+        try:
+            gradient = gradients([each], w).ravel()
+            row = np.array(substitute([each, *gradient], dict.fromkeys(w, ZERO)))
+            # A gradient may contain w only because it is not simplified.
+            structural = variables_of(gradient).isdisjoint(w)
+            is_affine = structural or _agree(each, row, [*x], [*w])
+        except ValueError:
+            is_affine = False
+        if not is_affine:
             raise ModelError(
                 f"{name}: the derivative of {state} is not affine in the input and the"
                 " disturbance; choose a port behind what is not, and give limits to the"
                 " InputSet (a MultibodyPlant in a Diagram drops its own by"
                 " RemoveAllJointActuatorEffortLimits)"
             )
+        rows.append(row)
     return np.array(rows)
-
-
-def _affine_row(force: Node, x: Nodes, w: Nodes) -> Nodes | None:
-    """The parts [F0, F1] of a force F0(x) + F1(x) w; None if it is not affine in w."""
-    try:
-        gradient = list(gradients([force], w)[0]) if len(w) else []
-    except ValueError:
-        return None
-    row = np.array(substitute([force, *gradient], dict.fromkeys(w, ZERO)), dtype=object)
-    # A gradient may contain w only because it is not simplified: numbers decide.
-    structural = variables_of(gradient).isdisjoint(w)
-    return row if structural or _agree(force, row, [*x], [*w]) else None
 
 
 def _agree(force: Node, row: Nodes, x: Sequence[Node], w: Sequence[Node]) -> bool:
@@ -178,43 +174,21 @@ def _solve(M: Nodes, R: Nodes) -> Nodes:
     return X
 
 
-def _constant_matrix(
-    E: Nodes, x: Nodes, state_names: Sequence[str], name: str
-) -> Array:
-    """The numbers of E, shape (n, q)."""
-    matrix = np.empty(E.shape)
-    for (i, j), entry in np.ndenumerate(E):
-        value = _constant(entry, [*x])
-        if value is None:
-            raise ModelError(
-                f"{name}: the disturbance matrix E is not constant: disturbance {j}"
-                f" acts on the derivative of {state_names[i]} differently from state to"
-                " state"
-            )
-        matrix[i, j] = value
-    return matrix
+def _numbers(E: Nodes, x: Sequence[Node]) -> Callable[[Array], Array]:
+    """E(x) as a function of numbers; nan where it is singular."""
+    compiled = compile_nodes(x, E.ravel())
 
+    def matrix_at(state: Array) -> Array:
+        try:
+            return np.reshape(compiled(*state.tolist()), E.shape)
+        except (ArithmeticError, ValueError):
+            return np.full(E.shape, np.nan)
 
-def _constant(entry: Node, x: Sequence[Node]) -> float | None:
-    """The value of a formula that is the same at random points, else None."""
-    if entry.number is not None:
-        return entry.number
-    compiled = compile_nodes(x, [entry])
-    points = np.random.default_rng(0).normal(size=(8, len(x))).tolist()
-    try:
-        values = [compiled(*point)[0] for point in points]
-    except (ArithmeticError, ValueError):
-        return None
-    same = np.ptp(values) <= 1e-9 * np.max(np.abs(values))
-    return float(values[0]) if same else None
+    return matrix_at
 
 
 def to_symbolic(system: System, name: str) -> Any:
     """Returns a System's symbolic twin, without effort limits.
-
-    Args:
-        system: The System.
-        name: Its name in messages.
 
     Raises:
         ModelError: It does not convert.
@@ -263,13 +237,9 @@ def _require_time_invariant(
 
 
 def give_mass(system: Any, context: Any) -> bool:
-    """Gives massless bodies of a symbolic MultibodyPlant a negligible mass.
+    """Gives massless bodies of a symbolic System a negligible mass in its context.
 
     A body that only carries a frame, such as a tool's tip or a stand, often has none.
-
-    Args:
-        system: Any symbolic System; of a Diagram, the plants inside.
-        context: Its context, which is changed.
 
     Returns:
         Whether there was such a body.

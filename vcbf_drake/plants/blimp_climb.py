@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vcbf_drake.checks import Array
-from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.model.formulas import Expressions
 from vcbf_drake.model.manoeuvre import ANYWHERE, FOREVER, Box, Manoeuvre, Plan
 
 if TYPE_CHECKING:

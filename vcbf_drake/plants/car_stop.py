@@ -9,7 +9,7 @@ import numpy as np
 from pydrake.math import tanh
 
 from vcbf_drake.checks import Array
-from vcbf_drake.model.compiled import Expressions
+from vcbf_drake.model.formulas import Expressions
 from vcbf_drake.model.manoeuvre import FOREVER, Box, Manoeuvre, Plan
 
 # The least length of a cell [m], and the bound of rounding at a box's ends.

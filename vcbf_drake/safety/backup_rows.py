@@ -14,10 +14,9 @@ from vcbf_drake.barriers.rows import barrier_formula
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.model.compiled import CompiledFunction, compile_nodes
+from vcbf_drake.model.formulas import CompiledFunction, compile_nodes, read
 from vcbf_drake.model.graph import gradients
 from vcbf_drake.model.manoeuvre import Manoeuvre
-from vcbf_drake.model.reading import Reader
 from vcbf_drake.safety.input_set import InputSet
 
 # At how many instants of the way there is a row; below which rates of the states and of
@@ -221,8 +220,8 @@ class _Flow:
         self._step = manoeuvre.horizon / _INSTANTS
         self.times = self._step * np.arange(1.0, _INSTANTS + 1.0)
         dynamics = model.dynamics
-        reader = Reader(dict(zip(model.state, dynamics.x, strict=True)))
-        u = reader.read(manoeuvre.law(np.array([Expression(v) for v in model.state])))
+        law = manoeuvre.law(np.array([Expression(v) for v in model.state]))
+        u = read(law, dict(zip(model.state, dynamics.x, strict=True)))
         rate = np.array(dynamics.f, dtype=object)
         rate = rate + np.array(dynamics.g, dtype=object) @ u
         slopes = gradients(rate, dynamics.x).ravel()
