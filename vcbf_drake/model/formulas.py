@@ -71,6 +71,8 @@ def read(values: Any, variables: Mapping[Variable, Node]) -> Nodes:
     given = np.asarray(values, dtype=object)
     nodes = np.empty(given.shape, dtype=object)
     for index in np.ndindex(given.shape):
+        if isinstance(given[index], Formula):
+            raise TypeError("a formula is neither an expression nor a number")
         nodes[index] = _node(given[index], known)
     return nodes
 
