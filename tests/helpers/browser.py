@@ -25,7 +25,8 @@ OPTIONS = (
 PATIENCE = 60.0  # A busy machine without a graphics card draws a few frames a second.
 # The second of two frames begins once the first has been drawn, however slowly.
 AFTER_A_FRAME = """new Promise((done) => requestAnimationFrame(
-  () => requestAnimationFrame(() => done(%s))))"""
+  () => requestAnimationFrame(
+    () => done(document.readyState === "complete" ? %s : null))))"""
 
 
 class Page:
@@ -58,6 +59,14 @@ class Page:
         """Goes to an address."""
         self.call("Page.navigate", url=address)
 
+    def reload(self) -> None:
+        """Loads the page again; the old one is gone when this returns."""
+        self.call("Page.reload")
+        event: dict[str, Any] = {}
+        while event.get("method") != "Page.loadEventFired":
+            event = json.loads(self._socket.recv())
+            self._note(event.get("method"), event.get("params", {}))
+
     def evaluate(self, script: str) -> Any:
         """The value of a JavaScript expression, as JSON has it; promises are kept."""
         how = {"returnByValue": True, "awaitPromise": True}
@@ -67,6 +76,9 @@ class Page:
 
     def settle(self, script: str) -> Any:
         """The value of an expression once it is not null and stays as it is.
+
+        Nothing that the value depends on may be read later than the expression stops
+        being null: a value that waits for it for a second would count as settled.
 
         Raises:
             AssertionError: It has not come to rest after a minute.

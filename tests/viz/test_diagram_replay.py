@@ -211,7 +211,8 @@ def test_a_browser_shows_it(tmp_path: Path) -> None:
     path = write_diagram_replay(diagram, tmp_path / "arm.html", 2.0, start)
     meshes = (
         "(() => { let n = 0; viewer.scene_tree.find(['drake', 'frames']).object"
-        ".traverse((each) => { if (each.isMesh) n += 1; }); return n || null; })()"
+        ".traverse((each) => { if (each.isMesh) n += 1; });"
+        " return n < 2 ? null : n; })()"
     )
     with browser() as tab:
         tab.open(path.as_uri() + "#t=1")

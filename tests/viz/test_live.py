@@ -203,7 +203,7 @@ def test_a_browser_shows_the_present() -> None:
             x = f"viewer.scene_tree.find({path}).object.position.x"
             kinds = "viewer.scene.children.map((each) => each.geometry?.type)"
             return {
-                "x": tab.evaluate(x),
+                "x": tab.settle(x),  # By another connection than the rest.
                 "kinds": tab.evaluate(kinds),
                 "class": tab.evaluate("document.documentElement.className"),
                 "errors": [each for each in tab.errors if "WebSocket" not in each],

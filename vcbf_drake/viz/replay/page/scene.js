@@ -92,14 +92,24 @@ class ReplayScene {
     const frame = time * this.data.frames_per_second;
     this.finishMaterials();
     this.outlineGhosts();
-    if (!this.data.live) {
-      viewer.animator.pause();
-      viewer.animator.seek(time);
-      viewer.animator.display_progress(time);
-    }
+    if (!this.data.live) this.seek(time);
     this.trails.forEach((trail) => trail.show(frame));
     if (this.follows) this.followTo(frame);
     viewer.set_dirty();
+  }
+
+  /**
+   * Moves everything to where it is at a time [s]. Three.js writes only what has changed
+   * since it wrote last; a pose that Meshcat has set meanwhile it would leave. So it begins
+   * anew: from the poses as they are, all of them are written.
+   */
+  seek(time) {
+    const { animator } = viewer;
+    animator.mixer.stopAllAction();
+    animator.play();
+    animator.pause(); // The page's own clock leads.
+    animator.seek(time);
+    animator.display_progress(time);
   }
 
   /** Objects arrive one by one after the page has loaded; each is finished once. */
