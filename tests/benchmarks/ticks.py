@@ -11,7 +11,7 @@ import numpy as np
 from pydrake.symbolic import Expression, MakeVectorVariable
 
 from vcbf_drake.barriers import Barrier
-from vcbf_drake.barriers.chain import as_expressions
+from vcbf_drake.barriers.functions import as_expressions
 from vcbf_drake.checks import Array
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import FilterSettings, InputSet, SafetyFilter, VolumeBarrier

@@ -28,7 +28,7 @@ def arithmetic(function: _Function) -> _Function:
     """Marks a barrier's function that uses only +, -, *, / and **.
 
     Such a function is read without pydrake's expressions, whose trees repeat every
-    subexpression that a formula uses more than once.
+    common subexpression.
     """
     function.arithmetic = True  # type: ignore[attr-defined]
     return function
@@ -58,11 +58,9 @@ class Changes(Protocol):
     def parameters_at(
         self, t: float, obstacles: Array | None
     ) -> tuple[float, ...] | None:
-        """Returns the parameters at a time; None for an empty slot.
+        """Returns the parameters at a time [s], given the obstacles perceived there.
 
-        Args:
-            t: The time [s].
-            obstacles: The perceived obstacles at that time.
+        None stands for an empty slot.
         """
 
 
@@ -88,6 +86,10 @@ class Barrier:
         class_k: The function given to `with_class_k`; None for lambda_r phi.
         changes: The source of new parameters at every tick, for which `parameters` is
             an example; None for constant parameters.
+
+    Raises:
+        ValueError: A number is not finite, there is no gain, or a decay rate is not
+            real and positive.
     """
 
     def __init__(
@@ -99,12 +101,6 @@ class Barrier:
         *,
         of_position: int | None = None,
     ) -> None:
-        """Checks the gains and the parameters.
-
-        Raises:
-            ValueError: A number is not finite, there is no gain, or a decay rate is not
-                real and positive.
-        """
         check_type("name", name, str)
         rule = "a function of x, t and p"
         require(callable(function), f"function of barrier '{name}'", function, rule)
@@ -175,22 +171,20 @@ class Barrier:
 
 
 def _check_class_k(class_k: ClassK, name: str) -> None:
+    """Checks values at 400 points and slopes there, by a neighbour of each."""
     require(callable(class_k), f"barrier '{name}': class_k", class_k, "a function")
-    # Each point has a neighbour, so that a fall between two points is a slope here.
     positive = np.geomspace(1e-3, 1e3, 200)
     positive = np.ravel([positive, positive * (1.0 + 1e-6)], order="F")
     points = np.concatenate([-positive[::-1], [0.0], positive])
     with np.errstate(all="ignore"):
         found = [class_k(point) for point in points]
-    rule = f"barrier '{name}': class_k must be 0 at 0 and increase"
-    is_number = np.array([isinstance(value, Real) for value in found])
-    numbers = zip(is_number, found, strict=True)
-    values = np.array([value if is_real else np.nan for is_real, value in numbers])
-    values = values.astype(float)
-    finite, near = np.isfinite(values), np.abs(points) < 1.0
+    is_number = np.array([isinstance(v, Real) for v in found])
+    values = np.array([float(v) if isinstance(v, Real) else np.nan for v in found])
     # It may overflow far away, or level off.
+    near, finite = np.abs(points) < 1.0, np.isfinite(values)
     wrong = ~is_number | (near & ~finite)
-    wrong |= (points == 0.0) & ~(np.abs(values) <= 1e-12)
+    wrong |= (points == 0.0) & (np.abs(values) > 1e-12)
+    rule = f"barrier '{name}': class_k must be 0 at 0 and increase"
     if wrong.any():
         i = int(wrong.argmax())
         raise ValueError(f"{rule}; at {points[i]:.7g} it is {found[i]!r}")
@@ -207,10 +201,6 @@ def _check_class_k(class_k: ClassK, name: str) -> None:
 
 def decay_rates(gains: Array, name: str) -> Array:
     """Returns lambda_1 >= ... >= lambda_r, where -lambda_i are the roots of (E4).
-
-    Args:
-        gains: K = (k_1, ..., k_r), shape (r,).
-        name: The barrier's name, for the error message.
 
     Raises:
         ValueError: There is no gain, or a decay rate is not real and positive.

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from vcbf_drake.barriers.barrier import Barrier, Changes
-from vcbf_drake.barriers.compared import require_same_numbers
-from vcbf_drake.barriers.followed import Followed
+from vcbf_drake.barriers.functions import require_same_numbers
 from vcbf_drake.barriers.limits import EarlyInputLimit, StateInputLimit
 from vcbf_drake.barriers.perceived import Slot
 from vcbf_drake.barriers.rows import (
@@ -24,6 +23,7 @@ from vcbf_drake.barriers.rows import (
     limit_functions,
     no_row,
 )
+from vcbf_drake.barriers.shapes import Followed
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.control_affine import ControlAffineModel
@@ -64,8 +64,7 @@ class BarrierSet:
         Raises:
             ModelError: A barrier's function does not suit the model, or the input or
                 the disturbance enters it at another derivative than its gains say, or
-                pydrake's expressions differ from it in numbers; the message names the
-                barrier.
+                pydrake's expressions differ from it in numbers.
             ValueError: One of them is neither a barrier nor a limit; or perceived
                 obstacles of different capacities or dimensions.
         """
@@ -115,12 +114,8 @@ class BarrierSet:
         """Returns every row at one state x (n,) and time t [s].
 
         A row is nan where its barrier is singular, as at the centre of an obstacle. An
-        empty slot's row is 0 u <= 1, its h nan.
-
-        Args:
-            x: The state, shape (n,).
-            t: The time [s].
-            obstacles: The perceived obstacles at that time, shape (obstacles_size,).
+        empty slot's row is 0 u <= 1, its h nan. The obstacles perceived at that time
+        have the shape (obstacles_size,).
 
         Raises:
             ValueError: x or obstacles has another shape.
@@ -144,7 +139,7 @@ class BarrierSet:
     def _numbers(
         self, point: list[float], functions: Sequence[RowFunctions]
     ) -> list[list[float]]:
-        """Returns the entries [A, b, w] and levels of every row at one point [x; t]."""
+        """The entries [A, b, w] and levels of every row at one point [x; t]."""
         return [
             _evaluate(each.row, (*point, *each.constants), self._width)
             for each in functions
@@ -157,7 +152,7 @@ class BarrierSet:
         numbers: Array,
         rows: Sequence[int],
     ) -> Array:
-        """Returns the derivatives of some rows' entries at one point [x; t]."""
+        """The derivatives of some rows' entries at one point [x; t]."""
         shape = len(rows), self.num_entries, self._num_states + 1
         lists = []
         for each in map(functions.__getitem__, rows):
@@ -177,16 +172,10 @@ class BarrierSet:
         return np.array(self._values(self._point(x, t), functions), dtype=float)
 
     def values_along(self, x: Array, t: Array, obstacles: Array | None = None) -> Array:
-        """Returns every h along a trajectory, shape (T, N).
-
-        Args:
-            x: The states, shape (T, n).
-            t: The times, shape (T,) [s].
-            obstacles: The perceived obstacles at those times, shape (T,
-                obstacles_size).
+        """Returns every h along a trajectory of T states (T, n), shape (T, N).
 
         Raises:
-            ValueError: x, t or obstacles has another shape.
+            ValueError: x, t (T,) or obstacles (T, obstacles_size) has another shape.
         """
         return self._along(x, t, obstacles, self._values).reshape(len(t), self.size)
 
@@ -247,21 +236,12 @@ class BarrierSet:
 
     @cached_property
     def _no_row(self) -> RowFunctions:
-        """The row of an empty slot."""
         return no_row(self._model)
 
     def functions_at(
         self, t: float, obstacles: Array | None = None
     ) -> list[RowFunctions]:
-        """Returns every row's functions, with the perceived obstacles' parameters.
-
-        Args:
-            t: The time for which obstacles are perceived [s].
-            obstacles: The perceived obstacles at that time, shape (obstacles_size,).
-
-        Raises:
-            ValueError: obstacles has another shape.
-        """
+        """Returns every row's functions, with the perceived obstacles' parameters."""
         if not self._changing:
             return self._functions
         functions = self._functions.copy()

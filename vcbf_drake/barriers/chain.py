@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -10,19 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 
-from vcbf_drake.barriers.barrier import is_arithmetic
 from vcbf_drake.errors import ModelError
-from vcbf_drake.model.agreement import require_agreement, sample_points
-from vcbf_drake.model.control_affine import ControlAffineModel, Dynamics
-from vcbf_drake.model.formulas import (
-    CompiledFunction,
-    Expressions,
-    compile_nodes,
-    explained,
-    read,
-)
+from vcbf_drake.model.control_affine import Dynamics
+from vcbf_drake.model.formulas import CompiledFunction, compile_nodes
 from vcbf_drake.model.graph import (
     ZERO,
     Node,
@@ -30,137 +21,15 @@ from vcbf_drake.model.graph import (
     gradients,
     substitute,
     variable,
+    variables_of,
 )
-from vcbf_drake.model.multibody_model import MultibodyModel
-from vcbf_drake.model.position import PlantSymbols, PointCoordinate
 
 TIME, LEVEL = variable("t"), variable("level")
 
 
-class Symbols:
-    """The arguments x, t and p of a barrier's or limit's function.
-
-    Attributes:
-        model: The model, whose state is x.
-        parameters: The nodes of p, shape (k,).
-    """
-
-    def __init__(self, model: ControlAffineModel, num_parameters: int) -> None:
-        """Makes the symbols for a function of the model."""
-        self.model = model
-        self.parameters = _nodes("p", num_parameters)
-        self._time = Variable("t")
-        self._parameters = MakeVectorVariable(num_parameters, "p")
-        self._outputs = (
-            PlantSymbols.of(model.plant, model.state)
-            if isinstance(model, MultibodyModel)
-            else None
-        )
-
-    @property
-    def points(self) -> dict[Node, PointCoordinate]:
-        """The variables of the MultibodyPlant's points that the function depends on."""
-        found = {} if self._outputs is None else self._outputs.points
-        return {variable(v.get_name()): output for output, v in found.items()}
-
-    def call(self, function: Callable[..., Any], of_position: int | None = None) -> Any:
-        """Returns function(x, t, p) in pydrake's expressions, or in nodes.
-
-        An `arithmetic` function is evaluated in nodes, which share common
-        subexpressions where expressions repeat them.
-
-        Args:
-            function: The function of a barrier or a limit.
-            of_position: The number of coordinates of the position that it takes in
-                place of x; None for x.
-
-        Raises:
-            ModelError: It raises.
-        """
-        x: Expressions = as_expressions(self.model.state)
-        x = x if self._outputs is None else self._outputs
-        p = as_expressions(self._parameters)
-        time: Any = Expression(self._time)
-        by_indices = of_position is None or not callable(self.model.position)
-        if is_arithmetic(function) and by_indices:
-            nodes = (self.model.dynamics.x, self.parameters)
-            (x, p), time = (np.array(each, dtype=object) for each in nodes), TIME
-        if of_position is not None:
-            x = self.model.position_of(x, of_position)
-        return called(function, x, time, p)
-
-    def read(self, values: Any) -> Nodes:
-        """Returns the values of a function as formulas, of the same shape.
-
-        Raises:
-            ModelError: A value is not an expression of x, t and p, or has no
-                counterpart in plain Python.
-        """
-        points = {} if self._outputs is None else self._outputs.points
-        variables = [*self.model.state, self._time, *self._parameters, *points.values()]
-        nodes = [*self.model.dynamics.x, TIME, *self.parameters, *self.points]
-        try:
-            return read(values, dict(zip(variables, nodes, strict=True)))
-        except (TypeError, ValueError):
-            raise ModelError(
-                "function(x, t, p) must return symbolic expressions or numbers"
-            ) from None
-        except KeyError as error:
-            raise ModelError(
-                "function(x, t, p) cannot be compiled: not among its arguments:"
-                f" {error.args[0]}"
-            ) from None
-        except NotImplementedError as error:
-            raise ModelError(f"function(x, t, p) cannot be compiled: {error}") from None
-
-
-def called(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Returns a barrier's or limit's function, evaluated with symbols.
-
-    Raises:
-        ModelError: It raises.
-    """
-    try:
-        return function(*arguments)
-    except (AttributeError, IndexError, RuntimeError, TypeError, ValueError) as error:
-        raise ModelError(
-            f"function(x, t, p) fails on symbols: {explained(error)}"
-        ) from None
-
-
-def as_expressions(values: Any) -> Expressions:
-    """Returns variables and numbers as expressions, shape (k,)."""
-    found = [v if isinstance(v, Expression) else Expression(v) for v in values]
-    return np.array(found, dtype=object)
-
-
-def _nodes(prefix: str, size: int) -> tuple[Node, ...]:
+def nodes(prefix: str, size: int) -> tuple[Node, ...]:
+    """Returns the variables prefix0, prefix1, ..."""
     return tuple(variable(f"{prefix}{i}") for i in range(size))
-
-
-def class_k_formula(function: Callable[[Any], Any] | None) -> Node | None:
-    """Returns a barrier's class-K function as a formula of `LEVEL` (E10).
-
-    Raises:
-        ModelError: It does not accept symbols, or its values differ with them.
-    """
-    if function is None:
-        return None
-    level = Variable("level")
-    try:
-        written = function(Expression(level))
-        node: Node = read(written, {level: LEVEL}).item()
-    except Exception as error:  # A user's own code may raise anything.
-        raise ModelError(f"class_k fails on symbols: {explained(error)}") from None
-    compiled = compile_nodes([LEVEL], [node], "class_k")
-    require_agreement(
-        lambda point: compiled(*point.tolist()),
-        lambda point: [function(point[0])],
-        sample_points(1),
-        lambda point: f"{point[0]:.6g}",
-        ["class_k"],
-    )
-    return node
 
 
 class Formula(NamedTuple):
@@ -186,11 +55,7 @@ class Formula(NamedTuple):
 
 @contextmanager
 def _derived() -> Iterator[None]:
-    """Explains, in an error, that a formula has too few derivatives.
-
-    Raises:
-        ModelError: A derivative is missing.
-    """
+    """Explains, by a ModelError, that a formula has too few derivatives."""
     try:
         yield
     except ValueError as error:
@@ -223,13 +88,9 @@ class Chain:
     @lru_cache(maxsize=64)
     @_derived()
     def of(formula: Formula) -> Chain:
-        """Derives the chain.
-
-        Raises:
-            ModelError: The barrier has too few derivatives.
-        """
+        """Derives the chain, or raises a ModelError for want of derivatives."""
         dynamics, robust = formula.dynamics, formula.robust
-        rates = _nodes("lambda", formula.order)
+        rates = nodes("lambda", formula.order)
         disturbance = (variable("bound"), variable("smoothing")) if robust else ()
         levels = [formula.h]
         for rate in rates[:-1]:
@@ -261,13 +122,7 @@ class Chain:
     def compiled(
         self, outputs: Any, name: str, variables: Sequence[Node] = ()
     ) -> CompiledFunction:
-        """Returns a function of x, t and the constants.
-
-        Args:
-            outputs: The outputs of the function.
-            name: Its name.
-            variables: The variables that replace x.
-        """
+        """Returns a function of x, or what replaces x, of t and the constants."""
         x = variables or self.formula.dynamics.x
         return compile_nodes([*x, TIME, *self.constants], outputs, name)
 
@@ -328,3 +183,119 @@ def compiled_chain(
         chain.compiled(slopes, "barrier_gradient", moving),
         compile_nodes(arguments, [formula.h], "barrier_value"),
     )
+
+
+@dataclass(frozen=True)
+class PlacedFunction:
+    """A function of a subsystem, extended by zeros to a function of the plant.
+
+    Attributes:
+        inner: The function of the subsystem.
+        states: The indices of its states in the plant.
+        num_states: The number of states of the plant.
+        places: The indices of the inner function's numbers in the result.
+        size: The number of numbers in the result.
+    """
+
+    inner: CompiledFunction
+    states: tuple[int, ...]
+    num_states: int
+    places: tuple[int, ...]
+    size: int
+
+    def __call__(self, *arguments: float) -> list[float]:
+        """Returns the numbers at (x, t, constants)."""
+        few = [arguments[i] for i in self.states]
+        found = [0.0] * self.size
+        numbers = self.inner(*few, *arguments[self.num_states :])
+        for place, number in zip(self.places, numbers, strict=True):
+            found[place] = number
+        return found
+
+
+@dataclass(frozen=True)
+class Subsystem:
+    """The states that a barrier's chain depends on, with the channels that enter them.
+
+    Attributes:
+        states: Their indices.
+        channels: The inputs and, after all inputs, the disturbances that enter there.
+        shape: n, m and q of the plant.
+    """
+
+    states: tuple[int, ...]
+    channels: tuple[int, ...]
+    shape: tuple[int, int, int]
+
+    @staticmethod
+    def of(formula: Formula) -> tuple[Formula, Subsystem]:
+        """Returns a formula of the subsystem's own states, and the subsystem.
+
+        Equal robots have equal formulas. A subsystem of more than half of the plant, or
+        of no state, is replaced by the plant.
+        """
+        x, f, g, E = formula.dynamics
+        n, m, q = len(x), len(g[0]), len(E[0])
+        number = {node: i for i, node in enumerate(x)}
+        states: set[int] = set()
+        found: list[Node | float] = [formula.h]
+        while found:
+            nodes = [each for each in found if isinstance(each, Node)]
+            new = {number[v] for v in variables_of(nodes) if v in number} - states
+            states |= new
+            found = [each for i in new for each in (f[i], *g[i], *E[i])]
+        chosen = sorted(states)
+        if not chosen or 2 * len(chosen) > n:
+            return formula, Subsystem(tuple(range(n)), tuple(range(m + q)), (n, m, q))
+        enters = [
+            j
+            for j in range(m + q)
+            if any((*g[i], *E[i])[j] not in (ZERO, 0.0) for i in chosen)
+        ]
+        own = {x[i]: variable(f"x{k}") for k, i in enumerate(chosen)}
+
+        def renamed(nodes: Sequence[Node | float]) -> tuple[Any, ...]:
+            there = iter(substitute([v for v in nodes if isinstance(v, Node)], own))
+            return tuple(next(there) if isinstance(v, Node) else v for v in nodes)
+
+        columns = [[(*g[i], *E[i])[j] for j in enters] for i in chosen]
+        of_inputs = sum(j < m for j in enters)
+        rows = [renamed(row) for row in columns]
+        dynamics = Dynamics(
+            tuple(own.values()),
+            renamed([f[i] for i in chosen]),
+            tuple(row[:of_inputs] for row in rows),
+            tuple(row[of_inputs:] for row in rows),
+        )
+        (h,) = renamed([formula.h])
+        part = Subsystem(tuple(chosen), tuple(enters), (n, m, q))
+        return formula._replace(h=h, dynamics=dynamics), part
+
+    def placed(self, functions: ChainFunctions, levels: int) -> ChainFunctions:
+        """Returns functions of the subsystem's states as the plant's.
+
+        The row's entries are followed by `levels` levels of the chain.
+        """
+        n, m, q = self.shape
+        if len(self.states) == n:
+            return functions
+        size = m + 1 + q
+        entries = [
+            *(j for j in self.channels if j < m),
+            m,
+            *(j + 1 for j in self.channels if j >= m),
+        ]
+        columns = [*self.states, n]
+        slopes = np.add.outer(np.multiply(entries, n + 1), columns).ravel().tolist()
+
+        def place(
+            inner: CompiledFunction, places: Sequence[int], size: int
+        ) -> PlacedFunction:
+            return PlacedFunction(inner, self.states, n, tuple(places), size)
+
+        levels_after = range(size, size + levels)
+        return ChainFunctions(
+            place(functions.row, [*entries, *levels_after], size + levels),
+            place(functions.gradient, slopes, size * (n + 1)),
+            place(functions.value, [0], 1),
+        )

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from pydrake.symbolic import Expression
 
-from vcbf_drake.barriers.barrier import Barrier, BarrierFunction
+from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.checks import Array, check_parameter, finite_vector, require
 from vcbf_drake.model.formulas import Expressions
 from vcbf_drake.typed import Positive, check_fields, check_type, typed
@@ -35,11 +35,6 @@ class StateInputLimit:
         parameters: Sequence[float] | Array = (),
         name: str = "limit",
     ) -> None:
-        """Checks the parameters.
-
-        Raises:
-            ValueError: A parameter is not finite.
-        """
         check_type("name", name, str)
         rule = "a function of x, t and p"
         require(callable(function), f"function of limit '{name}'", function, rule)
@@ -95,8 +90,7 @@ def ackermann_limit(
         name: Its name in error messages and logs.
 
     Raises:
-        ValueError: The curvature or the smoothing speed is not positive and finite,
-            or the model has no such input.
+        ValueError: A number is not positive and finite, or there is no such input.
     """
     check_parameter(f"limit '{name}': curvature", curvature)
     check_parameter(f"limit '{name}': smoothing_speed", smoothing_speed)
@@ -105,20 +99,6 @@ def ackermann_limit(
             f"limit '{name}': turn_rate_input must be in 0..{num_inputs - 1},"
             f" got {turn_rate_input}"
         )
-    function = _turn_rate_limit(speed_state, turn_rate_input, num_inputs)
-    left, right = (
-        StateInputLimit(
-            function, (sign, curvature, smoothing_speed), f"{name} ({side})"
-        )
-        for sign, side in ((1.0, "left"), (-1.0, "right"))
-    )
-    return left, right
-
-
-def _turn_rate_limit(
-    speed_state: int, turn_rate_input: int, num_inputs: int
-) -> LimitFunction:
-    """Returns the limit with p = (sign, curvature, smoothing speed)."""
 
     def limit(
         x: Expressions, t: Expression, p: Expressions
@@ -128,7 +108,11 @@ def _turn_rate_limit(
         row[turn_rate_input] = sign
         return row, curvature * (x[speed_state] ** 2 + smoothing_speed**2) ** 0.5
 
-    return limit
+    left, right = (
+        StateInputLimit(limit, (sign, curvature, smoothing_speed), f"{name} ({side})")
+        for sign, side in ((1.0, "left"), (-1.0, "right"))
+    )
+    return left, right
 
 
 @dataclass(frozen=True)
@@ -179,24 +163,16 @@ class StateLimit:
         """
         rule = "an index; a scenario alone knows names"
         require(isinstance(self.state, int), "state limit: state", self.state, rule)
+        i = int(self.state)
+
+        def h(x: Expressions, t: Expression, p: Expressions) -> Expression:
+            sign, limit = p
+            return sign * (x[i] - limit)
+
         sides = (("low", 1.0, self.lower), ("high", -1.0, self.upper))
+        gains = self.gains if gains is None else gains
         return [
-            Barrier(
-                _state_limit(int(self.state)),
-                self.gains if gains is None else gains,
-                (sign, limit),
-                f"{name} ({side})",
-            )
+            Barrier(h, gains, (sign, limit), f"{name} ({side})")
             for side, sign, limit in sides
             if np.isfinite(limit)
         ]
-
-
-def _state_limit(state: int) -> BarrierFunction:
-    """Returns h(x, t, p) with p = (sign, limit)."""
-
-    def h(x: Expressions, t: Expression, p: Expressions) -> Expression:
-        sign, limit = p
-        return sign * (x[state] - limit)
-
-    return h

@@ -31,7 +31,7 @@ from vcbf_drake.model.position import PointCoordinate
 
 @dataclass(frozen=True)
 class MultibodyRow:
-    """The functions of one barrier's row at a state, as in `RowFunctions`.
+    """The functions of one barrier's row at a state, as in `ChainFunctions`.
 
     Attributes:
         model: The plant.
@@ -75,13 +75,13 @@ class MultibodyRow:
         return np.array(arguments[:n]), arguments[n:]
 
 
-def multibody_row(
+def multibody_functions(
     model: MultibodyModel,
     formula: Formula,
     points: Mapping[Node, PointCoordinate],
     constants: Sequence[float],
-) -> MultibodyRow:
-    """Returns a barrier's row on a MultibodyPlant, its relative degree checked.
+) -> ChainFunctions:
+    """Returns a barrier's functions on a MultibodyPlant, its relative degree checked.
 
     Args:
         model: The plant.
@@ -104,7 +104,7 @@ def multibody_row(
     functions = compiled_chain(moved, tuple(jet.flat), tuple(jet[:, 0]))
     row = MultibodyRow(model, outputs, order, functions)
     _require_authority(row, constants)
-    return row
+    return ChainFunctions(row.row, row.gradient, row.value)
 
 
 def _jet(size: int, num_inputs: int, num_disturbances: int) -> Nodes:

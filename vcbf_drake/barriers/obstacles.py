@@ -11,8 +11,7 @@ import numpy as np
 from pydrake.symbolic import Expression
 
 from vcbf_drake.barriers.barrier import arithmetic
-from vcbf_drake.barriers.followed import carried
-from vcbf_drake.barriers.shapes import ShapeFunction, SmoothShape
+from vcbf_drake.barriers.shapes import ShapeFunction, SmoothShape, carried
 from vcbf_drake.checks import (
     Array,
     check_finite,
@@ -40,12 +39,6 @@ class Obstacle(SmoothShape):
     velocity: Sequence[float] | Array | None
 
     def __post_init__(self) -> None:
-        """Checks the fields, the centre and the velocity.
-
-        Raises:
-            ValueError: Not 2 or 3 dimensions, a velocity of another size, or a number
-                that is out of range.
-        """
         check_fields(self, f"{self.kind}: ")
         size = len(finite_vector(self.center, f"{self.kind}: center"))
         require(size in (2, 3), f"{self.kind}: center", self.center, "2 or 3 numbers")
@@ -120,9 +113,7 @@ class SphereObstacle(Obstacle):
     def clearance(self, position: Array, t: float | Array) -> float | Array:
         """Returns the signed distance from the obstacle's own surface [m].
 
-        Args:
-            position: Shape (k,) or (T, k) [m].
-            t: The time [s], or the T times.
+        For positions (T, k) at T times there are T distances.
         """
         offset = np.asarray(position) - self.center_at(t)
         distance: float | Array = np.linalg.norm(offset, axis=-1) - self.radius
@@ -326,7 +317,8 @@ class CapsuleObstacle(Obstacle):
 
     def centered(self) -> tuple[ShapeFunction, list[float]]:
         """Returns h(z, t, p) with p = (axes, a, e, clearance), and p."""
-        axes = _axes_along(np.subtract(self.end, self.start))
+        # Orthonormal rows, the first along the segment.
+        _, _, axes = np.linalg.svd(np.subtract(self.end, self.start)[None])
 
         @arithmetic
         def h(z: Expressions, t: Expression, p: Expressions) -> Expression:
@@ -339,21 +331,10 @@ class CapsuleObstacle(Obstacle):
         return h, [*axes.flat, self.half_length, self.smoothing, clear]
 
 
-def _axes_along(direction: Array) -> Array:
-    """Returns orthonormal rows, shape (k, k), the first along the direction."""
-    _, _, rows = np.linalg.svd(direction[np.newaxis])
-    return rows
-
-
 def rotation_matrix(
     rotation: Sequence[Sequence[float]] | Array | None, size: int, name: str
 ) -> Array:
     """Returns R, whose columns are a shape's own axes, shape (k, k).
-
-    Args:
-        rotation: R, or None for the identity.
-        size: The number k of dimensions.
-        name: The name of the shape, for the error message.
 
     Raises:
         ValueError: It has another shape, or its columns are not orthonormal.
@@ -379,11 +360,6 @@ def smooth_excess(z: Any, half: Any, smoothing: Any) -> Any:
 
     It is positive and has all derivatives. It exceeds max(|z| - a, 0) everywhere, most
     at the ends, by s(a), which is between e/2 and e. Source: ours.
-
-    Args:
-        z: The coordinate, a number, an expression or an array of either [m].
-        half: The half-width a [m].
-        smoothing: The length e over which an end is rounded [m].
     """
     below = ((z + half) ** 2 + smoothing**2) ** 0.5
     above = ((z - half) ** 2 + smoothing**2) ** 0.5

@@ -45,12 +45,6 @@ class PerceivedSpheres:
     margin: NotNegative = 0.0
 
     def __post_init__(self) -> None:
-        """Checks the numbers.
-
-        Raises:
-            ValueError: No slot, not 2 or 3 dimensions, an unknown form, or a margin
-                that is negative or not finite.
-        """
         check_fields(self, "perceived: ")
         if self.capacity < 1:
             raise ValueError(f"perceived: capacity must be >= 1, got {self.capacity}")
@@ -76,14 +70,9 @@ class PerceivedSpheres:
         """Returns one barrier per slot.
 
         Args:
-            gains: K of (E4); their number is the relative degree.
-            position: The indices of the position, or a function from the symbolic state
-                x to it; None for the position that the plant names.
-            name: Its name in error messages and logs; the slot's number is added.
-
-        Raises:
-            ValueError: `position` has not one index per dimension, or the gains are
-                invalid.
+            gains: As for `Shape.barriers`, like position.
+            position: Likewise.
+            name: Their name, before the slot's number.
         """
         barriers = [
             self._example().barrier(gains, position, f"{name} {i}")
@@ -142,11 +131,7 @@ class Slot:
     def parameters_at(
         self, t: float, obstacles: Array | None
     ) -> tuple[float, ...] | None:
-        """Returns the parameters, nan if the slot is malformed; None if it is empty.
-
-        Raises:
-            ValueError: obstacles has another shape than (size,).
-        """
+        """Returns the parameters, nan if the slot is malformed; None if it is empty."""
         size, each = self.spheres.size, self.spheres.slot_size
         if obstacles is None or obstacles.shape != (size,):
             raise ValueError(

@@ -48,13 +48,6 @@ class PolygonObstacle(SmoothShape):
     smoothing: Positive = 0.05
 
     def __post_init__(self) -> None:
-        """Checks the numbers.
-
-        Raises:
-            ValueError: Fewer than three corners, not in the plane, a number that is not
-                finite, sides that meet where they must not, a negative margin, or a
-                smoothing that is not positive.
-        """
         check_fields(self, "polygon: ")
         rule = "at least 3 corners of 2 finite numbers each"
         corners = finite_array(self.vertices, "polygon: vertices", 2, rule)

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vcbf_drake.barriers.barrier import Barrier
-from vcbf_drake.barriers.chain import Chain
-from vcbf_drake.barriers.subsystem import Subsystem
+from vcbf_drake.barriers.chain import Chain, Subsystem
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.control_affine import ControlAffineModel
@@ -27,12 +26,6 @@ def early_levels(
     In general there are none. At least one input must enter the r-th derivative first;
     the disturbance must enter no earlier than that, unless the chain is robust (R2),
     (E8).
-
-    Args:
-        model: The plant.
-        chain: phi^0, ..., phi^(r-1).
-        barrier: The barrier of the chain.
-        part: The part of the plant that the chain depends on.
 
     Raises:
         ModelError: All inputs enter earlier or later, or the disturbance earlier.

@@ -15,14 +15,13 @@ from vcbf_drake.barriers.chain import (
     Chain,
     ChainFunctions,
     Formula,
-    Symbols,
-    class_k_formula,
+    Subsystem,
     compiled_chain,
 )
+from vcbf_drake.barriers.functions import Symbols, class_k_formula
 from vcbf_drake.barriers.limits import EarlyInputLimit, StateInputLimit
-from vcbf_drake.barriers.multibody_rows import multibody_row
+from vcbf_drake.barriers.multibody_rows import multibody_functions
 from vcbf_drake.barriers.relative_degree import early_levels
-from vcbf_drake.barriers.subsystem import Subsystem
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.control_affine import ControlAffineModel, Dynamics
@@ -35,10 +34,8 @@ from vcbf_drake.model.multibody_model import MultibodyModel
 class BarrierRows:
     """N rows ``A u <= b + w d`` and their derivatives by xbar = [x; t], read-only.
 
-    Few rows touch the ellipsoid at a time, and most of a row's numbers are derivatives:
-    these are evaluated on demand.
-
-    Rows of a barrier are (E7), (E45); rows of a limit on the input have w = 0 and no
+    Few rows touch the ellipsoid at a time: derivatives are evaluated on demand. Rows of
+    a barrier are (E7), (E45); rows of a limit on the input have w = 0 and no
     value. A row is not finite where its barrier is singular.
 
     Attributes:
@@ -86,9 +83,6 @@ class BarrierRows:
         """Returns how far the input moves each row, |A diag(scale)|, shape (N,).
 
         Infinite for the rows of early levels, which need not be moved.
-
-        Args:
-            scale: The unit of each input, shape (m,).
         """
         authority: Array = np.linalg.norm(self.A * scale, axis=1)
         authority[list(self.early)] = np.inf
@@ -157,21 +151,20 @@ def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctio
     """Returns a barrier's functions, its relative degree checked.
 
     Raises:
-        ModelError: The barrier's function cannot be derived or compiled, or its
-            relative degree is not r.
+        ModelError: Its function cannot be derived or compiled, or the relative degree
+            is not r.
     """
     parameters, constants = tuple(barrier.parameters.tolist()), barrier.constants
-    r = barrier.relative_degree
+    r, early = barrier.relative_degree, tuple[int, ...]()
     symbols, written = _read(model, barrier)
     if isinstance(model, MultibodyModel):
-        moved = multibody_row(model, written, symbols.points, constants)
-        return RowFunctions(
-            moved.row, moved.gradient, constants, moved.value, parameters, r
-        )
-    formula, part = Subsystem.of(written)
-    early = early_levels(model, Chain.of(formula), barrier, part)
-    x = formula.dynamics.x
-    row, gradient, value = part.placed(compiled_chain(formula, x, x), r)
+        functions = multibody_functions(model, written, symbols.points, constants)
+    else:
+        formula, part = Subsystem.of(written)
+        early = early_levels(model, Chain.of(formula), barrier, part)
+        x = formula.dynamics.x
+        functions = part.placed(compiled_chain(formula, x, x), r)
+    row, gradient, value = functions
     return RowFunctions(row, gradient, constants, value, parameters, r, early)
 
 
@@ -188,11 +181,7 @@ def early_functions(model: ControlAffineModel, limit: EarlyInputLimit) -> RowFun
 
 
 def barrier_formula(model: ControlAffineModel, barrier: Barrier) -> Formula:
-    """Returns the formula that a barrier's rows are derived from.
-
-    Raises:
-        ModelError: The barrier's function returns no formula.
-    """
+    """Returns the formula that a barrier's rows are derived from."""
     return _read(model, barrier)[1]
 
 
@@ -218,11 +207,7 @@ def _read(model: ControlAffineModel, barrier: Barrier) -> tuple[Symbols, Formula
 
 
 def limit_functions(model: ControlAffineModel, limit: StateInputLimit) -> RowFunctions:
-    """Returns a limit's functions.
-
-    Raises:
-        ModelError: The limit's function cannot be derived or compiled.
-    """
+    """Returns a limit's functions; errors as for a barrier's."""
     parameters = tuple(limit.parameters.tolist())
     symbols = Symbols(model, len(parameters))
     result = symbols.call(limit.function)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import factorial
 from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
@@ -17,7 +18,6 @@ from vcbf_drake.barriers.barrier import (
     arithmetic,
     is_arithmetic,
 )
-from vcbf_drake.barriers.followed import Followed, carried
 from vcbf_drake.checks import Array, finite_vector, require
 from vcbf_drake.model.formulas import Expressions
 from vcbf_drake.model.position import Position, PositionFunction
@@ -68,12 +68,10 @@ class Shape(ABC):
             position: The indices of the position, or a function from the symbolic state
                 x to it; None for the position that the plant names (`Blimp`, `Car`,
                 plants whose states are called x, y and z).
-            name: Its name in error messages and logs, followed by the suffix of a part;
-                None for the kind of shape.
+            name: Their name, before the suffix of a part; None for the kind of shape.
 
         Raises:
-            ValueError: `position` has not one index per dimension, or the gains are
-                invalid.
+            ValueError: `position` has not one index per dimension, or bad gains.
         """
         return [
             part.barrier(gains, position, f"{name or self.kind}{end}")
@@ -140,8 +138,7 @@ class SmoothShape(Shape):
             name: Likewise.
 
         Raises:
-            ValueError: A trajectory of other dimensions or without derivatives,
-                `position` has not one index per dimension, or the gains are invalid.
+            ValueError: As for `barriers`; or the trajectory does not suit the shape.
         """
         size, formula, parameters = self.formula()
         name = name or self.kind
@@ -180,12 +177,7 @@ def _barrier(
 
 
 def position_function(position: Position, size: int, name: str) -> PositionFunction:
-    """Returns the position as a function of the symbolic state.
-
-    Args:
-        position: Indices or a function.
-        size: The number k of dimensions of the position.
-        name: The barrier's name, for the error message.
+    """Returns the position (k,) as a function of the symbolic state.
 
     Raises:
         ValueError: Not one index per dimension, or one of them twice.
@@ -197,10 +189,9 @@ def position_function(position: Position, size: int, name: str) -> PositionFunct
                 f"barrier '{name}': position must name {size} states, got {indices}"
             )
         return lambda x: x[indices]
-    function = position
 
     def checked(x: Expressions) -> Expressions:
-        point = function(x)
+        point = position(x)
         if len(point) != size:
             raise ValueError(
                 f"position(x) must return {size} numbers, not {len(point)}"
@@ -208,6 +199,56 @@ def position_function(position: Position, size: int, name: str) -> PositionFunct
         return point
 
     return checked
+
+
+def carried(formula: BarrierFunction, size: int, order: int) -> BarrierFunction:
+    """Returns h(position - c(t), t, p) with p = (formula's, t0, coefficients of c).
+
+    The polynomial c in t - t0 has `size` dimensions and the degree `order`.
+    """
+
+    def h(position: Expressions, t: Expression, p: Expressions) -> Expression:
+        split = len(p) - 1 - size * (order + 1)
+        since = t - p[split]
+        coefficients = p[split + 1 :].reshape(order + 1, size)
+        place = coefficients[-1]
+        for row in coefficients[-2::-1]:
+            place = row + since * place
+        return formula(position - place, t, p[:split])
+
+    return arithmetic(h) if is_arithmetic(formula) else h
+
+
+@dataclass(frozen=True)
+class Followed:
+    """The parameters of a `carried` barrier whose shape follows a trajectory.
+
+    At each tick the trajectory is replaced by its Taylor polynomial (E13), with every
+    derivative that the rows and their gradients contain, so these are exact at the tick
+    for any trajectory.
+
+    Attributes:
+        trajectory: The trajectory of the shape's position, in k dimensions.
+        order: The degree of the polynomial.
+        fixed: The shape's own parameters.
+    """
+
+    trajectory: Any
+    order: int
+    fixed: tuple[float, ...]
+
+    def parameters_at(self, t: float, obstacles: Array | None) -> tuple[float, ...]:
+        """Returns the parameters; outside its interval the trajectory is at rest."""
+        trajectory, start = self.trajectory, self.trajectory.start_time()
+        within = start <= t <= trajectory.end_time()
+        place = trajectory.value(min(max(t, start), trajectory.end_time()))
+        coefficients = [place.ravel()] + [
+            trajectory.EvalDerivative(t, i).ravel() / factorial(i)
+            if within
+            else np.zeros(place.size)
+            for i in range(1, self.order + 1)
+        ]
+        return (*self.fixed, t, *np.concatenate(coefficients).tolist())
 
 
 @dataclass(frozen=True)
@@ -233,12 +274,6 @@ class HalfSpace(SmoothShape):
     margin: NotNegative = 0.0
 
     def __post_init__(self) -> None:
-        """Checks the numbers.
-
-        Raises:
-            ValueError: Not 2 or 3 dimensions, a normal of no length, a negative margin,
-                or a number that is not finite.
-        """
         check_fields(self, "half-space: ")
         normal = finite_vector(self.normal, "half-space: normal")
         if len(normal) not in (2, 3) or not normal.any():
@@ -253,11 +288,7 @@ class HalfSpace(SmoothShape):
         normal = np.asarray(self.normal, dtype=float)
         length = np.linalg.norm(normal)
         parameters = [*(normal / length), self.offset / length + self.margin]
-        return len(normal), _half_space, parameters
-
-
-def _half_space(position: Expressions, t: Expression, p: Expressions) -> Expression:
-    return p[:-1] @ position - p[-1]
+        return len(normal), lambda z, t, p: p[:-1] @ z - p[-1], parameters
 
 
 @dataclass(frozen=True)
@@ -282,12 +313,6 @@ class Geofence(Shape):
     margin: NotNegative = 0.0
 
     def __post_init__(self) -> None:
-        """Checks the numbers.
-
-        Raises:
-            ValueError: Not 2 or 3 dimensions, no room inside, every side open, a
-                negative margin, or a number that is nan.
-        """
         check_fields(self, "geofence: ")
         lower, upper = (np.asarray(v, dtype=float) for v in (self.lower, self.upper))
         if lower.shape not in ((2,), (3,)) or upper.shape != lower.shape:
@@ -340,11 +365,6 @@ class PairDistance:
     distance: Positive
 
     def __post_init__(self) -> None:
-        """Checks the distance.
-
-        Raises:
-            ValueError: It is not positive and finite.
-        """
         check_fields(self, "pair: ")
 
     @typed
@@ -361,11 +381,10 @@ class PairDistance:
             gains: K of (E4); their number is the relative degree.
             first: The indices of the position p.
             second: The indices of the position q, as many.
-            name: Its name in error messages and logs.
+            name: Its name.
 
         Raises:
-            ValueError: The two positions are not of one size, or the same, or bad
-                gains.
+            ValueError: The positions are not of one size, or the same, or bad gains.
         """
         p = position_function(first, len(first), name)
         q = position_function(second, len(first), name)
@@ -373,14 +392,9 @@ class PairDistance:
             raise ValueError(
                 f"barrier '{name}': first and second are both {list(first)}"
             )
-        return Barrier(_pair(p, q), gains, [self.distance], name)
 
+        def h(x: Expressions, t: Expression, D: Expressions) -> Expression:
+            offset = p(x) - q(x)
+            return (offset @ offset) ** 0.5 - D[0]
 
-def _pair(first: PositionFunction, second: PositionFunction) -> BarrierFunction:
-    """Returns h(x, t, p) with p = (D,)."""
-
-    def h(x: Expressions, t: Expression, p: Expressions) -> Expression:
-        offset = first(x) - second(x)
-        return (offset @ offset) ** 0.5 - p[0]
-
-    return h
+        return Barrier(h, gains, [self.distance], name)

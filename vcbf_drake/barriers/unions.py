@@ -36,15 +36,7 @@ def any_of(barriers: Sequence[Barrier], smoothing: float, name: str = "any") -> 
 
     It keeps inside a union of rooms, or outside a polygon. It is never above the
     greatest h: for two barriers it is below by at most half the smoothing, and each
-    doubling of their number adds another half.
-
-    Args:
-        barriers: At least one, of the same gains; without parameters that change.
-        smoothing: The length e over which two of them blend, in the unit of h.
-        name: Its name in error messages and logs.
-
-    Raises:
-        ValueError: There is no barrier, gains differ, or the smoothing is not positive.
+    doubling of their number adds another half. Arguments and errors as of `all_of`.
     """
     return _combined(barriers, smoothing, name, smooth_maximum)
 

@@ -16,7 +16,7 @@ import math
 from math import inf, nextafter
 from typing import Any, TypeAlias, cast
 
-from vcbf_drake.barriers.subsystem import PlacedFunction
+from vcbf_drake.barriers.chain import PlacedFunction
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.formulas import CompiledFunction, function_of
 
