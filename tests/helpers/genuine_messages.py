@@ -10,7 +10,6 @@ from vcbf_drake.hil import (
     command_format,
     obstacles_format,
     state_format,
-    status_format,
 )
 
 SECOND = 1_000_000  # In microseconds.
@@ -19,7 +18,6 @@ SESSION = NOW - 100 * SECOND
 FORMATS = (
     state_format(8, 3),
     command_format(3),
-    status_format(3, 7, 3),
     obstacles_format(),
 )
 

@@ -18,7 +18,6 @@ from vcbf_drake.hil import (
     command_format,
     obstacles_format,
     state_format,
-    status_format,
 )
 
 MESSAGES = Path(__file__).parents[2] / "vcbf_drake" / "hil" / "messages"
@@ -27,7 +26,6 @@ SECOND = 1_000_000
 FORMATS = [
     state_format(8, 3),
     command_format(3),
-    status_format(3, 7, 3),
     obstacles_format(),
 ]
 
@@ -133,7 +131,6 @@ def test_a_flaw_that_any_message_can_have_is_named(form, name) -> None:
         (FORMATS[0], "time", float("nan"), Reason.NUMBER),
         (FORMATS[0], "mode", 4, Reason.CODE),
         (FORMATS[0], "mode", -1, Reason.CODE),
-        (FORMATS[2], "num_conflicts", -1, Reason.SIZE),
         (FORMATS[0], "state", [float("nan")] * 8, Reason.NUMBER),
         (FORMATS[0], "state", [0.0] * 7 + [float("inf")], Reason.NUMBER),
         (FORMATS[0], "state", [0.0] * 7 + [-1e300], Reason.NUMBER),
@@ -141,21 +138,12 @@ def test_a_flaw_that_any_message_can_have_is_named(form, name) -> None:
         (FORMATS[0], "input_integral", [0.0, 0.0, 1e300], Reason.NUMBER),
         (FORMATS[1], "input", [0.0, 0.0, float("inf")], Reason.NUMBER),
         (FORMATS[1], "mode", 100, Reason.CODE),
-        (FORMATS[2], "filter_status", 5, Reason.CODE),
-        (FORMATS[2], "error_bound", float("inf"), Reason.NUMBER),
-        (FORMATS[2], "num_findings", -1, Reason.SIZE),
-        (FORMATS[2], "barriers", [float("inf")] * 7, Reason.NUMBER),
-        (FORMATS[3], "position", [float("nan")] * 21, Reason.NUMBER),
+        (FORMATS[2], "position", [float("nan")] * 21, Reason.NUMBER),
     ],
 )
 def test_a_flaw_is_named(form, name, value, reason) -> None:
     flawed = message(form, **{name: value})
     assert form.decode(flawed.encode()) == Rejection(reason)
-
-
-def test_a_status_may_say_that_a_number_is_not_there() -> None:
-    sent = message(FORMATS[2], volume=float("nan"), barriers=[float("nan")] * 7)
-    assert not isinstance(FORMATS[2].decode(sent.encode()), Rejection)
 
 
 def test_a_rejection_says_what_was_found() -> None:

@@ -410,6 +410,8 @@ def test_a_vehicle_without_a_name_says_so(start) -> None:
     [
         *("udpm://127.0.0.1:7667?ttl=0", "udpm://239.255.76.67", "memq://"),
         *("udpm://239.255.76.67:0", "udpm://239.255.76.67:abc", "nonsense://"),
+        # LCM would take these for a port: its first digits, and an octal number.
+        *("udpm://239.255.76.67:7667abc?ttl=0", "udpm://239.255.76.67:07667"),
     ],
 )
 def test_a_url_of_no_bus_between_processes_is_refused(url) -> None:

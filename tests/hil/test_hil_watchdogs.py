@@ -303,3 +303,40 @@ def test_the_estimate_stays_within_its_bound_over_a_bad_link(faults) -> None:
         true = disturbance.get_output_port().Eval(context)
         error = np.linalg.norm(true - np.array(status.disturbance_estimate))
         assert error <= status.error_bound
+
+
+# What is guaranteed ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [
+        {},
+        {"vehicle_faults": LinkFaults(delay=0.004), "grid": 5},
+        {"vehicle_faults": LinkFaults(drop=0.2, seed=1)},
+        {"controller_faults": LinkFaults(drop=0.2, seed=1)},
+    ],
+)
+def test_a_plan_counts_for_nothing_where_a_period_or_an_input_was_another(
+    faults,
+) -> None:
+    """Theorem 5 is of whole periods of each command: late and lost ones are counted."""
+    run = loop("{infeasible: backup}", "car-avoidance", **faults)
+    run.advance_to(2.0)
+    report = run.controller.report()
+    if not faults:
+        assert report["reasons_against_feasible"] == []
+        assert report["guaranteed_feasible"] is None  # Nobody there knows the truth.
+        return
+    assert report["guaranteed_feasible"] is False
+    (reason,) = report["reasons_against_feasible"]
+    assert reason.startswith("exact periods: ")
+    assert reason.endswith(" intervals were no period of one command")
+
+
+def test_without_a_plan_there_is_nothing_to_guarantee() -> None:
+    run = loop(name="car-avoidance")
+    run.advance_to(0.1)
+    assert not {"guaranteed_feasible", "reasons_against_feasible"} & {
+        *run.controller.report()
+    }

@@ -1,7 +1,7 @@
 """Hardware in the loop: a vehicle and its controller as two processes on an LCM bus.
 
-A message's way: `bus` (bytes), `inbox` (checked, accepted, the newest), `senders` (who
-sent it, in which order, by which clock). The vehicle's half is `make_vehicle`, the
+A message's way: `bus` (bytes), `formats` (checked), `inbox` (accepted, by its sender,
+order and clock). The vehicle's half is `make_vehicle`, the
 controller's `make_hardware_loop`; a process around each lets it run in real time.
 """
 
@@ -10,13 +10,12 @@ from vcbf_drake.hil.bus import (
     Bus,
     BusError,
     LinkFaults,
-    SimulatedClock,
-    WallClock,
     check_bus,
     open_bus,
     read_key,
     vehicle_name,
 )
+from vcbf_drake.hil.clocks import SimulatedClock, WallClock
 from vcbf_drake.hil.command_sender import CommandSender, command_message
 from vcbf_drake.hil.controller_process import ControllerProcess
 from vcbf_drake.hil.controller_side import (
@@ -34,16 +33,17 @@ from vcbf_drake.hil.event_log import (
     read_event_log,
     start_log,
 )
-from vcbf_drake.hil.inbox import (
+from vcbf_drake.hil.formats import (
     CommandMode,
-    Inbox,
     MessageFormat,
+    Reason,
+    Rejection,
     VehicleMode,
     command_format,
     obstacles_format,
     state_format,
-    status_format,
 )
+from vcbf_drake.hil.inbox import Inbox
 from vcbf_drake.hil.log_replay import LoggedController, LogReplay, replay_log
 from vcbf_drake.hil.prediction import LiveAudit, StatePredictor
 from vcbf_drake.hil.processes import EXIT_STATUSES, PlantProcess, say_farewell
@@ -53,7 +53,6 @@ from vcbf_drake.hil.receivers import (
     Verdict,
     Watchdog,
 )
-from vcbf_drake.hil.senders import Reason, Rejection
 from vcbf_drake.hil.vehicle_side import make_vehicle
 
 __all__ = [
@@ -102,6 +101,5 @@ __all__ = [
     "say_farewell",
     "start_log",
     "state_format",
-    "status_format",
     "vehicle_name",
 ]

@@ -8,19 +8,21 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 import heapq
 import hmac
+import itertools
 import math
 import os
 from pathlib import Path
 import re
 import socket
 import time
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from pydrake.lcm import DrakeLcm
 
 from vcbf_drake.checks import check_parameter
 from vcbf_drake.errors import InvalidValueError, VcbfError
+from vcbf_drake.hil.clocks import Clock, SimulatedClock, WallClock
 from vcbf_drake.simulation.scenario import Scenario
 
 # Multicast, as LCM's own default; a time to live of 0 keeps it on this computer.
@@ -37,7 +39,8 @@ Tap = Callable[[int, str, bytes], None]
 _LEAST_KEY, _MOST_KEY = 16, 65_536  # Bytes.
 _LONGEST_NAME = 48  # LCM's channels have at most 63 characters.
 _CHECK_CHANNEL = "VCBF_BUS_CHECK"
-# LCM reads an invalid option as 0, or ignores it.
+# LCM reads an invalid option as 0, or ignores it, and of a port its first digits.
+_MULTICAST = re.compile(r"udpm://((\d{1,3}\.){3}\d{1,3}:[1-9]\d{0,4})?", re.ASCII)
 _OPTION = re.compile(r"ttl=(1?\d?\d|2[0-4]\d|25[0-5])|recv_buf_size=\d{1,9}", re.ASCII)
 _NO_SERVER = (
     "no LCM server answers there; start one, for example lcm-tcpq-server or"
@@ -52,35 +55,6 @@ _NO_WAY = (
 
 class BusError(VcbfError):
     """The bus does not carry messages; the text names a remedy."""
-
-
-class WallClock:
-    """The system's clock at the start, advanced by a clock that is never set back."""
-
-    def __init__(self) -> None:
-        self._offset = time.time_ns() - time.monotonic_ns()
-
-    def utime(self) -> int:
-        """Returns the time [us]."""
-        return (self._offset + time.monotonic_ns()) // 1000
-
-
-class SimulatedClock:
-    """A clock that the driver of a simulation sets.
-
-    Attributes:
-        now: Its time [us].
-    """
-
-    def __init__(self, now: int = 1_000_000_000_000_000) -> None:
-        self.now = now
-
-    def utime(self) -> int:
-        """Returns the time [us]."""
-        return self.now
-
-
-Clock: TypeAlias = WallClock | SimulatedClock
 
 
 @dataclass(frozen=True)
@@ -156,7 +130,7 @@ class Bus:
         self._generator = np.random.default_rng(self._faults.seed)
         # Messages on their way: arrival time [us], number, channel, bytes.
         self._arriving: list[tuple[int, int, str, bytes]] = []
-        self._came = 0
+        self._numbers = itertools.count()
         self.begin_session()
 
     @property
@@ -191,8 +165,9 @@ class Bus:
 
     def publish(self, channel: str, data: bytes) -> None:
         """Sends the bytes on a channel, given without the vehicle's name."""
-        full = self.channel(channel)
-        self._tell_taps(self.clock.utime(), full, data)
+        full, now = self.channel(channel), self.clock.utime()
+        for tap in self.taps:
+            tap(now, full, data)
         self.lcm.Publish(full, data + self._signature(full, data))
 
     def subscribe(self, channel: str, handler: Handler) -> None:
@@ -239,8 +214,7 @@ class Bus:
         if faults.delay:
             jitter = self._generator.uniform(-faults.jitter, faults.jitter)
             due += round(1e6 * (faults.delay + jitter))
-        self._came += 1
-        heapq.heappush(self._arriving, (due, self._came, channel, data))
+        heapq.heappush(self._arriving, (due, next(self._numbers), channel, data))
 
     def _deliver(self) -> int:
         arrived, until = 0, self.clock.utime()
@@ -249,7 +223,8 @@ class Bus:
             *_, channel, signed = heapq.heappop(self._arriving)
             now, data = self.clock.utime(), self._verified(channel, signed)
             if data is not None:
-                self._tell_taps(now, channel, data)
+                for tap in self.taps:
+                    tap(now, channel, data)
             for handler in self._handlers[channel]:
                 handler(data, now)
         return arrived
@@ -266,10 +241,6 @@ class Bus:
         if not self._key:
             return b""
         return hmac.digest(self._key, channel.encode() + b"\0" + data, "sha256")
-
-    def _tell_taps(self, now: int, channel: str, data: bytes) -> None:
-        for tap in self.taps:
-            tap(now, channel, data)
 
 
 def check_name(name: str) -> None:
@@ -317,13 +288,13 @@ def open_bus(
     """Returns the bus of a scenario's vehicle or controller, once it carries messages.
 
     Args:
-        scenario: The scenario, which has the key's path and the vehicle's default name.
+        scenario: It has the key's path and the vehicle's default name.
         url: LCM's URL of the bus.
         name: The vehicle's.
         faults: Faults injected into arriving messages; none by default.
 
     Raises:
-        InvalidValueError: The name may not end a channel's.
+        InvalidValueError: The name is not valid.
         BusError: There is no key, or the bus carries no messages.
     """
     name = vehicle_name(scenario.name) if name is None else name
@@ -345,15 +316,21 @@ def check_bus(url: str, patience: float = 1.0) -> None:
         patience: The time limit [s].
 
     Raises:
-        BusError: Nothing arrived, or the URL has an option that LCM does not know.
+        BusError: Nothing arrived, or LCM would take a part of the URL for another.
     """
-    for option in filter(None, url.partition("?")[2].split("&")):
+    base, _, options = url.partition("?")
+    for option in filter(None, options.split("&")):
         if not _OPTION.fullmatch(option):
             known = "ttl=0 to ttl=255 and recv_buf_size=BYTES"
             raise BusError(f"{url}: no option {option}; there are {known}")
-    is_tcp = url.startswith("tcpq://")
-    if is_tcp:
-        _require_server(url, patience)
+    remedy, can_carry = _NO_WAY, bool(_MULTICAST.fullmatch(base))
+    if base.startswith("tcpq://"):
+        remedy, can_carry = _NO_SERVER, _has_server(base, patience)
+    if not (can_carry and _carries(url, patience)):
+        raise BusError(f"{url} carries no messages: {remedy}")
+
+
+def _carries(url: str, patience: float) -> bool:
     arrived: list[bytes] = []
     token = f"{os.getpid()} {time.monotonic_ns()}".encode()
     deadline = time.monotonic() + patience
@@ -363,22 +340,15 @@ def check_bus(url: str, patience: float = 1.0) -> None:
         while token not in arrived and time.monotonic() < deadline:
             sender.Publish(_CHECK_CHANNEL, token)
             receiver.HandleSubscriptions(20)
-    if token not in arrived:
-        raise BusError(
-            f"{url} carries no messages: {_NO_SERVER if is_tcp else _NO_WAY}"
-        )
+    return token in arrived
 
 
-def _require_server(url: str, patience: float) -> None:
-    """Asks for a server before LCM does, which prints lines of its own.
-
-    Raises:
-        BusError: None answers there.
-    """
-    place = url.removeprefix("tcpq://").partition("?")[0]
-    host, _, port = place.partition(":")
+def _has_server(base: str, patience: float) -> bool:
+    """Asks for a server before LCM does, which prints lines of its own."""
+    host, _, port = base.removeprefix("tcpq://").partition(":")
     try:
         address = host or "localhost", int(port or 7700)
         socket.create_connection(address, patience).close()
     except (OSError, ValueError, OverflowError):
-        raise BusError(f"{url} carries no messages: {_NO_SERVER}") from None
+        return False
+    return True

@@ -11,16 +11,11 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceEstimate
 from vcbf_drake.hil.bus import Bus
-from vcbf_drake.hil.inbox import CommandMode, command_format, status_format
+from vcbf_drake.hil.formats import CommandMode, command_format
 from vcbf_drake.hil.messages import vcbf_command, vcbf_state, vcbf_status
 from vcbf_drake.hil.prediction import FINDINGS
 from vcbf_drake.hil.receivers import StateReceiver, StateStamp, Verdict, Watchdog
-from vcbf_drake.safety import (
-    METHODS,
-    FilterStatus,
-    SafetyFilter,
-    unpack_feasible_set,
-)
+from vcbf_drake.safety import FilterStatus, SafetyFilter, unpack_feasible_set
 from vcbf_drake.simulation.sections import Hardware
 
 # The share of its timeout for which a vehicle may hear nothing from the controller that
@@ -36,6 +31,7 @@ class CommandSender(LeafSystem):
         name: CommandSender
         input_ports:
         - input
+        - finding
         - reference
         - slack
         - volume
@@ -44,15 +40,14 @@ class CommandSender(LeafSystem):
         - feasible_set
         - estimate
         - stamp
-        - finding
 
-    `input` is the held input; everything else is sampled at the ticks. It sends
-    periodically and at forced events: a status from the start on, commands from the
-    first tick on. While the vehicle follows another controller, only one command per
-    second is sent: the commands of both would displace each other in the vehicle's
-    inbox. Watchdogs decide whether the input may be applied. An infeasible tick with
-    the policy ``stop`` also requests the vehicle's fallback, and so does, with
-    `Hardware.audit` ``fallback``, a finding of the audit.
+    `input` is the held input and `finding` that of the audit; everything else is
+    sampled at the ticks. It sends periodically and at forced events: a status from the
+    start on, commands from the first tick on. While the vehicle follows another
+    controller, only one command per second is sent: the commands of both would displace
+    each other in the vehicle's inbox. Watchdogs decide whether the input may be
+    applied. An infeasible tick with the policy ``stop`` also requests the vehicle's
+    fallback, and so does, with `Hardware.audit` ``fallback``, a finding of the audit.
 
     Args:
         bus: The bus.
@@ -67,7 +62,7 @@ class CommandSender(LeafSystem):
         ending: Whether the controller is about to end.
         takes_over: Whether it requests its vehicle from another controller.
         period: The control period [s].
-        last_status: The last status sent, None before the first.
+        last_status: The last status sent; before the first tick it answers no state.
         deadlines_missed: Control periods that had no tick of their own, for the status;
             the driver of the diagram counts them.
     """
@@ -85,31 +80,24 @@ class CommandSender(LeafSystem):
         super().__init__()
         self.ending = self.takes_over = False
         self.period = period
-        self.last_status: vcbf_status | None = None
+        self.last_status = vcbf_status()
+        self.last_status.state_sequence = -1
         self.deadlines_missed = 0
         self._bus, self._filter, self._receiver = bus, safety_filter, receiver
         self._delta1, self._audit = delta1, settings.audit
         self._longest_silence = _SHARE * settings.command_timeout
         self._showed_itself_at = -math.inf
         self._watchdogs = tuple(watchdogs)
-        self._method = next(
-            name for name, each in METHODS.items() if each is safety_filter.method
-        )
-        m, n_barriers = safety_filter.model.num_inputs, safety_filter.barrier_set.size
-        q = safety_filter.model.num_disturbances
+        m, q = safety_filter.model.num_inputs, safety_filter.model.num_disturbances
         self._commands = command_format(m).channel
-        self._statuses = status_format(m, n_barriers, q).channel
         self._input = self.DeclareVectorInputPort("input", m)
+        self._finding = self.DeclareVectorInputPort("finding", 1)
+        filtered = ("slack", "volume", "barriers", "status", "feasible_set")
         sizes = {
             "reference": m,
-            "slack": 1,
-            "volume": 1,
-            "barriers": n_barriers,
-            "status": 1,
-            "feasible_set": safety_filter.GetOutputPort("feasible_set").size(),
+            **{name: safety_filter.GetOutputPort(name).size() for name in filtered},
             "estimate": DisturbanceEstimate.packed_size(q),
             "stamp": len(StateStamp._fields),
-            "finding": 1,
         }
         # The sampled quantities: each one's port, and its held state.
         self._sampled = {
@@ -123,8 +111,53 @@ class CommandSender(LeafSystem):
         self.DeclarePeriodicPublishEvent(period, 0.0, self._send)
         self.DeclareForcedPublishEvent(self._send)
 
-    def verdict(self, context: Context) -> Verdict:
-        """Returns the current request to the vehicle, and its reason."""
+    def _sample(self, context: Context, discrete: DiscreteValues) -> None:
+        for port, index in self._sampled.values():
+            discrete.set_value(index, port.Eval(context))
+
+    def _held(self, context: Context) -> dict[str, Array]:
+        """The sampled quantities at the last tick; nan before the first."""
+        return {
+            name: context.get_discrete_state(index).CopyToVector()
+            for name, (_, index) in self._sampled.items()
+        }
+
+    def _send(self, context: Context) -> None:
+        # The log of a command tells when its verdict was reached.
+        with self._bus.one_instant():
+            self._send_now(context)
+
+    def _send_now(self, context: Context) -> None:
+        held, u = self._held(context), self._input.Eval(context)
+        stamp = StateStamp(*held["stamp"].tolist())
+        conflicts, finding = self._conflicts(held), int(self._finding.Eval(context)[0])
+        findings = [FINDINGS[finding]] if finding >= 0 else []
+        trouble = f"no input satisfies {', '.join(conflicts)}" if conflicts else ""
+        if held["status"][0] == FilterStatus.FAILED:
+            trouble = "the filter's tick FAILED"
+        verdict = self._verdict(findings, trouble)
+        is_ticking = not math.isnan(stamp.sequence)
+        if is_ticking and self._speaks(stamp):
+            command = command_message(u, verdict.mode, stamp)
+            command.state_age = self._held_for(stamp)
+            command.takes_over = self.takes_over
+            self._bus.send(self._commands, command)
+        status = self._status(held, u if is_ticking else np.zeros_like(u), stamp)
+        status.mode = int(verdict.mode)
+        status.num_conflicts, status.conflicts = len(conflicts), conflicts
+        status.num_findings, status.findings = len(findings), findings
+        # The verdict's reason, then other senders, and what else is wrong.
+        reasons = [verdict.reason, self._receiver.notice() if is_ticking else ""]
+        if verdict.mode is CommandMode.APPLY:
+            reasons += [trouble, *(f"refuted: {finding}" for finding in findings)]
+        elif verdict.mode is CommandMode.FALLBACK:
+            reasons.append(self._receiver.inbox.complaint(self._bus.clock.utime()))
+        status.reason = "; ".join(filter(None, reasons))
+        self._bus.send("VCBF_STATUS", status)
+        self.last_status = status
+
+    def _verdict(self, findings: Sequence[str], trouble: str) -> Verdict:
+        """The current request to the vehicle, and its reason."""
         if self.ending:
             return Verdict(CommandMode.END, "the controller ends")
         verdict = self._receiver.verdict()
@@ -134,66 +167,20 @@ class CommandSender(LeafSystem):
             theirs = watchdog()
             if theirs.mode is not CommandMode.APPLY:
                 return theirs
-        findings = self.findings(context)
         if findings and self._audit == "fallback":
             return Verdict(CommandMode.FALLBACK, f"refuted: {findings[0]}")
         stops = self._filter.settings.infeasible == "stop"
-        if verdict.mode is CommandMode.APPLY and stops:
-            status = self._held(context, "status")[0]
-            reason = trouble_of_filter(status, self.conflicts(context))
-            if reason:
-                return Verdict(CommandMode.FALLBACK, reason)
+        if trouble and stops and verdict.mode is CommandMode.APPLY:
+            return Verdict(CommandMode.FALLBACK, trouble)
         return verdict
 
-    def findings(self, context: Context) -> tuple[str, ...]:
-        """Returns the hypotheses refuted by measurements at the last tick, in words."""
-        finding = self._held(context, "finding")[0]
-        return (FINDINGS[int(finding)],) if finding >= 0.0 else ()
-
-    def conflicts(self, context: Context) -> tuple[str, ...]:
-        """Returns the rows that excluded each other at the last tick, by name."""
-        if self._held(context, "status")[0] != FilterStatus.INFEASIBLE:
-            return ()
-        packed = unpack_feasible_set(
-            self._held(context, "feasible_set"),
-            self._filter.num_rows,
-            self._filter.model.num_inputs,
-        )
-        return self._filter.row_names.in_conflict(packed.A, packed.b)
-
-    def _sample(self, context: Context, discrete: DiscreteValues) -> None:
-        for port, index in self._sampled.values():
-            discrete.set_value(index, port.Eval(context))
-
-    def _held(self, context: Context, name: str) -> Array:
-        """The value of an input port at the last tick; nan before the first."""
-        _, index = self._sampled[name]
-        held: Array = context.get_discrete_state(index).CopyToVector()
-        return held
-
-    def _send(self, context: Context) -> None:
-        # The log of a command tells when its verdict was reached.
-        with self._bus.one_instant():
-            self._send_now(context)
-
-    def _send_now(self, context: Context) -> None:
-        stamp = StateStamp(*self._held(context, "stamp").tolist())
-        verdict, u = self.verdict(context), self._input.Eval(context)
-        is_ticking = not math.isnan(stamp.sequence)
-        if is_ticking and self._speaks(stamp):
-            command = command_message(u, verdict.mode, stamp)
-            command.state_age = self._held_for(stamp)
-            command.takes_over = self.takes_over
-            self._bus.send(self._commands, command)
-        status = self._status(context, u if is_ticking else np.zeros_like(u), stamp)
-        status.mode = int(verdict.mode)
-        status.conflicts = list(self.conflicts(context))
-        status.num_conflicts = len(status.conflicts)
-        status.reason = self._reason(verdict, is_ticking, status)
-        status.findings = list(self.findings(context))
-        status.num_findings = len(status.findings)
-        self._bus.send(self._statuses, status)
-        self.last_status = status
+    def _conflicts(self, held: dict[str, Array]) -> list[str]:
+        """The rows that excluded each other at the last tick, by name."""
+        if held["status"][0] != FilterStatus.INFEASIBLE:
+            return []
+        rows, m = self._filter.num_rows, self._filter.model.num_inputs
+        packed = unpack_feasible_set(held["feasible_set"], rows, m)
+        return list(self._filter.row_names.in_conflict(packed.A, packed.b))
 
     def _speaks(self, stamp: StateStamp) -> bool:
         """Whether a command is sent; the states alone decide."""
@@ -215,32 +202,23 @@ class CommandSender(LeafSystem):
             came = inbox.received_at
         return max(0, self._bus.clock.utime() - came)
 
-    def _reason(self, verdict: Verdict, is_ticking: bool, status: vcbf_status) -> str:
-        """The reason, other senders, and faults of the states received."""
-        notices = [verdict.reason, self._receiver.notice() if is_ticking else ""]
-        if verdict.mode is CommandMode.APPLY:
-            notices.append(trouble_of_filter(status.filter_status, status.conflicts))
-        if verdict.mode is CommandMode.FALLBACK:
-            now = self._bus.clock.utime()
-            notices.append(self._receiver.inbox.complaint(now))
-        return "; ".join(each for each in notices if each)
-
-    def _status(self, context: Context, u: Array, stamp: StateStamp) -> vcbf_status:
-        message, receiver = vcbf_status(), self._receiver
-        inbox, clock = receiver.inbox, receiver.inbox.peer_clock
-        held = {name: self._held(context, name) for name in self._sampled}
-        message.method = self._method
+    def _status(
+        self, held: dict[str, Array], u: Array, stamp: StateStamp
+    ) -> vcbf_status:
+        message, inbox = vcbf_status(), self._receiver.inbox
         is_ticking = not math.isnan(stamp.sequence)
+        message.method = self._filter.settings.method
         message.state_sequence = int(stamp.sequence) if is_ticking else -1
         message.time = stamp.time if is_ticking else 0.0
-        age = receiver.state_age()
-        message.state_age = age if math.isfinite(age) else math.nan
-        message.followed = receiver.is_followed
+        message.state_age = _finite(self._receiver.state_age())
+        message.followed = self._receiver.is_followed
         message.filter_status = int(np.nan_to_num(held["status"][0]))
         message.num_inputs, message.input = len(u), u.tolist()
         message.reference = held["reference"].tolist()
-        message.slack = float(held["slack"][0])
-        message.volume = float(held["volume"][0])
+        message.slack, message.volume = (
+            float(held["slack"][0]),
+            float(held["volume"][0]),
+        )
         message.barriers = held["barriers"].tolist()
         message.num_barriers = len(message.barriers)
         estimate = DisturbanceEstimate.unpack(held["estimate"])
@@ -253,23 +231,14 @@ class CommandSender(LeafSystem):
         message.states_late, message.states_rejected = inbox.late, inbox.rejected
         message.deadlines_missed = self.deadlines_missed
         message.clock_offset = message.clock_uncertainty = math.nan
-        if clock is not None:
-            message.clock_offset = 1e-6 * clock.offset
-            if math.isfinite(clock.uncertainty):
-                message.clock_uncertainty = 1e-6 * clock.uncertainty
+        if inbox.peer_clock is not None:
+            message.clock_offset = 1e-6 * inbox.peer_clock.offset
+            message.clock_uncertainty = _finite(1e-6 * inbox.peer_clock.uncertainty)
         return message
 
 
-def trouble_of_filter(status: float, conflicts: Sequence[str]) -> str:
-    """Returns the reason why the filter's input violates a row; empty for none.
-
-    Args:
-        status: A `FilterStatus`; nan before the first tick.
-        conflicts: The names of the rows that exclude each other.
-    """
-    if status == FilterStatus.FAILED:
-        return "the filter's tick FAILED"
-    return f"no input satisfies {', '.join(conflicts)}" if conflicts else ""
+def _finite(value: float) -> float:
+    return value if math.isfinite(value) else math.nan
 
 
 def command_message(

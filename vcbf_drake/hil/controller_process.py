@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable
 import math
+import re
 import time
 from typing import Any
 
@@ -13,32 +14,33 @@ from pydrake.systems.framework import Context, Diagram
 
 from vcbf_drake.errors import ModelError, naming_user_code
 from vcbf_drake.hil.bus import Bus
-from vcbf_drake.hil.command_sender import CommandSender, trouble_of_filter
-from vcbf_drake.hil.inbox import CommandMode, VehicleMode
-from vcbf_drake.hil.messages import vcbf_status
+from vcbf_drake.hil.command_sender import CommandSender
+from vcbf_drake.hil.formats import CommandMode, VehicleMode
 from vcbf_drake.hil.processes import (
     HardwareProcess,
     median_and_p99,
     say_farewell,
 )
-from vcbf_drake.hil.receivers import StateReceiver
+from vcbf_drake.hil.receivers import StateReceiver, StateStamp
 from vcbf_drake.safety import (
     FilterStatus,
+    SafetyFilter,
     chebyshev_ball,
     emptiness_certificate,
     inscribed_ellipsoid,
 )
 from vcbf_drake.safety.projection import nearest_point
 
+# Of a control period and of the input's range, what rounding is: in a state's time
+# stamp, and in the difference of two integrals.
+_ROUNDING = 1e-6
+
 
 def warm_up(num_inputs: int) -> None:
-    """Solves one problem of every kind that a filter solves.
+    """Solves one problem of every kind that a filter solves, for m inputs.
 
     The first problem of a kind loads its solver, which takes up to half a second: long
     enough for a vehicle to fall back.
-
-    Args:
-        num_inputs: m.
     """
     m = num_inputs
     A = np.concatenate([np.eye(m), -np.eye(m), np.full((1, m), m**-0.5)])
@@ -47,44 +49,6 @@ def warm_up(num_inputs: int) -> None:
     inscribed_ellipsoid(A, b)
     chebyshev_ball(A, b)
     emptiness_certificate(A, -b)
-
-
-class _Record:
-    """The record of ticks and sent messages, in bounded memory."""
-
-    def __init__(self) -> None:
-        self._ticks: Counter[FilterStatus] = Counter()
-        self._findings: Counter[str] = Counter()
-        self._durations: deque[float] = deque(maxlen=65_536)
-        self._method, self._refused_intervals = "", 0
-        self._least_volume, self._greatest_slack = np.inf, 0.0
-
-    def add_tick(self, status: vcbf_status | None, duration: float) -> None:
-        """Adds a tick with its computing time [s] and its messages."""
-        if status is None:
-            return
-        self._ticks[FilterStatus(status.filter_status)] += 1
-        self._least_volume = float(np.fmin(self._least_volume, status.volume))
-        self._greatest_slack = float(np.fmax(self._greatest_slack, abs(status.slack)))
-        self._durations.append(duration)
-        self._method = status.method
-        self._findings.update(status.findings)
-        self._refused_intervals = max(self._refused_intervals, status.refused_intervals)
-
-    def report(self) -> dict[str, Any]:
-        """Returns the report of the filter."""
-        ticks = self._ticks.total()
-        return {
-            "method": self._method,
-            "ticks": ticks,
-            "infeasible_ticks": self._ticks[FilterStatus.INFEASIBLE],
-            "failed_ticks": self._ticks[FilterStatus.FAILED],
-            "min_volume": self._least_volume if ticks else None,
-            "max_abs_slack": self._greatest_slack,
-            "tick_ms": median_and_p99(1e3 * np.array(self._durations)),
-            "refused_intervals": self._refused_intervals,
-            "findings": dict(self._findings),
-        }
 
 
 class ControllerProcess(HardwareProcess):
@@ -121,8 +85,9 @@ class ControllerProcess(HardwareProcess):
         named = diagram.GetSubsystemByName
         self._receiver: StateReceiver = named("state_receiver")
         self._sender: CommandSender = named("command_sender")
+        self._filter: SafetyFilter = named("filter")
         self._period = round(1e6 * self._sender.period)  # [us]
-        warm_up(named("filter").model.num_inputs)
+        warm_up(self._filter.model.num_inputs)
         # One tick without effect comes first: the first tick of a diagram is slow.
         self.diagram.EvalUniquePeriodicDiscreteUpdate(
             self.diagram.CreateDefaultContext()
@@ -130,9 +95,13 @@ class ControllerProcess(HardwareProcess):
         self.context = self.diagram.CreateDefaultContext()
         self.tick_taps: list[Callable[[Context], None]] = []
         self.takes_over = False
-        self._record = _Record()
         self._sent_at = self._starved = 0
         self._session, self._began = 0, 0.0
+        # For the report.
+        self._ticks, self._findings = Counter[FilterStatus](), Counter[str]()
+        self._durations: deque[float] = deque(maxlen=65_536)
+        self._least_volume, self._greatest_slack = math.inf, 0.0
+        self._intervals = self._inexact = self._planless = self._refused_intervals = 0
 
     @property
     def time(self) -> float:
@@ -143,13 +112,12 @@ class ControllerProcess(HardwareProcess):
     def mode(self) -> CommandMode | None:
         """The mode requested of the vehicle last, None before the first tick."""
         status = self._sender.last_status
-        if status is None or status.state_sequence < 0:
-            return None
-        return CommandMode(status.mode)
+        return CommandMode(status.mode) if status.state_sequence >= 0 else None
 
     def _run(self, patience: float) -> None:
         if self._session == 0:
-            self._forget_the_start(self._receiver.inbox)
+            self.bus.poll()  # There was no subscriber before: nothing is lost.
+            self._receiver.inbox.begin_anew()
             self.bus.begin_session()  # Later than that of whom it takes over from.
         self._sender.takes_over = self.takes_over
         if not self._wait_for_peer(self._go_on, lambda: self._session > 0, patience):
@@ -159,7 +127,7 @@ class ControllerProcess(HardwareProcess):
         status = self._sender.last_status
         if self._stopping:
             self.ending = "stopped"
-        elif status and status.filter_status == FilterStatus.INFEASIBLE:
+        elif status.filter_status == FilterStatus.INFEASIBLE:
             self.ending = "infeasible"
 
     def _say_farewell(self) -> None:
@@ -186,14 +154,37 @@ class ControllerProcess(HardwareProcess):
                 self._send()
 
     def report(self) -> dict[str, Any]:
-        """Returns the report of the filter and of the states' arrival."""
-        return {
-            **self._record.report(),
+        """Returns the report of the filter and of the states' arrival.
+
+        With the policy ``backup`` it has `reasons_against_feasible`, and whether the
+        run is `guaranteed_feasible`: False, or None, for nobody here knows the truth.
+        """
+        ticks = self._ticks.total()
+        report: dict[str, Any] = {
+            "method": self._filter.settings.method,
+            "ticks": ticks,
+            "infeasible_ticks": self._ticks[FilterStatus.INFEASIBLE],
+            "failed_ticks": self._ticks[FilterStatus.FAILED],
+            "min_volume": self._least_volume if ticks else None,
+            "max_abs_slack": self._greatest_slack,
+            "tick_ms": median_and_p99(1e3 * np.array(self._durations)),
+            "refused_intervals": self._refused_intervals,
+            "findings": dict(self._findings),
             "changes": list(self.changes),
             "deadlines_missed": self._sender.deadlines_missed,
             "round_trip_ms": median_and_p99(self._receiver.inbox.round_trips),
             "arrived": self._receiver.inbox.report(),
         }
+        if self._filter.gate is not None:
+            reasons = []
+            if self._inexact:
+                of = f"{self._inexact} of {self._intervals} intervals"
+                reasons.append(f"exact periods: {of} were no period of one command")
+            if self._planless:
+                reasons.append(f"certified plan: {self._planless} ticks had none")
+            report["reasons_against_feasible"] = reasons
+            report["guaranteed_feasible"] = False if reasons else None
+        return report
 
     def _is_due(self) -> bool:
         context = self._receiver.GetMyContextFromRoot(self.context)
@@ -213,21 +204,50 @@ class ControllerProcess(HardwareProcess):
         newest = receiver.stamp(context)
         self.context.SetTime(newest.time)
         if newest.session == self._session:
-            # Of the periods since, those with a state were missed here, and without one
-            # by the vehicle.
-            periods = max(1, round(1e6 * (newest.time - last.time) / self._period))
-            sent = min(periods, int(newest.sequence - last.sequence))
-            self._sender.deadlines_missed += sent - 1
-            self._starved += periods - sent
+            self._count_periods(last, newest)
         else:
             self._session, self._began = int(newest.session), newest.time
         for tap in self.tick_taps:
             tap(self.context)
+        if self._filter.gate is not None:
+            backup = self._filter.GetOutputPort("backup")
+            at = self._filter.GetMyContextFromRoot(self.context)
+            self._planless += backup.Eval(at)[1] == 0.0
         self.context.SetDiscreteState(
             self.diagram.EvalUniquePeriodicDiscreteUpdate(self.context)
         )
         self._send()
-        self._record.add_tick(self._sender.last_status, time.perf_counter() - started)
+        status = self._sender.last_status
+        self._ticks[FilterStatus(status.filter_status)] += 1
+        self._findings.update(status.findings)
+        refused = status.refused_intervals
+        self._refused_intervals = max(self._refused_intervals, refused)
+        self._least_volume = float(np.fmin(self._least_volume, status.volume))
+        self._greatest_slack = float(np.fmax(self._greatest_slack, abs(status.slack)))
+        self._durations.append(time.perf_counter() - started)
+
+    def _count_periods(self, last: StateStamp, newest: StateStamp) -> None:
+        """Counts missed periods, and intervals that are not one period of a command."""
+        elapsed = 1e6 * (newest.time - last.time) / self._period
+        # Of the periods since, those with a state were missed here, and without one by
+        # the vehicle.
+        periods = max(1, round(elapsed))
+        sent = min(periods, int(newest.sequence - last.sequence))
+        self._sender.deadlines_missed += sent - 1
+        self._starved += periods - sent
+        if elapsed == 0.0:
+            return  # It waits.
+        receiver, sender = self._receiver, self._sender
+        applied = receiver.GetOutputPort("applied_input").Eval(
+            receiver.GetMyContextFromRoot(self.context)
+        )
+        held = sender.GetInputPort("input").Eval(
+            sender.GetMyContextFromRoot(self.context)
+        )
+        rounding = _ROUNDING * self._filter.input_set.scale
+        is_another = bool(np.any(np.abs(applied - held) > rounding))
+        self._intervals += 1
+        self._inexact += is_another or abs(elapsed - 1.0) > _ROUNDING
 
     def _send(self) -> None:
         """Sends a status, and after the first tick also a command."""
@@ -238,7 +258,7 @@ class ControllerProcess(HardwareProcess):
     def _note_sent(self) -> None:
         """Records the request to the vehicle, after the first tick."""
         status = self._sender.last_status
-        if status is not None and status.state_sequence >= 0:
+        if status.state_sequence >= 0:
             mode = CommandMode(status.mode).name.lower()
             self._note_mode(status.time, mode, status.reason)
 
@@ -254,24 +274,17 @@ class ControllerProcess(HardwareProcess):
 
     def _say(self) -> None:
         status, inbox = self._sender.last_status, self._receiver.inbox
-        if status is None:
-            return
-        is_ticking = status.state_sequence >= 0
+        is_ticking, reason = status.state_sequence >= 0, status.reason
         when = f"{status.time:.2f} s: " if is_ticking else ""
         mode = CommandMode(status.mode).name.lower()
-        # With APPLY, other lines report the details.
-        is_said = status.reason and status.mode != CommandMode.APPLY
-        words = f"{when}{mode}, {status.reason}" if is_said else f"{when}{mode}"
         kind = mode if is_ticking else f"before: {inbox.last_rejection}"
-        self._tell_change("mode", kind, words)
-        notice = self._receiver.notice() if is_ticking else ""
-        self._tell_change("notice", notice, f"{when}{notice or 'followed again'}")
         if status.mode == CommandMode.APPLY:
-            trouble = trouble_of_filter(status.filter_status, status.conflicts)
-            line = f"{when}{trouble or 'every row is satisfied again'}"
-            self._tell_change("filter", "in trouble" if trouble else "", line)
-        for finding in status.findings:
-            self._tell_change(finding, finding, f"{when}refuted: {finding}")
+            self._tell_change("mode", kind, f"{when}{mode}")
+            # Which rows conflict, and numbers that grow, are no news.
+            kind = re.sub(r"satisfies [^;]*|\d+", "", reason)
+            self._tell_change("trouble", kind, f"{when}{reason or 'all is well again'}")
+        else:
+            self._tell_change("mode", kind, f"{when}{mode}, {reason}")
         if status.refused_intervals:
             line = f"{when}the state jumped, by more than any declared disturbance does"
             self._tell_change("jump", "jump", line)

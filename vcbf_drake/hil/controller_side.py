@@ -15,7 +15,8 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, OutputPort
 from vcbf_drake.add_safety_filter import AddedSafetyFilter
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
-from vcbf_drake.hil.bus import Bus, LinkFaults, SimulatedClock, Tap
+from vcbf_drake.hil.bus import Bus, LinkFaults, Tap
+from vcbf_drake.hil.clocks import SimulatedClock
 from vcbf_drake.hil.command_sender import CommandSender
 from vcbf_drake.hil.controller_process import ControllerProcess
 from vcbf_drake.hil.prediction import LiveAudit, StatePredictor
@@ -27,7 +28,7 @@ from vcbf_drake.hil.receivers import (
     Watchdog,
     difference_from,
 )
-from vcbf_drake.hil.senders import check_timing
+from vcbf_drake.hil.vehicle_side import check_timing
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.simulation.fault_systems import lose_answers
 from vcbf_drake.simulation.loop import (

@@ -15,7 +15,8 @@ from pydrake.systems.framework import Context
 
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceObserver
-from vcbf_drake.hil.bus import Bus, SimulatedClock
+from vcbf_drake.hil.bus import Bus
+from vcbf_drake.hil.clocks import SimulatedClock
 from vcbf_drake.hil.controller_process import ControllerProcess
 from vcbf_drake.hil.controller_side import controller_of
 from vcbf_drake.hil.event_log import (
@@ -25,15 +26,15 @@ from vcbf_drake.hil.event_log import (
     of_one_vehicle,
     read_event_log,
 )
-from vcbf_drake.hil.inbox import (
+from vcbf_drake.hil.formats import (
     CommandMode,
-    Inbox,
+    Rejection,
     VehicleMode,
     command_format,
     state_format,
 )
+from vcbf_drake.hil.inbox import Inbox
 from vcbf_drake.hil.messages import vcbf_command, vcbf_state, vcbf_status
-from vcbf_drake.hil.senders import Rejection
 from vcbf_drake.safety import Assumption, SafetyFilter
 from vcbf_drake.simulation.collision_monitor import TOUCH
 from vcbf_drake.simulation.log import finish_log
@@ -295,7 +296,10 @@ def replay_log(
         "changes": [change for report in reports for change in report["changes"]],
         **logged.report(),
     }
-    return LogReplay(recorder.result(logged.states), damage, about)
+    result = recorder.result(logged.states)
+    told = ("reasons_against_feasible", "guaranteed_feasible")
+    result.summary.update({key: reports[-1][key] for key in told if key in reports[-1]})
+    return LogReplay(result, damage, about)
 
 
 class _Recorder:

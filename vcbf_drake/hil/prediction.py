@@ -7,13 +7,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.systems.framework import (
     BasicVector,
     Context,
     DiscreteValues,
     LeafSystem,
-    ValueProducer,
 )
 
 from vcbf_drake.checks import Array
@@ -49,14 +47,9 @@ FINDINGS = (
 def runge_kutta_step(
     model: ControlAffineModel, x: Array, u: Array, d: Array, h: float
 ) -> Array:
-    """Returns the state after a step of Runge and Kutta's fourth order.
+    """Returns the state (n,) after a step of Runge and Kutta's fourth order.
 
-    Args:
-        model: f, g, E.
-        x: The state at its beginning, (n,).
-        u: The input, held, (m,).
-        d: The disturbance, held, (q,).
-        h: The length of the step [s].
+    Input and disturbance are held for its length h [s].
     """
     push = model.disturbance_matrix @ d
 
@@ -113,18 +106,18 @@ class StatePredictor(LeafSystem):
         self._held = self.DeclareVectorInputPort("held_input", m)
         self._estimate = self.DeclareVectorInputPort("disturbance_estimate", q)
         # When the last command was sent, then earlier ones: time and input, each.
-        self._remembered = math.ceil(2.0 * longest / period) + 1
+        remembered = math.ceil(2.0 * longest / period) + 1
         self.DeclareDiscreteState([0.0])
-        self.DeclareDiscreteState(np.full(self._remembered * (1 + m), np.nan))
+        self.DeclareDiscreteState(np.full(remembered * (1 + m), np.nan))
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._remember)
         self.DeclareVectorOutputPort("predicted_state", n, self._calc)
 
     def _remember(self, context: Context, discrete: DiscreteValues) -> None:
         """Adds the last command to the earlier ones; the next one is sent now."""
-        commands = self._sent(context)
-        kept = np.full((self._remembered, commands.shape[1]), np.nan)
-        kept[-len(commands) :] = commands[-self._remembered :]
-        discrete.set_value(1, kept.ravel())
+        kept = np.full(context.get_discrete_state(1).size(), np.nan)
+        commands = self._sent(context).ravel()[-len(kept) :]
+        kept[-len(commands) :] = commands
+        discrete.set_value(1, kept)
         discrete.set_value(0, [context.get_time() + self._delays.Eval(context)[0]])
 
     def _sent(self, context: Context) -> Array:
@@ -136,14 +129,6 @@ class StatePredictor(LeafSystem):
         # Without unused entries, and without commands from before time went back.
         return np.vstack([earlier[earlier[:, 0] < sent_at], last])
 
-    def horizon(self, context: Context) -> float:
-        """Returns the prediction horizon, the sum of both delays [s]."""
-        return float(np.sum(self._usable_delays(context)))
-
-    def _usable_delays(self, context: Context) -> Array:
-        delays: Array = np.clip(self._delays.Eval(context), 0.0, self._longest)
-        return delays
-
     def _calc(self, context: Context, output: BasicVector) -> None:
         x, d = self._state.Eval(context), self._estimate.Eval(context)
         for duration, u in self._applied(context):
@@ -152,18 +137,15 @@ class StatePredictor(LeafSystem):
 
     def _applied(self, context: Context) -> Iterator[tuple[float, Array]]:
         """Yields the inputs until a command sent now arrives, with their durations."""
-        sent, (_, delay) = self._sent(context), self._usable_delays(context)
-        begin = context.get_time()
-        end = begin + self.horizon(context)
+        delays = np.clip(self._delays.Eval(context), 0.0, self._longest)
+        begin, sent = context.get_time(), self._sent(context)
+        end = begin + delays.sum()
         # A command is applied from when it arrives to when the next one does. The first
         # remembered command stands for all earlier ones.
-        arrivals = np.clip(sent[:, 0] + delay, begin, end)
-        arrivals[0] = begin
-        for arrival, following, u in zip(
-            arrivals, [*arrivals[1:], end], sent[:, 1:], strict=True
-        ):
-            if following > arrival:
-                yield following - arrival, u
+        arrivals = [begin, *np.clip(sent[1:, 0] + delays[1], begin, end), end]
+        for duration, u in zip(np.diff(arrivals), sent[:, 1:], strict=True):
+            if duration > 0.0:
+                yield duration, u
 
 
 class _Memory(NamedTuple):
@@ -213,7 +195,8 @@ class LiveAudit(LeafSystem):
     row (five equal states) are a finding. It is withdrawn after a second without a
     refutation; the third finding of a motion stays.
 
-    `finding` is the index in `FINDINGS` of the refuted hypothesis, -1 for none.
+    `finding`, a state, is the index in `FINDINGS` of the hypothesis that was refuted at
+    the last tick, -1 for none.
 
     Args:
         model: The plant's f, g, E.
@@ -252,34 +235,27 @@ class LiveAudit(LeafSystem):
         self._ports = [
             self.DeclareVectorInputPort(name, size) for name, size in sizes.items()
         ]
+        self.DeclareStateOutputPort("finding", self.DeclareDiscreteState([-1.0]))
         self.DeclareDiscreteState(np.array(_Memory()))
         # The last state and the last input.
         self.DeclareDiscreteState(np.full(n + m, np.nan))
-        self._judged = self.DeclareCacheEntry(
-            "judged",
-            ValueProducer(
-                lambda: Value[object](),
-                lambda context, judged: judged.set_value(self._judge(context)),
-            ),
-            {self.all_input_ports_ticket(), self.xd_ticket()},
-        )
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
-        self.DeclareVectorOutputPort("finding", 1, self._calc_finding)
-
-    def _calc_finding(self, context: Context, output: BasicVector) -> None:
-        output[0] = self._judged.Eval(context).finding
 
     def _update(self, context: Context, discrete: DiscreteValues) -> None:
-        state, applied, *_ = (port.Eval(context) for port in self._ports)
-        discrete.set_value(0, np.array(self._judged.Eval(context)))
-        discrete.set_value(1, np.concatenate([state, applied]))
+        memory, (x, u, *_) = (
+            self._judge(context),
+            (p.Eval(context) for p in self._ports),
+        )
+        discrete.set_value(0, [memory.finding])
+        discrete.set_value(1, np.array(memory))
+        discrete.set_value(2, np.concatenate([x, u]))
 
     def _judge(self, context: Context) -> _Memory:
         """The memory after this tick."""
         x, u, stamped, packed = (port.Eval(context) for port in self._ports)
         stamp = StateStamp(*stamped.tolist())
-        memory = _Memory(*context.get_discrete_state(0).CopyToVector().tolist())
-        last = context.get_discrete_state(1).CopyToVector()
+        memory = _Memory(*context.get_discrete_state(1).CopyToVector().tolist())
+        last = context.get_discrete_state(2).CopyToVector()
         x_0, u_0 = last[: len(x)], last[len(x) :]
         now = stamp.time
         if stamp.session != memory.session or now < memory.time:
@@ -301,7 +277,17 @@ class LiveAudit(LeafSystem):
             refuted_motion=memory.refuted_motion + 1 if is_off else 0.0,
             frozen=memory.frozen + is_moved if is_same else 0.0,
         )
-        return _concluded(memory, is_large or is_off)
+        if is_large or is_off:
+            memory = memory._replace(refuted_at=now)
+        # A frozen state is also elsewhere: the more exact finding counts.
+        if memory.frozen >= _FROZEN:
+            return _alarmed(memory, 2)
+        if memory.refuted_estimate >= _PERSISTENT:
+            return _alarmed(memory, 0)
+        if memory.refuted_motion >= _PERSISTENT:
+            return _alarmed(memory, 1)
+        is_quiet = now - memory.refuted_at > _QUIET and memory.alarms < _MOST_ALARMS
+        return memory._replace(finding=-1.0) if is_quiet else memory
 
     def _with_standing_time(
         self, memory: _Memory, stamp: StateStamp, x_0: Array, x: Array
@@ -344,20 +330,6 @@ class LiveAudit(LeafSystem):
         allowed = _SPARE * allowed + _OF_MOTION * np.abs(predicted - x_0)
         allowed = allowed + self._noise * (1.0 + elapsed) + 1e-9
         return bool(np.any(np.abs(model.difference(x_1, predicted)) > allowed))
-
-
-def _concluded(memory: _Memory, is_refuted: bool) -> _Memory:
-    """The memory with the conclusion from its counts."""
-    counts = memory.refuted_estimate, memory.refuted_motion, memory.frozen
-    limits = _PERSISTENT, _PERSISTENT, _FROZEN
-    if is_refuted:
-        memory = memory._replace(refuted_at=memory.time)
-    # A frozen state is also elsewhere: the more exact finding counts.
-    for finding in (2, 0, 1):
-        if counts[finding] >= limits[finding]:
-            return _alarmed(memory, finding)
-    is_quiet = memory.time - memory.refuted_at > _QUIET and memory.alarms < _MOST_ALARMS
-    return memory._replace(finding=-1.0) if is_quiet else memory
 
 
 def _alarmed(memory: _Memory, finding: int) -> _Memory:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection
 from contextlib import suppress
 import math
 import time
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 from pydrake.lcm import DrakeLcm
@@ -17,8 +17,7 @@ from pydrake.systems.framework import Context
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import naming_user_code
 from vcbf_drake.hil.bus import Bus
-from vcbf_drake.hil.inbox import Inbox, VehicleMode
-from vcbf_drake.hil.senders import Reason
+from vcbf_drake.hil.formats import Reason, VehicleMode
 from vcbf_drake.hil.vehicle_side import VehicleEnd, make_vehicle
 from vcbf_drake.simulation.collision_monitor import CollisionMonitor
 from vcbf_drake.simulation.loop import COLLISION_MONITOR, LOG_PREFIX
@@ -50,20 +49,6 @@ EXIT_STATUSES = {
 }
 
 
-class ModeChange(TypedDict):
-    """The time and the reason of a change of mode.
-
-    Attributes:
-        time: The time since the motion began [s].
-        mode: The new mode: the name of a `CommandMode` or `VehicleMode`.
-        reason: The reason; empty if the mode explains itself.
-    """
-
-    time: float
-    mode: str
-    reason: str
-
-
 def say_farewell(send: Callable[[], None]) -> None:
     """Repeats a last message for half a second, so that at least one copy arrives.
 
@@ -92,7 +77,8 @@ class HardwareProcess:
             before.
         tell: Called with a line whenever something changes.
         progress: Called with a line once a second.
-        changes: The last 1000 mode changes of the vehicle, or requested of it.
+        changes: The last 1000 modes of the vehicle, or requested of it: `time` since
+            the motion began [s], `mode`, and `reason`, empty where none is needed.
     """
 
     def __init__(self, bus: Bus, peer: str, channel: str) -> None:
@@ -100,7 +86,7 @@ class HardwareProcess:
         self.ending = ""
         self.tell: Callable[[str], None] = lambda line: None
         self.progress: Callable[[str], None] = lambda line: None
-        self.changes: deque[ModeChange] = deque(maxlen=1000)
+        self.changes: deque[dict[str, Any]] = deque(maxlen=1000)
         self._peer, self._channel, self._stopping = peer, channel, False
         self._told: dict[str, str] = {}
         self._troubled_at = Counter[str]()
@@ -161,15 +147,10 @@ class HardwareProcess:
             name = channel.partition("/")[2]
             self._neighbours.add(name or "one without a name")
 
-    def _forget_the_start(self, inbox: Inbox) -> None:
-        """Forgets losses from before the start, when there was no subscriber."""
-        self.bus.poll()
-        inbox.begin_anew()
-
     def _note_mode(self, time: float, mode: str, reason: str = "") -> None:
         """Records a mode at a time of the motion [s], if it is new."""
         if not self.changes or self.changes[-1]["mode"] != mode:
-            self.changes.append(ModeChange(time=time, mode=mode, reason=reason))
+            self.changes.append({"time": time, "mode": mode, "reason": reason})
 
     def _tell_change(self, subject: str, text: str, line: str) -> None:
         """Reports a subject's text if it has changed.
@@ -201,12 +182,10 @@ class HardwareProcess:
         periods = 1e-6 * (now - self._progress_at) / period
         for who, count in missed.items():
             lately = count - self._missed[who]
-            is_kept = lately <= _MOST_MISSED * periods
+            is_lost = lately > _MOST_MISSED * periods
             what, how, again = _MISSED[who]
             loss = f"{what}: {lately} of {periods:.0f} periods {how}"
-            self._tell_change(
-                who, "" if is_kept else "missed", again if is_kept else loss
-            )
+            self._tell_change(who, "missed" * is_lost, loss if is_lost else again)
         self._progress_at, self._missed = now, Counter(missed)
         self.progress(line())
 
@@ -271,7 +250,8 @@ class PlantProcess(HardwareProcess):
     def _run(self, patience: float) -> None:
         # Not a new session: the states of the start are heard, and were another's.
         inbox = self._end.inbox
-        self._forget_the_start(inbox)
+        self.bus.poll()
+        inbox.begin_anew()
         if self._wait_for_peer(self._stand, lambda: inbox.newest is not None, patience):
             self._end.restart()
             self._move()
@@ -306,7 +286,7 @@ class PlantProcess(HardwareProcess):
         heights = monitor.barrier_set.values_along(states, times)
         report: dict[str, Any] = {
             "scenario": scenario.name,
-            "outcome": self._outcome(reached_at is not None),
+            "outcome": self._outcome(reached_at),
             "time": self.time,
             "reached_at": reached_at,
             "final_distance": final_distance,
@@ -320,13 +300,12 @@ class PlantProcess(HardwareProcess):
             report["real_time_rate"] = self.time / self._elapsed
         return report
 
-    def _outcome(self, is_there: bool) -> str | None:
-        """Returns the outcome of the motion, None without one."""
+    def _outcome(self, reached_at: float | None) -> str | None:
         if self.mode is VehicleMode.WAITING:
-            return None
+            return None  # There was no motion.
         if self.collided:
             return "collision"
-        return "reached" if is_there else "timeout"
+        return "timeout" if reached_at is None else "reached"
 
     def _stand(self) -> None:
         """Sends the waiting vehicle's state, for a control period.

@@ -18,14 +18,14 @@ from pydrake.systems.framework import (
 from vcbf_drake.barriers import PerceivedSpheres
 from vcbf_drake.checks import Array
 from vcbf_drake.hil.bus import Bus
-from vcbf_drake.hil.inbox import (
+from vcbf_drake.hil.formats import (
     CommandMode,
-    Inbox,
+    Reason,
     VehicleMode,
     obstacles_format,
     state_format,
 )
-from vcbf_drake.hil.senders import Reason
+from vcbf_drake.hil.inbox import Inbox
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.sections import Hardware
 

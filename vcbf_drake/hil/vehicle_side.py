@@ -18,18 +18,18 @@ from pydrake.systems.framework import (
 from pydrake.systems.primitives import LogVectorOutput
 
 from vcbf_drake.barriers import BarrierSet
-from vcbf_drake.checks import Array
+from vcbf_drake.checks import Array, require
 from vcbf_drake.hil.bus import Bus
-from vcbf_drake.hil.inbox import (
+from vcbf_drake.hil.formats import (
     CommandMode,
-    Inbox,
+    Reason,
     VehicleMode,
     command_format,
     obstacles_format,
     state_format,
 )
+from vcbf_drake.hil.inbox import SHORTEST_PERIOD, Inbox
 from vcbf_drake.hil.messages import vcbf_obstacles, vcbf_state
-from vcbf_drake.hil.senders import Reason, check_timing
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.model.interface import state_port_of
 from vcbf_drake.safety import InputSet
@@ -241,6 +241,24 @@ class VehicleEnd(LeafSystem):
         message.num_obstacles = len(message.radius)
         message.num_coordinates = len(message.position)
         self._bus.send(obstacles_format().channel, message)
+
+
+def check_timing(scenario: Scenario) -> None:
+    """Checks that a scenario's period, time limits and sight suit a bus.
+
+    Raises:
+        InvalidValueError: The control period is shorter than an inbox believes of any
+            sender, or not below a time limit; or obstacles are in sight only where a
+            simulation looks.
+    """
+    sight, period = scenario.faults.sight, scenario.period
+    rule = (
+        "0 on a bus, where a vehicle says what it sees (hardware.obstacles: perceived)"
+    )
+    require(sight <= 0.0, ("faults", "sight"), sight, rule)
+    rule = f"at least {SHORTEST_PERIOD:g} s on a bus"
+    require(period >= SHORTEST_PERIOD, "period", period, rule)
+    scenario.check_hardware_times()
 
 
 def make_vehicle(scenario: Scenario, bus: Bus) -> Diagram:

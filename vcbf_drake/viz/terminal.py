@@ -135,6 +135,8 @@ def print_hardware_report(side: str, report: Mapping[str, Any]) -> None:
     table.add_row("rejected", ", ".join(rejected) or "none")
     for finding, count in report.get("findings", {}).items():
         table.add_row("refuted", f"{finding} ({count} ticks)")
+    for reason in report.get("reasons_against_feasible", ()):
+        table.add_row("not guaranteed", f"feasible: {reason}")
     if "commands" in report:
         same, logged = report["commands"]["same"], report["commands"]["logged"]
         words = f"{same} of {logged} logged ones came out again bit for bit; largest"
