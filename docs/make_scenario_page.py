@@ -11,7 +11,7 @@ import re
 from typing import Any
 
 from vcbf_drake import plants
-from vcbf_drake.plants.channels import channels_of
+from vcbf_drake.plants.vehicle import channels_of
 from vcbf_drake.simulation import scenario_schema
 
 PAGE = Path(__file__).parent / "guide" / "scenarios.md"

@@ -12,8 +12,8 @@ import pytest
 from vcbf_drake import InputLimits, Scenario, ScenarioError, load_scenario, simulate
 from vcbf_drake.barriers import HalfSpace, StateLimit
 from vcbf_drake.plants import MultibodyVehicle
-from vcbf_drake.plants.channels import channels_of
 from vcbf_drake.plants.robot_controllers import Lqr
+from vcbf_drake.plants.vehicle import channels_of
 from vcbf_drake.simulation.sections import BarrierGains
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -19,7 +19,7 @@ from vcbf_drake import InputLimits, Scenario, ScenarioError, load_scenario, simu
 from vcbf_drake.barriers import StateLimit
 from vcbf_drake.errors import InvalidValueError, UserCodeError
 from vcbf_drake.plants import BlimpVehicle, CarVehicle, StateFeedback, Vehicle
-from vcbf_drake.plants.channels import channels_of
+from vcbf_drake.plants.vehicle import channels_of
 from vcbf_drake.simulation import check_assumptions, dump_scenario
 from vcbf_drake.simulation.loading import parse_scenario
 from vcbf_drake.viz import write_figures, write_replay

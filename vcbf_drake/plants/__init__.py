@@ -21,9 +21,10 @@ from vcbf_drake.plants.car import (
     CarVehicle,
     TurnLimit,
 )
+from vcbf_drake.plants.controllers import StateFeedback
 from vcbf_drake.plants.multibody_vehicle import MultibodyVehicle
 from vcbf_drake.plants.shapes import Part
-from vcbf_drake.plants.vehicle import StateFeedback, Vehicle
+from vcbf_drake.plants.vehicle import Vehicle
 
 __all__ = [
     "Blimp",

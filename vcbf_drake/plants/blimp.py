@@ -19,13 +19,14 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 from vcbf_drake.checks import Array, check_parameter
 from vcbf_drake.model.manoeuvre import Manoeuvre
 from vcbf_drake.plants.blimp_climb import BlimpClimb
-from vcbf_drake.plants.shapes import Part, painted_model
-from vcbf_drake.plants.target import (
+from vcbf_drake.plants.controllers import (
     NEAR,
-    TargetController,
+    StateFeedback,
+    checked_target,
     forward_component,
     heading_error,
 )
+from vcbf_drake.plants.shapes import Part, painted_model
 from vcbf_drake.plants.vehicle import Vehicle
 from vcbf_drake.typed import (
     Checked,
@@ -222,7 +223,7 @@ class BlimpControllerParameters(Checked):
     height_error_cap: PositiveOrInfinite = math.inf
 
 
-class BlimpController(TargetController):
+class BlimpController(StateFeedback):
     """Steers the blimp to a target and stops it there (E81).
 
     With v_w = min(k_x, cap / e_d) (p_t - p) the desired horizontal velocity, v the
@@ -258,13 +259,14 @@ class BlimpController(TargetController):
         parameters: BlimpControllerParameters | None = None,
         plant_parameters: BlimpParameters | None = None,
     ) -> None:
-        super().__init__(target, Blimp)
+        super().__init__(self._steer, 8, 3, 3)
+        self._target = checked_target(target, 3)
         self._parameters = copy.copy(parameters) or BlimpControllerParameters()
         self._masses = (plant_parameters or BlimpParameters()).effective_masses
 
-    def _law(self, state: list[float], estimate: list[float]) -> list[float]:
+    def _steer(self, state: Array, estimate: Array) -> list[float]:
         p = self._parameters
-        x, y, z, yaw, vx, vy, vz, yaw_rate = state
+        x, y, z, yaw, vx, vy, vz, yaw_rate = state.tolist()
         dx, dy = self._target[0] - x, self._target[1] - y
         distance = max(math.hypot(dx, dy), NEAR)
 

@@ -20,13 +20,14 @@ from vcbf_drake.barriers import Barrier, StateInputLimit, ackermann_limit
 from vcbf_drake.checks import Array
 from vcbf_drake.model.manoeuvre import Manoeuvre
 from vcbf_drake.plants.car_stop import CarStop
-from vcbf_drake.plants.shapes import Part, painted_model
-from vcbf_drake.plants.target import (
+from vcbf_drake.plants.controllers import (
     NEAR,
-    TargetController,
+    StateFeedback,
+    checked_target,
     forward_component,
     heading_error,
 )
+from vcbf_drake.plants.shapes import Part, painted_model
 from vcbf_drake.plants.vehicle import Vehicle
 from vcbf_drake.typed import (
     Checked,
@@ -134,7 +135,7 @@ class CarControllerParameters(Checked):
     approach_gain: NotNegative = 0.6
 
 
-class CarController(TargetController):
+class CarController(StateFeedback):
     """Drives the car to a target and stops it there (E82).
 
     With p_r - p and e_ψ the offset and the heading error to the target::
@@ -165,12 +166,13 @@ class CarController(TargetController):
         parameters: CarControllerParameters | None = None,
         plant_parameters: CarParameters | None = None,
     ) -> None:
-        super().__init__(target, Car)
+        super().__init__(self._steer, 4, 2, 1)
+        self._target = checked_target(target, 2)
         self._parameters = copy.copy(parameters) or CarControllerParameters()
         self._mass = (plant_parameters or CarParameters()).mass
 
-    def _law(self, state: list[float], estimate: list[float]) -> list[float]:
-        p, (x, y, speed, heading) = self._parameters, state
+    def _steer(self, state: Array, estimate: Array) -> list[float]:
+        p, (x, y, speed, heading) = self._parameters, state.tolist()
         dx, dy = self._target[0] - x, self._target[1] - y
         wanted_speed = p.approach_gain * forward_component(dx, dy, heading)
         force = -p.speed_gain * (speed - wanted_speed) - self._mass * estimate[0]

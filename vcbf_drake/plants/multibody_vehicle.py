@@ -20,16 +20,15 @@ from vcbf_drake.checks import Array, check_finite, check_parameter, require_choi
 from vcbf_drake.errors import below
 from vcbf_drake.files import IS_FILE
 from vcbf_drake.model.position import Position, frames_of, point_position
-from vcbf_drake.plants.channels import channels_of
-from vcbf_drake.plants.postures import posture_at
 from vcbf_drake.plants.robot_controllers import (
     InverseDynamics,
     JointStiffness,
     Lqr,
+    posture_at,
 )
 from vcbf_drake.plants.robot_file import RobotFile, bodies_of, joints_of
 from vcbf_drake.plants.shapes import Part
-from vcbf_drake.plants.vehicle import Vehicle
+from vcbf_drake.plants.vehicle import Vehicle, channels_of
 from vcbf_drake.typed import NotNegative, Positive, check_fields
 
 _BALL = 0.02  # The radius of the ball that marks the point in pictures [m].

@@ -10,7 +10,9 @@ from importlib.resources import files
 import logging
 import math
 from pathlib import Path
+import tempfile
 import xml.etree.ElementTree as ElementTree
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from pydrake.geometry import SceneGraph
@@ -18,13 +20,16 @@ from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint, ModelInstanceIndex, RigidBody
 
-from vcbf_drake.checks import require, require_choice
+from vcbf_drake.checks import Array, require, require_choice
 from vcbf_drake.errors import InvalidValueError
 from vcbf_drake.model.interface import actuators_of
-from vcbf_drake.plants.meshes import DRAWN, draw
 
 _KINDS = (".urdf", ".sdf", ".xml", ".yaml")  # The formats that Drake's Parser reads.
 _CHANGEABLE = (".urdf", ".sdf")
+_STL = ".stl"
+_CELLS = 100  # The resolution of a drawn mesh: positions along its longest side.
+# The meshes that are drawn: those of Meshcat, and STL, which is converted.
+_DRAWN = (".obj", ".gltf", ".glb", _STL)
 _LOGGER = logging.getLogger("vcbf_drake")
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
@@ -129,12 +134,8 @@ class RobotFile:
     def _changed(self, path: Path, packages: PackageMap | None) -> str:
         """The file's text with joints fixed, other masses and other dampings.
 
-        It keeps only geometry that can be drawn, if requested: Drake would reject a
-        file for some other geometry.
-
-        Args:
-            path: The file.
-            packages: The packages of meshes; None for no geometry.
+        It keeps only geometry that can be drawn, or none without packages: Drake would
+        reject a file for some other geometry.
         """
         robot = ElementTree.parse(path).getroot()
         if robot.tag == "robot" and not robot.get("name"):
@@ -149,13 +150,13 @@ class RobotFile:
             if each.tag == "uri" and "://" not in (each.text or "://"):
                 each.text = (path.parent / str(each.text).strip()).resolve().as_uri()
         links = [*robot.iter("link")]
-        rods = [str(each.get("name")) for each in links if not draw(each, packages)]
+        rods = [str(each.get("name")) for each in links if not _draw(each, packages)]
         if rods:
-            drawn, names = ", ".join(DRAWN), ", ".join(rods)
+            drawn, names = ", ".join(_DRAWN), ", ".join(rods)
             _tell(f"{self.file}: meshes that are drawn are {drawn}; rods for {names}")
         return ElementTree.tostring(robot, "unicode")
 
-    def _fix_joints(self, robot: ElementTree.Element) -> None:
+    def _fix_joints(self, robot: Element) -> None:
         """Fixes joints; Drake has those that mimic others only in discrete time."""
         joints = {
             each.attrib["name"]: each
@@ -254,7 +255,7 @@ def _is_single(joint: Joint) -> bool:
     return bool(joint.num_velocities() == 1)
 
 
-def _multiply(element: ElementTree.Element, factor: float) -> None:
+def _multiply(element: Element, factor: float) -> None:
     """Multiplies an element's numbers: attributes in URDF, its text in SDFormat."""
     if factor == 1.0:
         return
@@ -275,3 +276,83 @@ def _efforts(path: Path) -> dict[str, float]:
             if effort is not None and float(effort) > 0.0:
                 found[str(joint.get("name"))] = float(effort)
     return found
+
+
+def _draw(link: Element, packages: PackageMap | None) -> bool:
+    """Keeps a link's shapes that Drake draws, STL meshes as Wavefront.
+
+    If none of its visual shapes can be drawn, the collision shapes replace them. None
+    of them is kept without packages. Returns whether a shape remains.
+    """
+    visuals, collisions = link.findall("visual"), link.findall("collision")
+    for each in [*visuals, *collisions]:
+        link.remove(each)
+    if packages is None:
+        return True
+    shown = [each for each in visuals if _is_drawn(each, packages)]
+    if visuals and not shown:
+        shown = [each for each in collisions if _is_drawn(each, packages)]
+    for each in shown:
+        each.tag = "visual"
+        link.append(each)
+    return bool(shown) or not visuals
+
+
+def _is_drawn(shape: Element, packages: PackageMap) -> bool:
+    """Whether a shape's meshes exist and are drawn; STL meshes are converted."""
+    for mesh in shape.iter("mesh"):
+        uri = mesh.find("uri")
+        url = str(mesh.get("filename") if uri is None else uri.text)
+        try:
+            file = Path(packages.ResolveUrl(url))
+        except RuntimeError:
+            return False
+        if file.suffix.lower() not in _DRAWN or not file.is_file():
+            return False
+        if file.suffix.lower() == _STL:
+            converted = _wavefront(file).as_uri()
+            if uri is None:
+                mesh.set("filename", converted)
+            else:
+                uri.text = converted
+    return True
+
+
+@cache
+def _folder() -> tempfile.TemporaryDirectory[str]:
+    """The folder of converted meshes, removed when the process ends."""
+    return tempfile.TemporaryDirectory(prefix="vcbf_drake_")
+
+
+@cache
+def _wavefront(file: Path) -> Path:
+    """Returns the path of a Wavefront file with the triangles of an STL file.
+
+    Corners that a picture cannot distinguish are merged, so that a replay stays small.
+    """
+    found = _corners(file)
+    cell = max(float(np.ptp(found, axis=0).max()) / _CELLS, 1e-9)
+    places = np.round(found / cell)
+    points, corners = np.unique(places, axis=0, return_inverse=True)
+    points, triangles = cell * points, 1 + corners.reshape(-1, 3)
+    a, b, c = triangles.T
+    triangles = triangles[(a != b) & (b != c) & (c != a)]
+    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in points.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in triangles.tolist()]
+    made = Path(tempfile.mkdtemp(dir=_folder().name)) / f"{file.stem}.obj"
+    made.write_text("\n".join([*lines, ""]), encoding="ascii")
+    return made
+
+
+def _corners(file: Path) -> Array:
+    """The corners of an STL file's k triangles, shape (3 k, 3)."""
+    data = file.read_bytes()
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) == 84 + 50 * count:  # Otherwise the file is in the text format.
+        triangle = np.dtype([("normal", "<f4", 3), ("at", "<f4", (3, 3)), ("", "<u2")])
+        found = np.frombuffer(data, triangle, offset=84)["at"]
+        return found.reshape(-1, 3).astype(float)
+    words = map(str.split, data.decode("ascii", "replace").splitlines())
+    return np.array(
+        [each[1:4] for each in words if each[:1] == ["vertex"]], dtype=float
+    )

@@ -28,8 +28,8 @@ from vcbf_drake.disturbances.source import (
 from vcbf_drake.errors import InvalidValueError, Path, below
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.plants import Vehicle
-from vcbf_drake.plants.channels import Channels, channels_of
 from vcbf_drake.plants.contract import check_returns, checked_plant, num_coordinates
+from vcbf_drake.plants.vehicle import Channels, channels_of
 from vcbf_drake.safety.settings import METHODS, FilterSettings
 from vcbf_drake.simulation.faults import Faults
 from vcbf_drake.simulation.obstacles import (

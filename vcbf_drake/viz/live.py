@@ -21,7 +21,7 @@ from pydrake.systems.framework import BasicVector, Context, Diagram, LeafSystem
 
 from vcbf_drake.checks import Array, require
 from vcbf_drake.model.interface import state_port_of
-from vcbf_drake.plants.channels import channels_of
+from vcbf_drake.plants.vehicle import channels_of
 from vcbf_drake.safety import FilterStatus
 from vcbf_drake.simulation.result import Result
 from vcbf_drake.simulation.scenario import Scenario

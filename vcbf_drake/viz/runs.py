@@ -13,7 +13,7 @@ import numpy as np
 
 from vcbf_drake.barriers import Barrier, StateLimit
 from vcbf_drake.checks import Array
-from vcbf_drake.plants.channels import Channels, channels_of
+from vcbf_drake.plants.vehicle import Channels, channels_of
 from vcbf_drake.viz.solids import in_space
 from vcbf_drake.viz.style import METHOD_STYLES, VEHICLE_COLORS
 
