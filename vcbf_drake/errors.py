@@ -146,13 +146,11 @@ def naming_user_code(time: Callable[[], float]) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        name, place = "", ""
-        for frame, line in traceback.walk_tb(error.__traceback__):
+        name, place = "", place_of(error)
+        for frame, _ in traceback.walk_tb(error.__traceback__):
             system: Any = frame.f_locals.get("self")
             if hasattr(system, "num_input_ports"):
                 name = str(system.get_name())
-            if _is_own(frame.f_code.co_filename):
-                place = f"{frame.f_code.co_filename}:{line}"
         at = f"{name or 'a system'} at t = {time():g} s"
         if isinstance(error, InvalidValueError):
             raise InvalidValueError(at, str(error)) from error
@@ -160,6 +158,16 @@ def naming_user_code(time: Callable[[], float]) -> Iterator[None]:
             raise
         kind = type(error).__name__
         raise UserCodeError(f"{at}, {place}: {kind}: {error}") from error
+
+
+def place_of(error: BaseException) -> str:
+    """Returns file and line of the user's own code that raised; empty for none."""
+    if isinstance(error, SyntaxError):
+        return f"{error.filename}:{error.lineno}"
+    lines = traceback.walk_tb(error.__traceback__)
+    places = [(frame.f_code.co_filename, line) for frame, line in lines]
+    own = [f"{file}:{line}" for file, line in places if _is_own(file)]
+    return own[-1] if own else ""
 
 
 _LIBRARIES = [

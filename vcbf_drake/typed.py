@@ -8,7 +8,7 @@ further checks of its values: their ranges.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from functools import cache, partial, wraps
 import inspect
 from numbers import Integral, Real
@@ -152,6 +152,10 @@ def check_type(path: str | Path, value: Any, hint: Any) -> None:
     items = [*filter(None, map(item_type, members))]
     if not (items and _is_list(value)):
         require(False, path, value, in_words(hint))
+    for each in members:
+        sizes = get_args(each)
+        if get_origin(each) is tuple and Ellipsis not in sizes:
+            require(len(value) == len(sizes), path, value, f"{len(sizes)} values")
     is_nested = len(value) > 0 and _is_list(value[0])
     deeper = [each for each in items if item_type(members_of(each)[0]) is not None]
     item = deeper[0] if is_nested and deeper else items[0]
@@ -176,6 +180,29 @@ def members_of(hint: Any) -> list[Any]:
     members = [*get_args(hint)] if is_union else [hint]
     lists = [*filter(None, map(item_type, members))]
     return [each for each in members if not (lists and get_origin(each) is np.ndarray)]
+
+
+def allowed_types(hint: Any) -> list[Any]:
+    """Returns the bare types that a hint allows: of an abstract class, its subclasses.
+
+    None is the last of them.
+    """
+    if inspect.isabstract(hint):
+        known = hint.__subclasses__()
+        for each in known:
+            known += each.__subclasses__()
+        return [each for each in known if not inspect.isabstract(each)]
+    return sorted(map(bare, members_of(hint)), key=lambda each: each is types.NoneType)
+
+
+def tagged_types(hint: Any) -> dict[str, Any]:
+    """Returns the dataclasses that a hint allows, by their tags.
+
+    For one tag it is the package's own class, or the one defined last.
+    """
+    found = [each for each in allowed_types(hint) if is_dataclass(each)]
+    own = [each for each in found if each.__module__.startswith("vcbf_drake.")]
+    return {tag_of(each): each for each in (*found, *own)}
 
 
 def item_type(hint: Any) -> Any:
@@ -236,7 +263,9 @@ def _in_words(hint: Any) -> str:
     hint = bare(hint)
     kind = get_origin(hint) or hint
     if (item := item_type(hint)) is not None:
-        inner = bare(members_of(item)[0])
+        inner, *others = map(bare, members_of(item))
+        if others:
+            return "a list"
         name = _PLURALS.get(inner) or f"{getattr(inner, '__name__', 'value')}s"
         is_nested = item_type(inner) is not None
         return f"a list of {'lists of numbers' if is_nested else name}"

@@ -189,7 +189,7 @@ def test_tuples_and_derived_vehicles_are_dumped_and_loaded_back(
     found = parse_scenario(text, "dump.yaml", "{vehicle: {marks: [4], sides: [1, 2]}}")
     assert found.vehicle.marks == (4,)  # type: ignore[attr-defined]
     assert found.vehicle.sides == (1.0, 2.0)  # type: ignore[attr-defined]
-    with pytest.raises(ScenarioError, match=r"sides: \[1.0\]; it must be 2 values$"):
+    with pytest.raises(ScenarioError, match=r"sides: \(1.0,\); it must be 2 values$"):
         parse_scenario(text, "dump.yaml", "{vehicle: {sides: [1]}}")
 
 

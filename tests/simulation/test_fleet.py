@@ -32,7 +32,7 @@ from vcbf_drake.simulation import (
     simulate_fleet,
 )
 from vcbf_drake.simulation.fleet import loops_of, make_fleet_loop, others_finding
-from vcbf_drake.simulation.loading import dump_fleet
+from vcbf_drake.simulation.loading import dump_scenario
 
 CROSSING = Path(__file__).parents[2] / "examples" / "two_vehicles.yaml"
 DISTANCE, LENGTH = 0.8, 0.42  # Between the cars; of a car [m].
@@ -303,7 +303,7 @@ def test_three_are_told_of_two_each() -> None:
 def test_a_fleet_is_written_and_read_again(tmp_path: Path) -> None:
     fleet = load_fleet(CROSSING)
     path = tmp_path / "again.yaml"
-    path.write_text(dump_fleet(fleet))
+    path.write_text(dump_scenario(fleet))
     assert load_fleet(path) == fleet
     (tmp_path / "fleet.py").write_text(
         "from vcbf_drake.simulation import load_fleet\n\n\ndef scenario():\n"
@@ -335,8 +335,8 @@ def test_a_result_of_one_is_read_again(apart: list[Result], tmp_path: Path) -> N
         ("{vehicles: {1: {initial_state: [0.5, 0, 0, 0]}}}", "it is 0.5 m away"),
         ("{faults: {sight: 2}}", "0 where there are other vehicles"),
         ("{between_ticks: certified}", "none where there are other vehicles"),
-        ("{vehicles: {2: {}}}", "they are 0 to 1"),
-        ("{vehicles: 3}", "expected a list"),
+        ("{vehicles: {2: {}}}", "2; it must be an entry of the list, 0 to 1"),
+        ("{vehicles: 3}", "3; it must be a list of Scenarios"),
         ("{vehicles: []}", "one at least"),
         ("{separation: {acceleration: 1, form: squared}}", "0 but for two gains"),
         ("{vehicles: {1: {target: [3]}}}", "2 numbers"),

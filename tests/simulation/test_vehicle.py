@@ -111,8 +111,12 @@ def test_messages_name_the_robots_states() -> None:
 @pytest.mark.parametrize(
     ("text", "place", "problem"),
     [
-        ("x = 1\n", "", "no function scenario()"),
-        ("def scenario():\n    return 3\n", "", "a int; it must have a function"),
+        ("x = 1\n", "", "scenario(): None; it must be a function of this file"),
+        (
+            "def scenario():\n    return 3\n",
+            "",
+            "scenario(): 3; it must be a vcbf_drake.Scenario or Fleet",
+        ),
         ("x = 1\ny = z\n", ":2", "NameError: name 'z' is not defined"),
         ("def scenario(:\n", ":1", "SyntaxError"),
         ("\ndef scenario():\n    return [].pop()\n", ":3", "IndexError: pop from"),

@@ -148,5 +148,5 @@ def test_a_file_is_read_and_a_python_file_computes(tmp_path):
     python_file.write_text(python_file.read_text() + "# changed\n")
     assert computed.name != name
     python_file.with_name("empty.py").write_text("")
-    with pytest.raises(ScenarioError, match="has no function draw"):
+    with pytest.raises(ScenarioError, match=r"draw\(\): None; it must be a function"):
         load_variation(str(tmp_path / "empty.py"))

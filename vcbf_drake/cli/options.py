@@ -80,10 +80,8 @@ def load(
     scenario_name: str | None = None,
 ) -> Scenario:
     """Returns a scenario of one vehicle, as the command line has it."""
-    from vcbf_drake.simulation.loading import only_one
-
     fleet = load_vehicles(name_or_path, override, method, scenario_name)
-    return only_one(fleet, name_or_path)
+    return fleet.only(name_or_path)
 
 
 def load_vehicles(

@@ -196,14 +196,13 @@ def _save(results: list[Result], directory: Path) -> None:
 def _simulate_live(
     fleet: Fleet, by_hand: bool, log_directory: Path | None
 ) -> list[Result]:
-    from vcbf_drake.simulation.loading import only_one
     from vcbf_drake.simulation.run import simulate_fleet
     from vcbf_drake.viz.live import LiveView, Stick
 
     def tell(address: str) -> None:
         typer.echo(f"open {address} in a browser; the run begins there", err=True)
 
-    driven = only_one(fleet, "--by-hand") if by_hand else None
+    driven = fleet.only("--by-hand") if by_hand else None
     view = LiveView(fleet.vehicles, tell)
     try:
         controller = Stick(view.meshcat, driven) if driven else None

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from pydrake.systems.framework import (
 
 from vcbf_drake.barriers import PerceivedSpheres
 from vcbf_drake.checks import Array, require
-from vcbf_drake.errors import below
+from vcbf_drake.errors import ScenarioError, below
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import Assumption
 from vcbf_drake.safety.settings import METHODS
@@ -95,6 +96,21 @@ class Fleet:
     def of(scenario: Scenario) -> Fleet:
         """Returns a scenario's only vehicle as a fleet."""
         return Fleet(name=scenario.name, vehicles=[scenario])
+
+    def only(self, source: str | Path) -> Scenario:
+        """Returns the scenario of the only vehicle.
+
+        Args:
+            source: Where the fleet is from, for the message.
+
+        Raises:
+            ScenarioError: There are several.
+        """
+        if len(self.vehicles) > 1:
+            names = ", ".join(each.name for each in self.vehicles)
+            found = f"{len(self.vehicles)} vehicles ({names})"
+            raise ScenarioError(f"{source}: {found}, where one is needed")
+        return self.vehicles[0]
 
     def set_method(self, method: str) -> None:
         """Gives each vehicle the filter of a method.

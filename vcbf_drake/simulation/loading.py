@@ -1,44 +1,46 @@
-"""Scenario files: strict loading of YAML, with the place of every mistake.
+"""Scenarios from YAML and Python files, with the place of every mistake, and back.
 
-PyYAML composes a text into nodes, which remember their place; overrides are merged node
-by node; dataclasses are made of them by their type hints, and check themselves. As for
-``pydrake.common.yaml``, a tag selects a member of a union, the first member needs none,
-and a key at the top level that begins with an underscore is a template.
+A top-level key of a YAML file is a scenario's name, or with ``_`` first a template.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from functools import cache
+import importlib.util
 from pathlib import Path
-from typing import Any, cast
+import sys
+from typing import Any
 
 from pydrake.common.yaml import yaml_dump
 import yaml
 
-from vcbf_drake.errors import InvalidValueError, ScenarioError
+from vcbf_drake.checks import require
+from vcbf_drake.errors import InvalidValueError, ScenarioError, VcbfError, place_of
 from vcbf_drake.files import read_text
 from vcbf_drake.simulation.fleet import Fleet
-from vcbf_drake.simulation.python_file import scenario_of
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.yaml_nodes import (
     Node,
+    build,
     compose,
     did_you_mean,
     entries_of,
     locate,
     merged,
-    shown,
+    plain,
 )
-from vcbf_drake.simulation.yaml_values import build, plain
 from vcbf_drake.typed import field_types, typed
 
-_DIRECTORY = Path(__file__).parent / "scenarios"
 VEHICLES = "vehicles"
+_FILES = sorted(Path(__file__).parent.glob("scenarios/*.yaml"))
+_SHIPPED = {path.stem: path for path in _FILES}
 
 
 def shipped_scenarios() -> tuple[str, ...]:
     """Returns the names of the scenarios that come with the package."""
-    return tuple(sorted(path.stem for path in _DIRECTORY.glob("*.yaml")))
+    return tuple(_SHIPPED)
 
 
 def scenario_path(name_or_path: str | Path) -> Path:
@@ -47,14 +49,12 @@ def scenario_path(name_or_path: str | Path) -> Path:
     Raises:
         ScenarioError: There is neither.
     """
-    path, shipped = Path(name_or_path), shipped_scenarios()
-    if str(name_or_path) in shipped:
-        return _DIRECTORY / f"{name_or_path}.yaml"
+    path = _SHIPPED.get(str(name_or_path), Path(name_or_path))
     if not path.exists():
-        names = f"allowed: {', '.join(shipped)}"
-        guess = did_you_mean(str(path), shipped)
-        hint = names if guess == names else f"{names}; {guess}"
-        raise ScenarioError(f"{path}: neither a file nor a shipped scenario; {hint}")
+        allowed = f"allowed: {', '.join(_SHIPPED)}"
+        hints = dict.fromkeys([allowed, did_you_mean(str(path), _SHIPPED)])
+        problem = "neither a file nor a shipped scenario"
+        raise ScenarioError(f"{path}: {'; '.join([problem, *hints])}")
     return path
 
 
@@ -79,7 +79,8 @@ def load_scenario(
         ScenarioError: One line that says where (file, line, key), what was found and
             what is allowed.
     """
-    return only_one(load_fleet(name_or_path, overrides, scenario_name), name_or_path)
+    fleet = load_fleet(name_or_path, overrides, scenario_name)
+    return fleet.only(name_or_path)
 
 
 @typed
@@ -102,34 +103,65 @@ def load_fleet(
         ScenarioError: See `load_scenario`.
     """
     path = scenario_path(name_or_path)
-    if path.suffix == ".py":
-        made = scenario_of(path)
-        fleet = made if isinstance(made, Fleet) else Fleet.of(made)
-        if overrides is None:
-            return fleet
-        return _parse(dump_fleet(fleet), str(path), overrides)
-    return _parse(read_text(path), str(path), overrides, scenario_name)
+    if path.suffix != ".py":
+        return _parse(read_text(path), str(path), overrides, scenario_name)
+    make = function_of(path, "scenario")
+    with _naming_place(path):
+        made = make()
+        is_one = isinstance(made, Scenario | Fleet)
+        require(is_one, "scenario()", made, "a vcbf_drake.Scenario or Fleet")
+    made.name = made.name or path.stem
+    if overrides is not None:
+        return _parse(dump_scenario(made), str(path), overrides)
+    return made if isinstance(made, Fleet) else Fleet.of(made)
 
 
 def parse_scenario(
     text: str, source: str, overrides: str | Mapping[str, Any] | None = None
 ) -> Scenario:
     """Returns the scenario of a YAML text from `source`; see `load_scenario`."""
-    return only_one(_parse(text, source, overrides), source)
+    return _parse(text, source, overrides).only(source)
 
 
-def only_one(fleet: Fleet, source: str | Path) -> Scenario:
-    """Returns the scenario of a fleet's only vehicle.
+def dump_scenario(scenario: Scenario | Fleet) -> str:
+    """Returns the whole scenario as YAML text that loads back to the same."""
+    made: Any = scenario
+    if isinstance(made, Fleet) and len(made.vehicles) == 1:
+        made = made.vehicles[0]
+    text: str = yaml_dump({made.name: plain(made, type(made))})
+    return text
+
+
+def function_of(path: Path, name: str) -> Any:
+    """Returns a function of a Python file, which is run once a process.
 
     Raises:
-        ScenarioError: It has several, as the source says.
+        ScenarioError: The file cannot be run, or has no such function.
     """
-    if len(fleet.vehicles) > 1:
-        names = ", ".join(each.name for each in fleet.vehicles)
-        raise ScenarioError(
-            f"{source}: {len(fleet.vehicles)} vehicles ({names}), where one is needed"
-        )
-    return fleet.vehicles[0]
+    with _naming_place(path):
+        function = getattr(_module_of(path.resolve()), name, None)
+        require(callable(function), f"{name}()", function, "a function of this file")
+    return function
+
+
+@cache
+def _module_of(path: Path) -> Any:
+    # It is registered, since the types of its dataclasses are found by its name.
+    name = f"vcbf_scenario_{path.stem}"
+    spec: Any = importlib.util.spec_from_file_location(name, path)
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@contextmanager
+def _naming_place(path: Path) -> Iterator[None]:
+    """Tells in one line where a file's own code fails."""
+    try:
+        yield
+    except Exception as error:  # The file's own code may raise anything.
+        kind = "" if isinstance(error, VcbfError) else f"{type(error).__name__}: "
+        raise ScenarioError(f"{place_of(error) or path}: {kind}{error}") from error
 
 
 def _parse(
@@ -149,55 +181,33 @@ def _parse(
         raise ScenarioError(f"{source}: nested too deeply") from None
 
 
-def dump_scenario(scenario: Scenario) -> str:
-    """Returns the whole scenario as YAML text that loads back to the same."""
-    return cast(str, yaml_dump({scenario.name: plain(scenario, Scenario)}))
-
-
-def dump_fleet(fleet: Fleet) -> str:
-    """Returns a fleet as YAML text that loads back to the same."""
-    if len(fleet.vehicles) == 1:
-        return dump_scenario(fleet.vehicles[0])
-    vehicles = [plain(each, Scenario) for each in fleet.vehicles]
-    return cast(str, yaml_dump({fleet.name: {VEHICLES: vehicles}}))
-
-
 def _select(root: Node, source: str, name: str | None) -> Node:
-    """Returns the node of a scenario, which then holds its name."""
+    """Returns the node of a scenario, whose key is its name where it gives none."""
     entries = {k: each for k, each in entries_of(root).items() if k[:1] != "_"}
-    problem = ""
     known = {*field_types(Scenario), *Scenario.MOVED, VEHICLES}
-    if misplaced := [key for key in entries if key in known]:
-        problem = f"{misplaced[0]} at the top; a scenario's name is missing above it"
-    elif not entries:
-        problem = "holds no scenario"
-    elif name is None and len(entries) > 1:
-        problem = f"holds {len(entries)} scenarios; scenario_name (--scenario-name)"
-        problem += f" must be one of {', '.join(entries)}"
-    elif name is not None and name not in entries:
-        problem = f"no scenario {name!r}; {did_you_mean(name, entries)}"
-    if problem:
+    for key in filter(known.__contains__, entries):
+        problem = f"{key} at the top; a scenario's name is missing above it"
         raise ScenarioError(f"{source}: {problem}")
-    key, node = entries[name or next(iter(entries))]
-    named, mark = entries_of(node), key.start_mark
-    text = yaml.ScalarNode("", key.value, mark, style='"')
-    named.setdefault("name", (yaml.ScalarNode("", "name", mark), text))
+    chosen = next(iter(entries), None) if name is None and len(entries) == 1 else name
+    if chosen not in entries:
+        problem = f"holds {len(entries) or 'no'} scenarios; scenario_name"
+        hint = did_you_mean(name or "", entries)
+        raise ScenarioError(f"{source}: {problem} (--scenario-name) {name}: {hint}")
+    key, node = entries[chosen]
+    if isinstance(node, yaml.MappingNode):
+        node.value.insert(0, (yaml.ScalarNode("", "name", key.start_mark), key))
     return node
 
 
 def _build_fleet(node: Node) -> Fleet:
     """Returns the vehicles; those of a list share the entries beside it."""
-    entries = dict(entries_of(node))
+    entries = entries_of(node)
     if VEHICLES not in entries:
         return Fleet.of(build(node, Scenario))
-    _, listed = entries.pop(VEHICLES)
-    _, name = entries.pop("name")
-    if not isinstance(listed, yaml.SequenceNode):
-        raise InvalidValueError(VEHICLES, f"expected a list, got {shown(listed)}")
-    shared = yaml.MappingNode(node.tag, [*entries.values()], node.start_mark)
-    # In place: a mistake in a shared entry is located where that entry is written.
-    listed.value[:] = [merged(shared, own) for own in listed.value]
-    vehicles = [
-        build(each, Scenario, (VEHICLES, i)) for i, each in enumerate(listed.value)
-    ]
-    return Fleet(name=name.value, vehicles=vehicles)
+    own = [entries.pop(key) for key in ("name", VEHICLES)]
+    if isinstance(listed := own[1][1], yaml.SequenceNode):
+        shared = yaml.MappingNode(node.tag, [*entries.values()], node.start_mark)
+        # In place: a mistake in a shared entry is located where that entry is written.
+        listed.value[:] = [merged(shared, each) for each in listed.value]
+    fleet: Fleet = build(yaml.MappingNode(node.tag, own, node.start_mark), Fleet)
+    return fleet

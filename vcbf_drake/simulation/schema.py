@@ -11,8 +11,7 @@ from typing import Any, Literal, get_args, get_origin
 
 from vcbf_drake.simulation.loading import VEHICLES
 from vcbf_drake.simulation.scenario import Scenario
-from vcbf_drake.simulation.yaml_values import allowed_types, tagged_types
-from vcbf_drake.typed import field_types, item_type
+from vcbf_drake.typed import allowed_types, field_types, item_type, tagged_types
 
 _WORDS = {
     float: "number",

@@ -1,22 +1,97 @@
-"""YAML's nodes, which remember where they were written: composed, merged, located."""
+"""Dataclasses from YAML's nodes, which know where they were written, and back.
+
+PyYAML composes a text into nodes; overrides are merged node by node; objects are made
+of them by their classes' type hints, and check themselves. As for
+``pydrake.common.yaml``, a tag selects a member of a union, and the first needs none.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import MISSING, fields, is_dataclass
 import difflib
 from functools import reduce
+import inspect
 import math
 from pathlib import Path
+import re
 from textwrap import shorten
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias, get_origin
 
+import numpy as np
 from pydrake.common.yaml import yaml_dump
 import yaml
+from yaml.constructor import SafeConstructor
 
-from vcbf_drake.errors import Path as KeyPath, ScenarioError
+from vcbf_drake.checks import require
+from vcbf_drake.errors import (
+    InvalidValueError,
+    Path as KeyPath,
+    ScenarioError,
+    below,
+    written,
+)
+from vcbf_drake.files import names_file, resolved
+from vcbf_drake.typed import (
+    allowed_types,
+    check_type,
+    field_types,
+    in_words,
+    item_type,
+    tag_of,
+    tagged_types,
+)
 
 Node: TypeAlias = Any  # A yaml.Node; PyYAML has no type stubs.
 _OVERRIDE = "override"
+# The notations of an angle: 90deg, 90°, pi/2.
+_ANGLE = re.compile(r"\d *(deg|°)|\bpi\b|\brad\b", re.IGNORECASE)
+# No quantity is as large, in SI units; a product of a few such numbers is still finite.
+_LARGEST = 1e15
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML of different words, merge keys (``<<``) resolved, on one line."""
+
+    def compose_scalar_node(self, anchor: Any) -> Node:
+        node = super().compose_scalar_node(anchor)
+        node.style = '"' if "\n" in node.value else node.style
+        return node
+
+    def compose_mapping_node(self, anchor: Any) -> Node:
+        node = super().compose_mapping_node(anchor)
+        words: list[str] = []
+        for key, _ in node.value:
+            word = key.value if isinstance(key, yaml.ScalarNode) else ""
+            if not word or word in words:
+                problem = f"{word or f'a {key.id}'}: given twice, or no word"
+                raise ScenarioError(f"{_where(key.start_mark)}: {problem}")
+            words.append(word)
+        self.flatten_mapping(node)
+        node.value = [*entries_of(node).values()]
+        return node
+
+
+def compose(text: str | Mapping[str, Any], source: str = _OVERRIDE) -> Node:
+    """Returns the mapping that a text holds, or that plain data are.
+
+    Raises:
+        ScenarioError: It is not YAML, or no mapping.
+    """
+    try:
+        loader = _Loader(text if isinstance(text, str) else yaml_dump({**text}))
+        loader.name = source
+        node = loader.get_single_node()
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        place = _where(mark) if mark else source
+        reason = getattr(error, "problem", None) or " ".join(str(error).split())
+        raise ScenarioError(f"{place}: not YAML: {reason}") from None
+    if not isinstance(node, yaml.MappingNode):
+        found = f"a {node.id}" if node else "nothing"
+        raise ScenarioError(f"{source}: {found}; it must be a mapping")
+    return node
 
 
 def merge_overrides(*overrides: str | Mapping[str, Any]) -> str:
@@ -26,134 +101,147 @@ def merge_overrides(*overrides: str | Mapping[str, Any]) -> str:
         ScenarioError: One is not a mapping in YAML.
     """
     node = reduce(merged, map(compose, overrides))
-    _put_on_one_line(node)
+    node.flow_style = True
     text: str = yaml.serialize(node, Dumper=yaml.SafeDumper, width=math.inf)
     return text.strip()
 
 
-def _put_on_one_line(node: Node) -> None:
-    if isinstance(node, yaml.CollectionNode):
-        node.flow_style = True
-        for each in node.value:
-            _put_on_one_line(each[1] if isinstance(each, tuple) else each)
-    elif node.style in ("|", ">"):
-        node.style = '"'
+def merged(base: Node, top: Node, path: KeyPath = ()) -> Node:
+    """Returns the base with the top's values; untagged mappings merge, others replace.
+
+    Of a list, a mapping replaces the entries that its keys number. A node remembers
+    where it was written, so later messages name the right source.
+
+    Raises:
+        ScenarioError: There is no entry of a number.
+    """
+    is_mapping = isinstance(top, yaml.MappingNode) and not top.tag.startswith("!")
+    if not is_mapping or isinstance(base, yaml.ScalarNode):
+        return top
+    is_list, entries = isinstance(base, yaml.SequenceNode), entries_of(base)
+    for name, (key, value) in entries_of(top).items():
+        _, old = entries.get(name, (None, None))
+        if is_list and old is None:
+            rule = f"it must be an entry of the list, 0 to {len(entries) - 1}"
+            place = f"{_where(key.start_mark)}: {written((*path, name))}"
+            raise ScenarioError(f"{place}: {name}; {rule}")
+        entries[name] = (key, merged(old, value, (*path, name)) if old else value)
+    values = [value if is_list else (key, value) for key, value in entries.values()]
+    return type(base)(base.tag, values, base.start_mark)
+
+
+def entries_of(node: Node) -> dict[str, tuple[Node, Node]]:
+    """Returns keys and values of a mapping by name, the entries of a list by number."""
+    if isinstance(node, yaml.SequenceNode):
+        return {str(i): (each, each) for i, each in enumerate(node.value)}
+    pairs = node.value if isinstance(node, yaml.MappingNode) else ()
+    return {key.value: (key, value) for key, value in pairs}
+
+
+def locate(node: Node, path: KeyPath) -> str:
+    """Returns the place of the deepest node on the path that was written down."""
+    key = node
+    for part in path:
+        key, node = entries_of(node).get(str(part), (key, None))
+    return _where(key.start_mark)
+
+
+def _where(mark: Any) -> str:
+    # An override is short, and what a program made has no lines.
+    has_lines = not mark.name.endswith((_OVERRIDE, ".py"))
+    return f"{mark.name}:{mark.line + 1}" if has_lines else str(mark.name)
 
 
 def did_you_mean(word: str, allowed: Iterable[str]) -> str:
     """Returns the close matches of a word, or what is allowed, on one line."""
     allowed = list(allowed)
-    matches = difflib.get_close_matches(word, allowed, n=2)
-    if matches:
+    if matches := difflib.get_close_matches(word, allowed, n=2):
         return f"did you mean {' or '.join(matches)}?"
     known = shorten(", ".join(allowed) or "none", 300, placeholder=" and more")
     return f"allowed: {known}"
 
 
-def compose(text: str | Mapping[str, Any], source: str = _OVERRIDE) -> Node:
-    """Returns the mapping that a text holds, or a mapping's own.
+def build(node: Node, hint: Any, path: KeyPath = ()) -> Any:
+    """Returns the value of a node, of a given type.
 
     Raises:
-        ScenarioError: It is not YAML, or no mapping.
+        InvalidValueError: It holds something else.
     """
-    try:
-        loader = yaml.SafeLoader(text if isinstance(text, str) else yaml_dump({**text}))
-        loader.name = source
-        node = loader.get_single_node()
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = _where(mark) if mark else source
-        reason = getattr(error, "problem", None) or " ".join(str(error).split())
-        raise ScenarioError(f"{place}: not YAML: {reason}") from None
-    if not isinstance(node, yaml.MappingNode):
-        raise ScenarioError(f"{source}: expected a mapping, got {shown(node)}")
-    return node
-
-
-def entries_of(node: Node) -> dict[str, tuple[Node, Node]]:
-    """Returns a mapping's keys and values by name, merge keys (``<<``) resolved.
-
-    Raises:
-        ScenarioError: It, or what it merges, is no mapping of different words.
-    """
-    if not isinstance(node, yaml.MappingNode):
-        raise _refusal(node, f"expected a mapping, got {shown(node)}")
-    if not hasattr(node, "entries"):
-        own: dict[str, tuple[Node, Node]] = {}
-        shared: dict[str, tuple[Node, Node]] = {}
-        for key, value in node.value:
-            if not isinstance(key, yaml.ScalarNode):
-                raise _refusal(key, f"{shown(key)} as a key; keys are words")
-            if key.value in own:
-                raise _refusal(key, f"{key.value}: given twice")
-            if key.tag.endswith(":merge"):
-                is_list = isinstance(value, yaml.SequenceNode)
-                for each in reversed(value.value if is_list else [value]):
-                    shared |= entries_of(each)
-            else:
-                own[key.value] = (key, value)
-        node.entries = shared | own
-    return cast(dict[str, tuple[Node, Node]], node.entries)
-
-
-def merged(base: Node, top: Node) -> Node:
-    """Returns the base with the top's values; untagged mappings merge, others replace.
-
-    Of a list, a mapping replaces the entries that its keys number. A node remembers
-    where it was written, so later messages name the right source.
-    """
-    is_list = isinstance(base, yaml.SequenceNode) and isinstance(top, yaml.MappingNode)
-    if is_list and all(name.isdigit() for name in entries_of(top)):
-        values = [*base.value]
-        for name, (key, value) in entries_of(top).items():
-            if int(name) >= len(values):
-                rule = f"they are 0 to {len(values) - 1}"
-                raise _refusal(key, f"{name} is no entry; {rule}")
-            values[int(name)] = merged(values[int(name)], value)
-        return yaml.SequenceNode(base.tag, values, base.start_mark)
-    both = isinstance(base, yaml.MappingNode) and isinstance(top, yaml.MappingNode)
-    if not both or top.tag.startswith("!"):
-        return top
-    entries = dict(entries_of(base))
-    for name, (key, value) in entries_of(top).items():
-        old = entries.get(name)
-        entries[name] = (key, merged(old[1], value) if old else value)
-    return yaml.MappingNode(base.tag, [*entries.values()], base.start_mark)
-
-
-def locate(node: Node, path: KeyPath) -> str:
-    """Returns the place of the deepest node on the path that was written down."""
-    mark = node.start_mark
-    for part in path:
-        if isinstance(node, yaml.SequenceNode) and isinstance(part, int):
-            node = node.value[part]
-            mark = node.start_mark
-        elif isinstance(node, yaml.MappingNode) and part in entries_of(node):
-            key, node = entries_of(node)[str(part)]
-            mark = key.start_mark
-    return _where(mark)
-
-
-def directory_of(node: Node) -> Path:
-    """The base of relative paths: the directory of a file, or of an override."""
-    source = node.start_mark.name
-    return Path() if source == _OVERRIDE else Path(source).parent
-
-
-def _where(mark: Any) -> str:
-    # An override is short, and what a program made has no lines.
-    has_lines = mark.name != _OVERRIDE and not mark.name.endswith(".py")
-    return f"{mark.name}:{mark.line + 1}" if has_lines else str(mark.name)
-
-
-def _refusal(node: Node, problem: str) -> ScenarioError:
-    return ScenarioError(f"{_where(node.start_mark)}: {problem}")
-
-
-def shown(node: Node) -> str:
-    """Returns the text of a node for messages."""
+    classes, kind = tagged_types(hint), allowed_types(hint)[0]
+    tag = node.tag if node.tag.startswith("!") else ""
+    if tag and tag not in classes:
+        advice = did_you_mean(tag, classes)
+        raise InvalidValueError(path, f"unknown tag {tag}; {advice}")
+    if classes and isinstance(node, yaml.MappingNode):
+        if inspect.isabstract(hint) and not tag:
+            missing = f"its tag is missing; allowed: {', '.join(classes)}"
+            raise InvalidValueError(path, missing)
+        return _build_object(node, classes, tag, path)
+    item = item_type(kind)
+    if item is not None and isinstance(node, yaml.SequenceNode):
+        made = [build(each, item, (*path, i)) for i, each in enumerate(node.value)]
+        return tuple(made) if get_origin(kind) is tuple else made
     if isinstance(node, yaml.CollectionNode):
-        return "a list" if isinstance(node, yaml.SequenceNode) else "a mapping"
-    if node is None or (node.style is None and node.value in ("", "~", "null")):
-        return "nothing"
-    return repr(node.value if len(node.value) <= 40 else node.value[:37] + "...")
+        raise InvalidValueError(path, f"a {node.id}; it must be {in_words(hint)}")
+    value = _scalar(node, kind, path)
+    check_type(path, value, hint)
+    return value
+
+
+def _build_object(
+    node: Node, classes: Mapping[str, Any], tag: str, path: KeyPath
+) -> Any:
+    first, *others = classes
+    guess = f" (no tag, so read as {first}; or {', '.join(others)})"
+    guess = guess if others and not tag else ""
+    schema, values, entries = classes[tag or first], {}, entries_of(node)
+    hints = field_types(schema)
+    for name, (_, value) in entries.items():
+        place = (*path, name)
+        if name not in hints:
+            moved = getattr(schema, "MOVED", {}).get(name)
+            advice = f"it is {moved} now" if moved else did_you_mean(name, hints)
+            raise InvalidValueError(place, f"unknown key{guess}; {advice}")
+        values[name] = build(value, hints[name], place)
+    for each in fields(schema):
+        needed = each.default is each.default_factory is MISSING
+        if needed and each.name not in values:
+            raise InvalidValueError((*path, each.name), f"missing{guess}")
+        if each.name in values and names_file(each):
+            written_in = Path(entries[each.name][1].start_mark.name).parent
+            values[each.name] = resolved(values[each.name], written_in)
+    with below(*path):
+        return schema(**values)
+
+
+def _scalar(node: Node, kind: Any, path: KeyPath) -> Any:
+    """Returns a number, true or false, nothing or a text."""
+    value: Any = node.value
+    with suppress(ValueError, LookupError):
+        if node.tag.rpartition(":")[2] in ("null", "bool", "int", "float"):
+            value = SafeConstructor().construct_document(node)
+        elif kind is float and not node.style:  # YAML 1.1 takes 1e-3 for text.
+            value = float(value)
+    if kind is float and isinstance(value, str):
+        rule = "a number, in radians: 1.5708 for 90 degrees"
+        require(not _ANGLE.search(value), path, value, rule)
+    if type(value) in (int, float):
+        rule = f"at most {_LARGEST:g} in size"
+        require(not _LARGEST < abs(value) < math.inf, path, value, rule)
+        return float(value) if kind is float else value
+    return value
+
+
+def plain(value: Any, hint: Any) -> Any:
+    """Returns plain data for YAML; a member of a union has its tag."""
+    if is_dataclass(value):
+        kind: Any = type(value)
+        hints = field_types(kind)
+        data = {key: plain(getattr(value, key), hints[key]) for key in hints}
+        for each in filter(names_file, fields(value)):
+            data[each.name] = resolved(data[each.name], Path())
+        return data if kind is hint else {"_tag": tag_of(kind), **data}
+    if isinstance(value, list | tuple):
+        item = item_type(allowed_types(hint)[0])
+        return [plain(each, item) for each in value]
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value

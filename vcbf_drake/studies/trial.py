@@ -10,7 +10,7 @@ import shlex
 from typing import Any
 
 from vcbf_drake.simulation.fleet import Fleet
-from vcbf_drake.simulation.loading import load_fleet, only_one
+from vcbf_drake.simulation.loading import load_fleet
 from vcbf_drake.simulation.run import simulate_fleet
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.yaml_nodes import merge_overrides
@@ -90,7 +90,7 @@ class Trial:
         Raises:
             ScenarioError: It does not load, or has several.
         """
-        return only_one(self.load_fleet(), self.scenario)
+        return self.load_fleet().only(self.scenario)
 
     def load_fleet(self) -> Fleet:
         """Returns the vehicles of this trial.

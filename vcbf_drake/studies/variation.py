@@ -15,7 +15,7 @@ import yaml
 
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.files import read_text
-from vcbf_drake.simulation.python_file import module_of
+from vcbf_drake.simulation.loading import function_of
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.yaml_nodes import merge_overrides
 
@@ -118,7 +118,9 @@ class PythonVariation:
             ScenarioError: The file has no function ``draw``.
         """
         generator = np.random.default_rng([seed, index])
-        overrides: dict[str, Any] = _function(self.path)(scenario, generator)
+        overrides: dict[str, Any] = function_of(Path(self.path), "draw")(
+            scenario, generator
+        )
         return overrides
 
 
@@ -137,7 +139,7 @@ def load_variation(text_or_path: str) -> Variation | PythonVariation:
         return Variation(text_or_path)
     text = read_text(path)
     if path.suffix == ".py":
-        _function(str(path))
+        function_of(path, "draw")
         return PythonVariation(str(path))
     _parse(text)
     return Variation(text)
@@ -268,13 +270,3 @@ def _drawn_entries(
 
 def _field(own: Any, key: str) -> Any:
     return own.get(key) if isinstance(own, dict) else getattr(own, key, None)
-
-
-def _function(path: str) -> Any:
-    try:
-        function = getattr(module_of(Path(path).resolve()), "draw", None)
-    except Exception as error:  # The file's own code may raise anything.
-        raise ScenarioError(f"{path}: {type(error).__name__}: {error}") from error
-    if not callable(function):
-        raise ScenarioError(f"{path}: has no function draw(scenario, generator)")
-    return function
