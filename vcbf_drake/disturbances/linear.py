@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances.bounds import (
     DisturbanceBounds,
@@ -19,17 +17,6 @@ from vcbf_drake.typed import NotNegative, Positive, typed
 
 class LinearDisturbanceObserver(DisturbanceObserver):
     """The first-order disturbance observer (E67), exact for sampled states.
-
-    .. pydrake_system::
-
-        name: LinearDisturbanceObserver
-        input_ports:
-        - state
-        - input
-        - reset (optional)
-        output_ports:
-        - estimate
-        - disturbance_estimate
 
     An interval of length dt with mean disturbance dbar moves the estimate by
 
@@ -69,14 +56,13 @@ class LinearDisturbanceObserver(DisturbanceObserver):
             longest_interval: The longest time between measurements that is bridged, and
                 that the bound is for, also with shorter ones [s]. By default every time
                 is bridged, and the bound is for the period.
-
-        Raises:
-            ValueError: Period or rate are not positive, or the noise is below 0.
         """
         interval = max(period, longest_interval or 0.0)
         floor = bounds.delta2 * interval / (2.0 * math.tanh(rate * interval / 2.0))
-        peak = noise_peak(model.num_disturbances)
-        noise_floor = peak * _deviation(rate, period, noise)
+        # In white noise a channel's estimate has this standard deviation (E40).
+        rho = math.exp(-rate * period)
+        deviation = noise * (1.0 - rho) / period * math.sqrt(2.0 / (1.0 + rho))
+        noise_floor = noise_peak(model.num_disturbances) * deviation
         super().__init__(
             model,
             period,
@@ -91,24 +77,3 @@ class LinearDisturbanceObserver(DisturbanceObserver):
 
     def _advance(self, memory: Array, mean: Array, elapsed: float) -> Array:
         return mean + math.exp(-self.estimate_gain * elapsed) * (memory - mean)
-
-    def _started_at(self, estimate: Array) -> Array:
-        return estimate
-
-    def _bound_after(self, excess: float, quadrature: float) -> ErrorBound:
-        bound = self._error_bound
-        return ErrorBound(
-            bound.amplitude + excess, bound.rate, bound.floor + quadrature
-        )
-
-    def _estimate(self, memory: Array) -> Array:
-        return memory
-
-    def _estimate_rate(self, memory: Array) -> Array:
-        return np.zeros_like(memory)
-
-
-def _deviation(rate: float, period: float, noise: float) -> float:
-    """Returns the standard deviation of a channel's estimate in white noise (E40)."""
-    rho = math.exp(-rate * period)
-    return noise * (1.0 - rho) / period * math.sqrt(2.0 / (1.0 + rho))

@@ -43,12 +43,9 @@ _DIFFERENCE = 1e-6
 
 
 class IntervalMean(NamedTuple):
-    """The mean disturbance of an interval, from the states at both of its ends.
+    """The mean disturbance of an interval, shape (q,), and its quadrature error (E42).
 
-    Attributes:
-        disturbance: The mean, shape (q,) [m/s^2].
-        quadrature: The bound of its quadrature error, for f + g u is known at a few
-            points only (E42) [m/s^2].
+    f + g u is known at a few points only, so the error has a bound [m/s^2].
     """
 
     disturbance: Array
@@ -137,19 +134,18 @@ class DisturbanceObserver(LeafSystem):
         noise: float = 0.0,
         longest_interval: float | None = None,
     ) -> None:
-        """Initialises the parts that all observers share.
+        """Initialises the parts that all observers share; see the attributes.
 
         Args:
             model: Gives f, g and E.
             period: Time between measurements [s].
             bounds: delta1, delta2 and delta3 of the disturbance (E16).
-            memory_size: The number of numbers that the observer remembers, all 0 at the
-                start.
+            memory_size: The number of numbers that it remembers, all 0 at the start.
             error_bound: The bound of its error.
-            basis: See the attribute.
-            estimate_gain: See the attribute.
+            basis: The basis of that.
+            estimate_gain: The gain from the unknown error to the estimate's rate [1/s].
             noise: Standard deviation of the measured disturbed channels.
-            longest_interval: See the attribute.
+            longest_interval: The longest time between measurements that is bridged [s].
         """
         super().__init__()
         self.bounds = bounds
@@ -211,11 +207,7 @@ class DisturbanceObserver(LeafSystem):
         return self._error_bound.value(t)
 
     def gain_conditions(self, quadrature: float = 0.0) -> tuple[Condition, ...]:
-        """Returns the inequalities that the error bound rests on.
-
-        Args:
-            quadrature: The bound of a mean's quadrature error [m/s^2].
-        """
+        """Returns the inequalities that the bound rests on, at a quadrature error."""
         return ()
 
     def _advance(self, memory: Array, mean: Array, elapsed: float) -> Array:
@@ -224,22 +216,22 @@ class DisturbanceObserver(LeafSystem):
 
     def _started_at(self, estimate: Array) -> Array:
         """Returns the memory of an observer that starts with an estimate."""
-        raise NotImplementedError
+        return estimate
 
     def _bound_after(self, excess: float, quadrature: float) -> ErrorBound:
-        """Returns the bound since the last start (E43), (E42).
-
-        Args:
-            excess: The size of the estimate at that start [m/s^2].
-            quadrature: The bound of a mean's quadrature error [m/s^2].
-        """
-        raise NotImplementedError
+        """Returns the bound since a start (E43) with an estimate of a size (E42)."""
+        bound = self._error_bound
+        return ErrorBound(
+            bound.amplitude + excess, bound.rate, bound.floor + quadrature
+        )
 
     def _estimate(self, memory: Array) -> Array:
-        raise NotImplementedError
+        """Returns dhat."""
+        return memory
 
     def _estimate_rate(self, memory: Array) -> Array:
-        raise NotImplementedError
+        """Returns the known part of d(dhat)/dt."""
+        return np.zeros_like(memory)
 
     def _calc_posterior(self, context: Context, posterior: Any) -> None:
         stored = context.get_discrete_state_vector().CopyToVector()
@@ -295,12 +287,6 @@ class DisturbanceObserver(LeafSystem):
 
         The mean of f + g u is Simpson's, with the middle state on the cubic Hermite
         curve between the two.
-
-        Args:
-            x_0: The state at the beginning, shape (n,).
-            x_1: The state at the end, shape (n,).
-            u: The input, shape (m,).
-            elapsed: The time between them [s].
         """
         rate, moved = self._model.nominal_rate, self._model.difference(x_1, x_0)
         rate_0, rate_1 = rate(x_0, u), rate(x_1, u)
@@ -365,12 +351,6 @@ class DisturbanceObserver(LeafSystem):
     def _is_gap(self, elapsed: float) -> bool:
         least, most = -self._instant, self.longest_interval + self._instant
         return elapsed < least or elapsed > most
-
-
-def nearest_in_ball(vector: Array, radius: float) -> Array:
-    """Returns the point of a ball around 0 that is nearest to a vector."""
-    size = float(np.linalg.norm(vector))
-    return vector * (radius / size) if size > radius else vector
 
 
 def _is_finite(vector: Array) -> bool:

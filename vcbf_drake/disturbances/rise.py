@@ -13,7 +13,7 @@ from vcbf_drake.disturbances.bounds import (
     DisturbanceBounds,
     ErrorBound,
 )
-from vcbf_drake.disturbances.observer import DisturbanceObserver, nearest_in_ball
+from vcbf_drake.disturbances.observer import DisturbanceObserver
 from vcbf_drake.disturbances.rise_bound import (
     Intervals,
     ObserverStep,
@@ -67,17 +67,6 @@ _SHORTEST = 0.9
 
 class RiseObserver(DisturbanceObserver):
     """The RISE disturbance observer (E18), its error bounded in sampled time.
-
-    .. pydrake_system::
-
-        name: RiseObserver
-        input_ports:
-        - state
-        - input
-        - reset (optional)
-        output_ports:
-        - estimate
-        - disturbance_estimate
 
     In continuous time, on the disturbed channels,
 
@@ -181,11 +170,7 @@ class RiseObserver(DisturbanceObserver):
         return self.gains.decay_rate
 
     def gain_conditions(self, quadrature: float = 0.0) -> tuple[Condition, ...]:
-        """Returns the inequalities that the error bound rests on (E20), (E32), (E42).
-
-        Args:
-            quadrature: The bound of a mean's quadrature error [m/s^2].
-        """
+        """Returns the inequalities that the bound rests on (E20), (E32), (E42)."""
         intervals = self._intervals
         bounds = with_quadrature(self.bounds, quadrature, intervals.shortest)
         return gain_conditions(self.gains, bounds, intervals, self.settings.step)
@@ -229,21 +214,20 @@ class RiseObserver(DisturbanceObserver):
         return np.concatenate((zero, estimate, zero))
 
     def _bound_after(self, excess: float, quadrature: float) -> ErrorBound:
-        bound = self._error_bound
+        bound, period = self._error_bound, self.certified_interval
         if self.basis == "worst case":
             return bound
         if quadrature and self.basis != "published":
-            period = self.certified_interval
-            bound = self._bound(
-                with_quadrature(self.bounds, quadrature, period), period
-            )
+            wider = with_quadrature(self.bounds, quadrature, period)
+            bound = self._bound(wider, period)
         return ErrorBound(bound.amplitude + excess, bound.rate, bound.floor)
 
     def _estimate(self, memory: Array) -> Array:
         xtil, integral, _ = memory.reshape(3, -1)
         estimate = self.gains.gamma * xtil + integral
-        if self.basis == "worst case":  # Nearest to it where d can be (E37).
-            return nearest_in_ball(estimate, self.bounds.delta1)
+        size, delta1 = float(np.linalg.norm(estimate)), self.bounds.delta1
+        if self.basis == "worst case" and size > delta1:
+            return estimate * (delta1 / size)  # Nearest to it where d can be (E37).
         return estimate
 
     def _estimate_rate(self, memory: Array) -> Array:
@@ -258,7 +242,7 @@ def _resolved(
     longest: float,
     noise: float,
 ) -> tuple[RiseGains, Intervals]:
-    """Returns the gains, and the intervals that their bound is proven for.
+    """The gains, and the intervals that their bound is proven for.
 
     The intervals are equal if unequal ones do not occur, or are not proven.
     """

@@ -59,13 +59,7 @@ class RiseGains(Checked):
 
         beta is the paper's 6 where that satisfies (E32), else 10 % above the least
         (E36). In the implicit step a large beta costs nothing: the bound (E33) does not
-        contain it.
-
-        Args:
-            bounds: Bounds of the disturbance.
-            period: Time between measurements [s].
-            alpha: As above; more than 1 [1/s].
-            gamma: As above [1/s].
+        contain it. alpha has to be more than 1.
         """
         gains = cls(alpha, gamma=gamma)
         least = least_beta(gains, bounds, Intervals(period, period))
@@ -119,12 +113,8 @@ def gain_conditions(
 ) -> tuple[Condition, ...]:
     """Returns the gain conditions (E20), in sampled time (E32), (E35).
 
-    Args:
-        gains: The gains.
-        bounds: Bounds of the disturbance.
-        intervals: The times between measurements.
-        step: The observer's step; the explicit one has the conditions of continuous
-            time, and its linear part has to be stable (E37).
+    The explicit step has those of continuous time, and its linear part has to be
+    stable (E37).
     """
     alpha, beta, gamma = gains.alpha, gains.beta, gains.gamma
     sampled = step != "explicit"
@@ -153,10 +143,7 @@ def with_quadrature(
 ) -> DisturbanceBounds:
     """Returns bounds of a disturbance that includes the means' quadrature error (E42).
 
-    Args:
-        bounds: Bounds of the disturbance.
-        quadrature: The bound of a mean's quadrature error [m/s^2].
-        period: Time between measurements, the shortest if they differ [s].
+    The period is the shortest time between measurements [s].
     """
     return DisturbanceBounds(
         bounds.delta1 + quadrature,
@@ -193,7 +180,7 @@ def error_bound(
         return ErrorBound(bounds.delta1, gains.decay_rate / 2.0, floor)
     layer, deviation = boundary_layer if step == "saturated" else 0.0, 0.0
     if noise > 0.0:
-        layer, deviation = noise_response(gains, period, layer, noise)
+        layer, deviation = _noise_response(gains, period, layer, noise)
     drift = bounds.delta2 * period
     floor = drift / 2.0 + _layer_floor(gains, bounds, period, layer) + peak * deviation
     rate = math.log1p(gains.decay_rate * period) / (2.0 * period)
@@ -212,7 +199,7 @@ def _layer_floor(
     return math.sqrt(layer / gains.beta * square)
 
 
-def noise_response(
+def _noise_response(
     gains: RiseGains, period: float, boundary_layer: float, noise: float
 ) -> tuple[float, float]:
     """Returns the response of the implicit or saturated step to white noise (E39).
@@ -220,13 +207,7 @@ def noise_response(
     The step's s = clip(w / (C phi + dt^2 beta), -1, 1) is replaced by k w + r, with the
     gain k and the uncorrelated rest r that it has for a normal w, and r taken as white.
     The step is then linear; its discrete Lyapunov equation gives the deviation of w,
-    which gives k and r in turn.
-
-    Args:
-        gains: The gains.
-        period: Time between measurements [s].
-        boundary_layer: phi; 0 for the implicit step [m/s].
-        noise: Standard deviation of the measurement, above 0 [m/s].
+    which gives k and r in turn. The implicit step has phi = 0.
 
     Returns:
         The boundary layer that acts, phi widened by the noise [m/s], and the standard
