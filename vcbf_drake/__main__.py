@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from vcbf_drake.interrupts import end_at_once_on_signals
+from vcbf_drake.environment import end_at_once_on_signals
 
 # Before anything else is imported.
 end_at_once_on_signals()

@@ -18,7 +18,7 @@ from statistics import median
 from vcbf_drake import simulate
 from vcbf_drake.files import atomic_write
 from vcbf_drake.studies import Record, run_study
-from vcbf_drake.studies.worker_processes import new_pool
+from vcbf_drake.studies.executors import new_pool
 
 from .page import page
 from .study import BASE, CONTENDERS, POPULATIONS, Population, is_lost

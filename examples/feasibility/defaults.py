@@ -28,7 +28,7 @@ from vcbf_drake.files import atomic_write
 from vcbf_drake.safety import VolumeBarrier
 from vcbf_drake.simulation.yaml_nodes import merge_overrides
 from vcbf_drake.studies import Record, Trial, run_study
-from vcbf_drake.studies.worker_processes import new_pool
+from vcbf_drake.studies.executors import new_pool
 
 from .page import share, whole_lines
 from .study import FIRST_JUDGE, Courses, can_stop, is_lost

@@ -18,7 +18,7 @@ from vcbf_drake.simulation.loading import dump_scenario
 from vcbf_drake.simulation.result import Result, load_result
 from vcbf_drake.simulation.run import simulate
 from vcbf_drake.studies import Record, Trial, run_study
-from vcbf_drake.studies.worker_processes import new_pool
+from vcbf_drake.studies.executors import new_pool
 from vcbf_drake.viz.runs import Run, label_runs
 from vcbf_drake.viz.style import METHOD_STYLES
 

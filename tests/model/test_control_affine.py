@@ -464,3 +464,10 @@ def test_a_diagram_says_what_the_system_in_it_says():
     mine = car.GetMyMutableContextFromRoot(context)
     mine.SetContinuousState([0.0, 0.0, 0.0, 0.5])
     assert context.get_continuous_state_vector()[heading] == 0.5
+
+
+def test_a_plant_without_a_name_has_its_class_s_in_messages():
+    assert ControlAffineModel.from_system(Car()).name == "Car"
+    assert ControlAffineModel.from_system(LinearSystem(*np.ones((3, 1, 1)))).name == (
+        "LinearSystem"
+    )

@@ -10,8 +10,8 @@ from vcbf_drake import ScenarioError, load_scenario, make_loop, simulate
 from vcbf_drake.errors import InvalidValueError
 from vcbf_drake.safety import FilterStatus
 from vcbf_drake.safety.assumptions import assumptions
-from vcbf_drake.simulation import check_assumptions
-from vcbf_drake.simulation.sensors import UnreliableSensor
+from vcbf_drake.simulation import Faults, MeasurementNoise, check_assumptions
+from vcbf_drake.simulation.sensors import Sensor
 
 BLIMP, CAR = "blimp-multiple-obstacles", "car-avoidance"
 ARM = Path(__file__).parents[2] / "examples" / "arm.yaml"
@@ -61,9 +61,9 @@ def test_without_faults_no_system_is_added():
         return {system.get_name() for system in loop.GetSystems()}
 
     added = {
-        "bias": {"measurement_bias", "biased_state"},
-        "delay": {"unreliable_sensor"},
-        "loss": {"unreliable_sensor"},
+        "bias": {"sensor"},
+        "delay": {"sensor"},
+        "loss": {"sensor"},
         "lag": {"actuator_lag"},
         "limit": {"actuator_limit"},
         "gust": {"gust_0", "with_gust_0"},
@@ -86,6 +86,10 @@ class Ramp(LeafSystem):
         output.SetFromVector([context.get_time() + 1.0, -context.get_time()])
 
 
+def sensor(size=2, **faults):
+    return Sensor(size, PERIOD, MeasurementNoise(), Faults(**faults))
+
+
 def sampled(system):
     builder = DiagramBuilder()
     source = builder.AddSystem(Ramp())
@@ -100,13 +104,13 @@ def sampled(system):
 
 @pytest.mark.parametrize(("delay", "ticks"), [(0.04, 2), (0.05, 3), (PERIOD, 1)])
 def test_a_measurement_arrives_as_late_as_asked(delay, ticks):
-    time, data = sampled(UnreliableSensor(2, PERIOD, delay))
+    time, data = sampled(sensor(measurement_delay=delay))
     sent = np.maximum(time - ticks * PERIOD, 0.0)
     np.testing.assert_allclose(data, [sent + 1.0, -sent], atol=1e-12)
 
 
 def test_a_lost_measurement_is_the_last_one_that_arrived():
-    time, data = sampled(UnreliableSensor(2, PERIOD, loss=0.4, seed=3))
+    time, data = sampled(sensor(measurement_loss=0.4, seed=3))
     arrived = np.isclose(data[0], time + 1.0)
     assert arrived[0] and 0.45 < arrived.mean() < 0.75
     last = np.maximum.accumulate(np.where(arrived, time, 0.0))
@@ -114,15 +118,16 @@ def test_a_lost_measurement_is_the_last_one_that_arrived():
 
 
 def test_of_late_measurements_the_lost_ones_never_arrive():
-    time, data = sampled(UnreliableSensor(2, PERIOD, 2 * PERIOD, 0.4, seed=3))
-    _, prompt = sampled(UnreliableSensor(2, PERIOD, loss=0.4, seed=3))
+    both = {"measurement_loss": 0.4, "measurement_delay": 2 * PERIOD}
+    time, data = sampled(sensor(seed=3, **both))
+    _, prompt = sampled(sensor(measurement_loss=0.4, seed=3))
     late = np.column_stack([prompt[:, :1], prompt[:, :1], prompt[:, :-2]])
     assert len(time) == late.shape[1]
     np.testing.assert_allclose(data, late, atol=1e-12)
 
 
 def test_what_is_lost_is_the_same_for_everybody_at_a_tick():
-    system = UnreliableSensor(1, PERIOD, loss=0.5, seed=1)
+    system = sensor(1, measurement_loss=0.5, seed=1)
     context = system.CreateDefaultContext()
     system.get_input_port().FixValue(context, [7.0])
     for tick in range(20):

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from vcbf_drake.cli import app
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.studies import Trial, Variation, run_study
-from vcbf_drake.studies.dask_cluster import dask_executor
+from vcbf_drake.studies.executors import dask_executor
 
 BLIMP = "blimp-multiple-obstacles"
 SHORT = "{duration: 0.1}"
@@ -139,7 +139,7 @@ def test_a_scheduler_that_does_not_answer(
     tmp_path: Path, scheduler: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("vcbf_drake.studies.dask_cluster._PATIENCE", 0.2)
+    monkeypatch.setattr("vcbf_drake.studies.executors._PATIENCE", 0.2)
     assert f"no scheduler answers at {scheduler}" in refusal(
         tmp_path, "--scheduler", scheduler
     )
@@ -148,7 +148,7 @@ def test_a_scheduler_that_does_not_answer(
 def test_workers_with_other_versions_are_refused(
     address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("vcbf_drake.studies.dask_cluster._PACKAGES", ("drake",))
+    monkeypatch.setattr("vcbf_drake.studies.executors._PACKAGES", ("drake",))
     assert "here it is python 3." in refusal(tmp_path, "--scheduler", address)
 
 

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import pytest
 
-from vcbf_drake.studies.dask_cluster import dask_executor
+from vcbf_drake.studies.executors import dask_executor
 
 
 def test_a_cluster_without_a_worker_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("vcbf_drake.studies.dask_cluster._START", 0.2)
+    monkeypatch.setattr("vcbf_drake.studies.executors._START", 0.2)
     options = {"n_workers": 0, "dashboard_address": ":0", "silence_logs": 50}
     with distributed.LocalCluster(**options) as empty:
         address = empty.scheduler_address

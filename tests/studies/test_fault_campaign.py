@@ -10,12 +10,13 @@ from vcbf_drake.simulation import dump_scenario, validate
 from vcbf_drake.simulation.faults import Faults
 from vcbf_drake.simulation.sections import MeasurementNoise
 from vcbf_drake.studies import run_trial
-from vcbf_drake.studies.fault_campaign import (
+from vcbf_drake.studies.faults import (
     FAULTS,
+    campaign_markdown,
     fault_trials,
+    headline,
     summarise_faults,
 )
-from vcbf_drake.studies.fault_report import campaign_markdown, headline
 
 CAR = "car-avoidance"
 SCENARIOS = ("blimp-multiple-obstacles", CAR)
@@ -101,12 +102,20 @@ def test_a_run_that_crashed_is_an_error_and_nothing_else():
 def test_the_page_names_command_and_trials_and_has_a_row_a_kind():
     kinds = fault_trials([CAR], 1)
     summaries = {kind: summarise_faults([record()]) for kind in kinds}
-    page = campaign_markdown(summaries, 1, 0, "vcbf-drake faults car-avoidance")
-    assert "`vcbf-drake faults car-avoidance`: 1 trial" in page
+    page = campaign_markdown(summaries, "vcbf-drake faults car-avoidance")
+    assert "`vcbf-drake faults car-avoidance`: 1 trial of each" in page
+    assert "](" not in page  # Nothing lies beside a user's page.
     for kind in kinds:
         assert f"| {' | '.join(kind[1:])} | 1 | 0 |" in page
-    guaranteed = f"{len(kinds) - 4} runs under a fault were called guaranteed."
+    guaranteed = f"{len(kinds) - 4} runs under a fault passed as guaranteed."
     assert guaranteed in headline(summaries)
+    (one,) = [kind for kind in kinds if kind[1:] == ("gust", "dob-cbf-qp", "paper")]
+    assert headline({one: summaries[one]}) == [
+        "1 run, 0 ended in an error.",
+        "0 runs had an input that was not finite or outside its limits.",
+        "1 run stayed inside the assumptions; 0 of them broke a promise.",
+        "1 run under a fault passed as guaranteed.",
+    ]
 
 
 def test_the_command_ends_with_a_table(tmp_path):

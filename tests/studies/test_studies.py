@@ -33,11 +33,11 @@ from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.studies import (
     Trial,
     Variation,
+    executors,
     run_study,
     run_trial,
     share_interval,
     summarise_study,
-    worker_processes,
 )
 from vcbf_drake.studies.statistics import mean_interval
 import vcbf_drake.studies.trial as trial_module
@@ -259,9 +259,9 @@ def test_processes_make_room_for_new_ones(monkeypatch: pytest.MonkeyPatch) -> No
         pools.append(ThreadPoolExecutor(workers))
         return pools[-1]
 
-    monkeypatch.setattr(worker_processes, "new_pool", new_pool)
-    monkeypatch.setattr(worker_processes, "TRIALS_A_PROCESS", 2)
-    with worker_processes.WorkerProcesses(workers=2) as processes:
+    monkeypatch.setattr(executors, "new_pool", new_pool)
+    monkeypatch.setattr(executors, "TRIALS_A_PROCESS", 2)
+    with executors.WorkerProcesses(workers=2) as processes:
         futures = [processes.submit(abs, index) for index in range(9)]
     assert [future.result() for future in futures] == list(range(9))
     assert len(pools) == 3
@@ -410,10 +410,10 @@ def test_an_executors_failures(tmp_path: Path) -> None:
         None,
         None,
     ]
-    broken = BackwardsExecutor(BrokenExecutor("gone"))
     path = tmp_path / "broken.jsonl"
-    with pytest.raises(BrokenExecutor, match="gone"):
-        run_study(plan(3), path, broken)
+    with ThreadPoolExecutor(1, initializer=sys.exit) as broken:
+        with pytest.raises(BrokenExecutor):
+            run_study(plan(3), path, broken)
     assert 'error": "' not in path.read_text()
 
 
@@ -644,7 +644,11 @@ def test_the_command_shows_what_to_run_again(
     [
         (["--trials", "0"], "--trials"),
         (["--trials", "1", "--vary", "a: !Gauss [0, 1]"], "!Gauss is no distribution"),
-        (["--trials", "1", "--vary", "perod: !Uniform [0, 1]"], "perod"),
+        (["--trials", "1", "--vary", "perod: !Uniform [0, 1]"], "variation: perod"),
+        (
+            ["--trials", "1", "--vary", "period: !Uniform [-2, -1]"],
+            "vcbf-drake: variation: period: -",
+        ),
         (["--trials", "1", "--vary", "nowhere.yaml"], "nowhere.yaml: No such file"),
         (["--trials", "1", "--methods", "dob-cbf-qp,x"], "method: 'x'"),
         (["--trials", "1", "--override", "{period: 0}"], "override: period: 0"),

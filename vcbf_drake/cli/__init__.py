@@ -23,7 +23,7 @@ from vcbf_drake.cli.simulations import (
     show,
 )
 from vcbf_drake.cli.studies import faults, monte_carlo
-from vcbf_drake.interrupts import handle, say_interrupted
+from vcbf_drake.environment import handle, say_interrupted
 
 _COMMANDS: dict[str, Callable[..., Any]] = {
     "list": list_scenarios,

@@ -9,8 +9,7 @@ from typing import Annotated, Any, cast
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from vcbf_drake.environment import show_warnings_only
-from vcbf_drake.interrupts import raise_on_interrupt
+from vcbf_drake.environment import raise_on_interrupt, show_warnings_only
 
 _FAILED, _BAD_USAGE, _INTERRUPTED = 1, 2, 130
 

@@ -19,8 +19,8 @@ from vcbf_drake.cli.options import (
     ScenarioArgument,
     load,
 )
+from vcbf_drake.environment import SIGNALS, end_at_once, handle
 from vcbf_drake.files import WriterThread, json_text
-from vcbf_drake.interrupts import SIGNALS, end_at_once, handle
 
 if TYPE_CHECKING:
     from vcbf_drake.hil import Bus, ControllerProcess, PlantProcess

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from concurrent.futures import Executor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -97,11 +96,16 @@ def monte_carlo(
     path = directory / "trials.jsonl"
     if not resume and path.exists() and path.stat().st_size > 0:
         raise typer.BadParameter(f"{path} has results; --resume goes on with them")
-    if scheduler is None:
-        records = _run_trials(plan, path, workers=workers or os.cpu_count() or 1)
-    else:
-        with _cluster(scheduler) as executor:
-            records = _run_trials(plan, path, executor)
+    with ExitStack() as stack:
+        executor = None
+        if scheduler is not None:
+            from vcbf_drake.studies.executors import dask_executor
+
+            try:
+                executor = stack.enter_context(dask_executor(scheduler))
+            except (ImportError, OSError, RuntimeError) as error:
+                raise typer.BadParameter(f"--scheduler: {error}") from error
+        records = _run_trials(plan, path, workers, executor)
     summary = summarise_study(plan, records)
     with whole_directory(directory) as staging:
         (staging / "summary.json").write_text(json_text(summary))
@@ -127,8 +131,13 @@ def faults(
     Goes on with what DIR holds; with more of it where TRIALS is greater.
     """
     from vcbf_drake.files import json_text, whole_directory
-    from vcbf_drake.studies.fault_campaign import fault_trials, summarise_faults
-    from vcbf_drake.studies.fault_report import campaign_markdown, headline
+    from vcbf_drake.studies.faults import (
+        KIND,
+        campaign_markdown,
+        fault_trials,
+        headline,
+        summarise_faults,
+    )
 
     for name in scenarios:
         load(name, None, None)
@@ -137,19 +146,18 @@ def faults(
     for kind in kinds.values():
         kind[0].load()  # So is a draw that does not load.
     path = out / "trials.jsonl"
-    records = _run_trials(plan, path, workers=workers or os.cpu_count() or 1)
+    records = _run_trials(plan, path, workers)
     summaries = {
         kind: summarise_faults(records[i * trials : (i + 1) * trials])
         for i, kind in enumerate(kinds)
     }
     command = f"vcbf-drake faults {' '.join(scenarios)} --trials {trials} --seed {seed}"
-    names = ("scenario", "fault", "method", "fidelity")
     rows = [
-        dict(zip(names, kind, strict=True)) | summary
+        dict(zip(KIND, kind, strict=True)) | summary
         for kind, summary in summaries.items()
     ]
     with whole_directory(out) as staging:
-        page = campaign_markdown(summaries, trials, seed, command)
+        page = campaign_markdown(summaries, command)
         (staging / "faults.md").write_text(page, encoding="utf-8")
         (staging / "summary.json").write_text(json_text(rows))
     for sentence in headline(summaries):
@@ -167,22 +175,16 @@ def _random_start(fleet: Fleet) -> str:
     return "{" + ", ".join(entries) + "}"
 
 
-@contextmanager
-def _cluster(address: str) -> Iterator[Executor]:
-    from vcbf_drake.studies.dask_cluster import dask_executor
-
-    with ExitStack() as stack:
-        try:
-            executor = stack.enter_context(dask_executor(address))
-        except (ImportError, OSError, RuntimeError) as error:
-            raise typer.BadParameter(f"--scheduler: {error}") from error
-        yield executor
-
-
 def _run_trials(
-    trials: list[Trial], path: Path, executor: Executor | None = None, workers: int = 1
+    trials: list[Trial],
+    path: Path,
+    workers: int | None,
+    executor: Executor | None = None,
 ) -> list[Record]:
     from vcbf_drake.studies import run_study
 
+    processes = workers or os.cpu_count() or 1
     with progress() as begin:
-        return run_study(trials, path, executor, workers, begin(f"{len(trials)} runs"))
+        return run_study(
+            trials, path, executor, processes, begin(f"{len(trials)} runs")
+        )

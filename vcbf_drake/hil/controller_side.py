@@ -30,12 +30,12 @@ from vcbf_drake.hil.receivers import (
 )
 from vcbf_drake.hil.vehicle_side import check_timing
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.simulation.fault_systems import lose_answers
+from vcbf_drake.simulation.faults import lose_answers
 from vcbf_drake.simulation.loop import (
     add_controller_and_filter,
     make_observer,
 )
-from vcbf_drake.simulation.obstacles import perceived_spheres
+from vcbf_drake.simulation.obstacles import barriers, perceived_spheres
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.sections import Hardware
 
@@ -192,7 +192,7 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
             scenario,
             model,
             bounds,
-            period=scenario.period,
+            scenario.period,
             longest_interval=settings.longest_interval,
         ),
     )
@@ -201,8 +201,8 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
     controller, loop = add_controller_and_filter(
         builder,
         scenario,
-        model,
-        bounds,
+        barriers(scenario, seen=obstacles is not None),
+        model=model,
         state=predictor.get_output_port() if predictor else link.state,
         observer=observer,
         applied_input=link.applied_input,

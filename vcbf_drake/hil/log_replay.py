@@ -39,10 +39,9 @@ from vcbf_drake.safety import Assumption, SafetyFilter
 from vcbf_drake.simulation.collision_monitor import TOUCH
 from vcbf_drake.simulation.log import finish_log
 from vcbf_drake.simulation.loop import COLLISION_MONITOR, logged_ports
-from vcbf_drake.simulation.result import Result
+from vcbf_drake.simulation.result import Result, step_cpu_time
 from vcbf_drake.simulation.run import loop_assumptions
 from vcbf_drake.simulation.scenario import Scenario
-from vcbf_drake.simulation.step_time import step_cpu_time
 from vcbf_drake.simulation.summary import Ending, summarise
 
 _Key = tuple[int, int]  # Session and sequence of a message.

@@ -25,6 +25,7 @@ from vcbf_drake.errors import InvalidValueError, ModelError
 Port: TypeAlias = Any
 PortChoice: TypeAlias = InputPort | str | int | None
 _T = TypeVar("_T")
+_SCALAR = "_\N{MATHEMATICAL BOLD SCRIPT CAPITAL T}"  # Begins a template's arguments.
 
 
 @dataclass(frozen=True)
@@ -99,8 +100,8 @@ def unit_quaternions(x: Array, names: Sequence[str]) -> Array:
 
 
 def name_of(system: System) -> str:
-    """Returns a System's name in messages."""
-    return str(system.get_name() or system.GetSystemType())
+    """Returns a System's name in messages, or its class without the scalar type."""
+    return str(system.get_name()) or type(system).__name__.partition(_SCALAR)[0]
 
 
 def find_input_port(

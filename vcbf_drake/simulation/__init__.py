@@ -12,7 +12,7 @@ from vcbf_drake.simulation.log import read_log_files
 from vcbf_drake.simulation.loop import make_loop
 from vcbf_drake.simulation.obstacle_files import PolygonMap, SpheresFile
 from vcbf_drake.simulation.obstacles import BodyPoint, barriers
-from vcbf_drake.simulation.result import Result, load_result
+from vcbf_drake.simulation.result import Result, load_result, step_cpu_time
 from vcbf_drake.simulation.run import (
     check_assumptions,
     simulate,
@@ -28,7 +28,6 @@ from vcbf_drake.simulation.sections import (
     MeasurementNoise,
     Separation,
 )
-from vcbf_drake.simulation.step_time import step_cpu_time
 
 __all__ = [
     "BarrierGains",

@@ -18,7 +18,12 @@ from pydrake.systems.framework import (
 from pydrake.systems.primitives import LogVectorOutput, PassThrough
 
 from vcbf_drake.add_safety_filter import AddedSafetyFilter, AddSafetyFilter
-from vcbf_drake.barriers import BarrierSet
+from vcbf_drake.barriers import (
+    Barrier,
+    BarrierSet,
+    PerceivedSpheres,
+    StateInputLimit,
+)
 from vcbf_drake.checks import require
 from vcbf_drake.disturbances import (
     DisturbanceBounds,
@@ -30,21 +35,18 @@ from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.model.interface import find_input_port, state_port_of
 from vcbf_drake.safety import SafetyFilter
 from vcbf_drake.simulation.collision_monitor import CollisionMonitor
-from vcbf_drake.simulation.fault_systems import (
+from vcbf_drake.simulation.faults import (
     faulty_actuator,
-    faulty_measurement,
     lose_answers,
     true_disturbance,
 )
 from vcbf_drake.simulation.obstacles import (
     barriers,
-    other_vehicles,
     perceived_spheres,
-    seen_barriers,
     separation_barriers,
 )
 from vcbf_drake.simulation.scenario import Scenario
-from vcbf_drake.simulation.sensors import MeasurementNoise, ObstaclesInSight
+from vcbf_drake.simulation.sensors import ObstaclesInSight, Sensor
 from vcbf_drake.typed import typed
 
 LOG_PREFIX = "log_"
@@ -76,43 +78,37 @@ def make_loop(
     """
     builder = DiagramBuilder()
     simulated = add_simulated_plant(builder, scenario)
-    plant, source = simulated.plant, simulated.source
     # The filter knows the scenario's plant, not the faults of the true one.
     model = scenario.make_model()
+    known = barriers(scenario)
+    apart, margin = separation_barriers(scenario, others), scenario.separation.margin
     if not others:
-        seen = obstacles_in_sight(builder, scenario, plant)
+        seen = obstacles_in_sight(builder, scenario, simulated.plant)
+        guarded = known if seen is None else barriers(scenario, seen=True)
     else:
-        size = other_vehicles(scenario, others).size
+        size = PerceivedSpheres(len(others), len(scenario.target)).size
         told = builder.AddNamedSystem("other_vehicles", PassThrough(size))
         builder.ExportInput(told.get_input_port(), "others")
-        builder.ExportOutput(state_port_of(plant), "state")
+        builder.ExportOutput(state_port_of(simulated.plant), "state")
         seen = told.get_output_port()
+        guarded = [*known, *separation_barriers(scenario, others, margin)]
     added, loop = add_controller_and_filter(
         builder,
         scenario,
-        model,
-        source.bounds,
+        guarded,
+        model=model,
+        observer=make_observer(scenario, model, simulated.source.bounds),
         controller=controller,
         state=simulated.state,
-        observer=make_observer(
-            scenario,
-            model,
-            source.bounds,
-            period=scenario.observer.period or scenario.period,
-        ),
         plant_input=simulated.input,
         obstacles=seen,
-        others=others,
     )
     if others:
         builder.ExportOutput(loop.hold.get_output_port(), "held_input")
     truth = loop.filter.barrier_set
-    if scenario.faults.sight > 0.0:
-        truth = BarrierSet(model, barriers(scenario))
-    elif others and scenario.separation.margin > 0.0:
-        apart = separation_barriers(scenario, others)
-        truth = BarrierSet(model, [*barriers(scenario), *apart])
-    add_collision_monitor(builder, plant, truth, seen)
+    if scenario.faults.sight > 0.0 or (others and margin > 0.0):
+        truth = BarrierSet(model, [*known, *apart])
+    add_collision_monitor(builder, simulated.plant, truth, seen)
     _add_logs(builder, scenario, simulated, added, loop, seen, truth)
     lose_answers(builder, scenario, loop)
     diagram = builder.Build()
@@ -150,56 +146,47 @@ def add_simulated_plant(builder: DiagramBuilder, scenario: Scenario) -> Simulate
         builder.Connect(disturbance, plant.GetInputPort("disturbance"))
     applied = faulty_actuator(builder, scenario, find_input_port(plant))
     state = _measured_state(builder, scenario, plant)
-    state = faulty_measurement(builder, scenario, state)
     return SimulatedPlant(plant, applied, source, disturbance, state)
 
 
 def add_controller_and_filter(
     builder: DiagramBuilder,
     scenario: Scenario,
-    model: ControlAffineModel,
-    bounds: DisturbanceBounds,
+    guarded: Sequence[Barrier | StateInputLimit],
     *,
+    model: ControlAffineModel,
+    observer: DisturbanceObserver,
     controller: System | None = None,
     state: OutputPort,
-    observer: DisturbanceObserver,
     plant_input: InputPort | None = None,
     applied_input: OutputPort | None = None,
     obstacles: OutputPort | None = None,
-    others: Sequence[str] = (),
 ) -> tuple[LeafSystem, AddedSafetyFilter]:
     """Adds a scenario's controller, and its filter with hold and observer.
 
     Args:
         builder: Holds what measures the state.
         scenario: A validated scenario.
-        model: The plant's.
-        bounds: The bounds of the disturbance.
+        guarded: The barriers that the filter knows.
+        model: See `AddSafetyFilter`.
+        observer: See `AddSafetyFilter`.
         controller: In the place of the vehicle's own, with its ports.
         state: The measured state.
-        observer: Estimates the disturbance; see `AddSafetyFilter`.
         plant_input: Takes the held input; None leaves that to be connected.
-        applied_input: The input that the plant really applied; the held input by
-            default.
-        obstacles: The port of the obstacles in sight; without it they are known.
-        others: Or what the other vehicles are called: then these alone are seen.
+        applied_input: See `AddSafetyFilter`.
+        obstacles: The port of the spheres that are perceived.
     """
     if controller is None:
         controller = scenario.vehicle.make_controller(scenario.target)
     controller = builder.AddNamedSystem("controller", controller)
     builder.Connect(state, controller.GetInputPort("state"))
-    if others:
-        apart = separation_barriers(scenario, others, scenario.separation.margin)
-        guarded = [*barriers(scenario), *apart]
-    else:
-        guarded = barriers(scenario) if obstacles is None else seen_barriers(scenario)
     loop = AddSafetyFilter(
         builder,
         plant=plant_input,
         reference=controller.GetOutputPort("reference"),
         barriers=guarded,
         input_set=scenario.input_set.input_set(),
-        bounds=bounds,
+        bounds=observer.bounds,
         settings=scenario,
         observer=observer,
         state=state,
@@ -229,19 +216,10 @@ def make_observer(
     scenario: Scenario,
     model: ControlAffineModel,
     bounds: DisturbanceBounds,
-    *,
-    period: float,
+    period: float | None = None,
     longest_interval: float | None = None,
 ) -> DisturbanceObserver:
-    """Returns a scenario's observer.
-
-    Args:
-        scenario: A validated scenario.
-        model: The plant's.
-        bounds: The bounds of the disturbance.
-        period: Time between measurements [s].
-        longest_interval: See `DisturbanceObserver`.
-    """
+    """Returns a scenario's observer; see `FilterSettings.make_observer`."""
     with below("observer"):
         return scenario.make_observer(
             model,
@@ -280,17 +258,15 @@ def obstacles_in_sight(
 def _measured_state(
     builder: DiagramBuilder, scenario: Scenario, plant: LeafSystem
 ) -> OutputPort:
-    state = state_port_of(plant)
-    if not any(scenario.noise.std):
+    """The state, behind a sensor where it has noise or faults."""
+    state, noise, faults = state_port_of(plant), scenario.noise, scenario.faults
+    wrong = [*noise.std, *faults.measurement_bias]
+    if not any([*wrong, faults.measurement_delay, faults.measurement_loss]):
         return state
-    noise = builder.AddNamedSystem(
-        "measurement_noise",
-        MeasurementNoise(
-            np.array(scenario.noise.std), scenario.period, scenario.noise.seed
-        ),
-    )
-    builder.Connect(state, noise.GetInputPort("state"))
-    return noise.GetOutputPort("measured_state")
+    sensor = Sensor(state.size(), scenario.period, noise, faults)
+    builder.AddNamedSystem("sensor", sensor)
+    builder.Connect(state, sensor.get_input_port())
+    return sensor.get_output_port()
 
 
 def add_collision_monitor(
@@ -299,14 +275,7 @@ def add_collision_monitor(
     barrier_set: BarrierSet,
     seen: OutputPort | None = None,
 ) -> None:
-    """Adds the monitor that ends a simulation when a barrier becomes negative.
-
-    Args:
-        builder: Holds the plant.
-        plant: The plant.
-        barrier_set: With what.
-        seen: The port of the perceived obstacles.
-    """
+    """Adds the monitor that ends a simulation when a barrier becomes negative."""
     state = state_port_of(plant)
     monitor = builder.AddNamedSystem(
         COLLISION_MONITOR, CollisionMonitor(barrier_set, state.size())

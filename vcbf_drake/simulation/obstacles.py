@@ -115,49 +115,54 @@ def with_files_read(
             yield i, obstacle
 
 
-def barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
-    """Returns the barriers of the obstacles, then the vehicle's own limits."""
-    return _all_barriers(scenario, [*enumerate(scenario.obstacles, start=1)], [])
-
-
-def seen_barriers(scenario: Scenario) -> list[Barrier | StateInputLimit]:
-    """Returns the same barriers where spheres have to be seen first."""
-    seen: list[Barrier] = []
-    for point in body(scenario):
-        spheres = replace(perceived_spheres(scenario), margin=point.radius)
-        name = f"seen obstacle{point.name}"
-        seen += spheres.barriers(scenario.barrier.gains, point.position, name)
-    known = [
-        (number, each)
-        for number, each in enumerate(scenario.obstacles, start=1)
-        if not isinstance(each, SphereObstacle)
-    ]
-    return _all_barriers(scenario, known, seen)
-
-
-def other_vehicles(scenario: Scenario, others: Sequence[str]) -> PerceivedSpheres:
-    """Returns the perceived spheres of the other vehicles, one slot each.
+def barriers(scenario: Scenario, seen: bool = False) -> list[Barrier | StateInputLimit]:
+    """Returns the barriers of the obstacles, then the vehicle's own limits.
 
     Args:
-        scenario: The scenario of the vehicle that keeps apart.
-        others: The names of the others.
+        scenario: The scenario.
+        seen: Whether spheres have to be seen first: `PerceivedSpheres` are in their
+            place then.
     """
-    form = scenario.separation.form
-    return PerceivedSpheres(len(others), len(scenario.target), form)
+    points, names, settings = body(scenario), scenario.state_names, scenario.barrier
+    found: list[Barrier] = []
+    for point in points if seen else ():
+        spheres = replace(perceived_spheres(scenario), margin=point.radius)
+        name = f"seen obstacle{point.name}"
+        found += spheres.barriers(settings.gains, point.position, name)
+    for number, obstacle in enumerate(scenario.obstacles, start=1):
+        if isinstance(obstacle, StateLimit):
+            at = names.index(str(obstacle.state))
+            found += replace(obstacle, state=at).barriers(name=names[at])
+        is_seen = seen and isinstance(obstacle, SphereObstacle)
+        if is_seen or not isinstance(obstacle, Shape):
+            continue
+        shape = _in_form(obstacle, settings.form)
+        for point in points:
+            position = point.position_in(shape.dimensions)
+            name = f"{shape.kind} {number}"
+            made = shape.grown(point.radius).barriers(settings.gains, position, name)
+            for each in made:
+                each.name += point.name
+            found += made
+    if settings.robust:
+        found = _robust(scenario, found)
+    return [*found, *scenario.vehicle.barriers()]
 
 
 def separation_barriers(
     scenario: Scenario, others: Sequence[str], margin: float = 0.0
 ) -> list[Barrier]:
-    """Returns the barriers of the other vehicles.
+    """Returns the barriers of the other vehicles, which are perceived spheres.
 
     Args:
         scenario: The scenario of the vehicle that keeps apart.
         others: The names of the others, in the order of their slots.
         margin: The distance to keep from each, beyond the given radius [m].
     """
-    apart = scenario.separation
-    spheres = replace(other_vehicles(scenario, others), margin=margin)
+    if not others:
+        return []
+    apart, size = scenario.separation, len(scenario.target)
+    spheres = PerceivedSpheres(len(others), size, apart.form, margin)
     found = spheres.barriers(apart.gains, scenario.vehicle.position, "vehicle")
     for barrier, name in zip(found, others, strict=True):
         barrier.name = f"vehicle {name}"
@@ -193,32 +198,6 @@ def body(scenario: Scenario) -> list[Carrier]:
         name = f" (point {i + 1})" if len(scenario.body) > 1 else ""
         found.append(Carrier(position, each.radius, name))
     return found
-
-
-def _all_barriers(
-    scenario: Scenario,
-    numbered: Sequence[tuple[int, AnyObstacle]],
-    found: list[Barrier],
-) -> list[Barrier | StateInputLimit]:
-    """The given barriers, with those of some obstacles and the vehicle's limits."""
-    points, names, settings = body(scenario), scenario.state_names, scenario.barrier
-    for number, obstacle in numbered:
-        if isinstance(obstacle, StateLimit):
-            at = names.index(str(obstacle.state))
-            found += replace(obstacle, state=at).barriers(name=names[at])
-        if not isinstance(obstacle, Shape):
-            continue
-        shape = _in_form(obstacle, settings.form)
-        for point in points:
-            position = point.position_in(shape.dimensions)
-            name = f"{shape.kind} {number}"
-            made = shape.grown(point.radius).barriers(settings.gains, position, name)
-            for each in made:
-                each.name += point.name
-            found += made
-    if settings.robust:
-        found = _robust(scenario, found)
-    return [*found, *scenario.vehicle.barriers()]
 
 
 def _in_form(obstacle: Shape, form: SphereForm) -> Shape:

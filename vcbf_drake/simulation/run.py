@@ -37,9 +37,8 @@ from vcbf_drake.simulation.fleet import (
 from vcbf_drake.simulation.loading import load_scenario
 from vcbf_drake.simulation.log import RunLog
 from vcbf_drake.simulation.loop import COLLISION_MONITOR, measurement_noise
-from vcbf_drake.simulation.result import Result
+from vcbf_drake.simulation.result import Result, step_cpu_time
 from vcbf_drake.simulation.scenario import Scenario
-from vcbf_drake.simulation.step_time import step_cpu_time
 from vcbf_drake.simulation.summary import Ending, judge
 from vcbf_drake.typed import typed
 

@@ -15,6 +15,8 @@ from vcbf_drake.checks import Array
 
 if TYPE_CHECKING:
     from vcbf_drake.barriers import SphereObstacle
+    from vcbf_drake.simulation.faults import Faults
+    from vcbf_drake.simulation.sections import MeasurementNoise
 
 # Ticks are compared with this part of a period to spare.
 _TO_SPARE = 1e-6
@@ -36,79 +38,39 @@ def chance(*seeds: int) -> float:
     return float(np.random.default_rng(seeds).random())
 
 
-class MeasurementNoise(LeafSystem):
-    """Adds white noise to the state, a new sample every control period.
+class Sensor(LeafSystem):
+    """Measures a state: with noise and a bias, late, and not at every tick.
 
     .. pydrake_system::
 
-        name: MeasurementNoise
+        name: Sensor
         input_ports:
         - state
         output_ports:
         - measured_state
 
-    Sample k depends on the seed and k alone, so the system needs no state and every
-    run with the same seed sees the same noise.
-    """
-
-    def __init__(self, standard_deviation: Array, period: float, seed: int) -> None:
-        """Declares the ports.
-
-        Args:
-            standard_deviation: Standard deviation of each state, shape (n,) [its unit].
-            period: Time between samples [s].
-            seed: Seed of the generator.
-        """
-        super().__init__()
-        self._deviation = np.asarray(standard_deviation, dtype=float)
-        self._period, self._seed = period, seed
-        n = len(self._deviation)
-        self._state = self.DeclareVectorInputPort("state", n)
-        self.DeclareVectorOutputPort("measured_state", n, self._calc)
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        tick = tick_number(context.get_time(), self._period)
-        generator = np.random.default_rng([self._seed, tick])
-        sample = generator.standard_normal(len(self._deviation))
-        output.SetFromVector(self._state.Eval(context) + self._deviation * sample)
-
-
-class UnreliableSensor(LeafSystem):
-    """Delivers the newest sample of a signal that is old enough and was not lost.
-
-    .. pydrake_system::
-
-        name: UnreliableSensor
-        input_ports:
-        - state
-        output_ports:
-        - measured_state
-
-    Until one is old enough, it delivers the first one, which is never lost. Which are
-    lost depends on the seed and the tick alone, and samples carry their times: so the
-    output is the same before and after the tick's own sample is stored.
+    The output is the newest sample that is old enough and was not lost; until one is
+    old enough, the first one, which is never lost. Noise and losses depend on their
+    seeds and the tick alone, and samples carry their times: so the output is the same
+    before and after the tick's own sample is stored.
     """
 
     def __init__(
-        self,
-        size: int,
-        period: float,
-        delay: float = 0.0,
-        loss: float = 0.0,
-        seed: int = 0,
+        self, size: int, period: float, noise: MeasurementNoise, faults: Faults
     ) -> None:
         """Declares ports and memory.
 
         Args:
             size: n, of the state.
             period: Time between samples [s].
-            delay: The least age of the output [s].
-            loss: Probability that a sample is lost.
-            seed: Seed of the losses.
+            noise: A new sample of it every period.
+            faults: The faults of the measurement.
         """
         super().__init__()
-        self._period, self._delay, self._loss, self._seed = period, delay, loss, seed
-        self._kept = 1 - tick_number(-delay, period)
+        self._period, self._noise, self._faults = period, noise, faults
+        self._deviation = np.array(noise.std or np.zeros(size))
+        self._bias = np.array(faults.measurement_bias or np.zeros(size))
+        self._kept = 1 - tick_number(-faults.measurement_delay, period)
         self._state = self.DeclareVectorInputPort("state", size)
         self.DeclareDiscreteState(np.full(self._kept * (1 + size), np.nan))
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._store)
@@ -123,17 +85,22 @@ class UnreliableSensor(LeafSystem):
         memory = context.get_discrete_state_vector().CopyToVector()
         samples: Array = memory.reshape(self._kept, -1)
         tick = tick_number(t, self._period)
-        is_lost = chance(self._seed, tick) < self._loss
+        is_lost = chance(self._faults.seed, tick) < self._faults.measurement_loss
         if is_lost and not np.isnan(samples[-1]).any():
             return samples
-        return np.vstack([samples, [t, *self._state.Eval(context)]])
+        generator = np.random.default_rng([self._noise.seed, tick])
+        noise = self._deviation * generator.standard_normal(len(self._deviation))
+        return np.vstack(
+            [samples, [t, *self._state.Eval(context) + noise + self._bias]]
+        )
 
     def _store(self, context: Context, discrete: DiscreteValues) -> None:
         discrete.set_value(self._received(context)[-self._kept :].ravel())
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         samples = self._received(context)
-        latest = context.get_time() - self._delay + _TO_SPARE * self._period
+        delay = self._faults.measurement_delay
+        latest = context.get_time() - delay + _TO_SPARE * self._period
         is_old = np.flatnonzero(samples[:, 0] <= latest)
         first = np.flatnonzero(~np.isnan(samples[:, 0]))[0]
         output.SetFromVector(samples[is_old[-1] if len(is_old) else first, 1:])

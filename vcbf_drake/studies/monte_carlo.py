@@ -11,8 +11,8 @@ from queue import SimpleQueue
 
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.files import atomic_write, json_text
+from vcbf_drake.studies.executors import TRIALS_A_PROCESS, WorkerProcesses
 from vcbf_drake.studies.trial import Record, Trial, error_record, run_trial
-from vcbf_drake.studies.worker_processes import TRIALS_A_PROCESS, WorkerProcesses
 
 # More would only wait in the executor's memory.
 _MOST_SUBMITTED = 10_000
@@ -86,27 +86,19 @@ def _run_with(
     """
     lost = []
     for trial, future in _submit(executor, trials, most):
-        if _failure(executor, future) is None:
+        if future.exception() is None:
             yield future.result()
         else:
             lost.append(trial)
+    # An executor that broke for good raises here.
     for trial, future in _submit(executor, lost, 1):
-        error = _failure(executor, future)
+        error = future.exception()
         if error is None:
             yield future.result()
         elif isinstance(error, BrokenExecutor):
             yield error_record(trial, "its process died, twice")
         else:
             yield error_record(trial, f"{type(error).__name__}: {error}")
-
-
-def _failure(executor: Executor, future: Future[Record]) -> BaseException | None:
-    """The reason why a trial has no record; raises if no trial can get one."""
-    error = future.exception()  # Raises CancelledError.
-    goes_on = isinstance(executor, WorkerProcesses)
-    if isinstance(error, BrokenExecutor) and not goes_on:
-        raise error
-    return error
 
 
 def _submit(

@@ -9,6 +9,7 @@ import math
 import shlex
 from typing import Any
 
+from vcbf_drake.errors import ScenarioError
 from vcbf_drake.simulation.fleet import Fleet
 from vcbf_drake.simulation.loading import load_fleet
 from vcbf_drake.simulation.run import simulate_fleet
@@ -99,7 +100,11 @@ class Trial:
             ScenarioError: They do not load.
         """
         overrides, name = self.all_overrides(), self.scenario_name or None
-        fleet = load_fleet(self.scenario, overrides, name)
+        try:
+            fleet = load_fleet(self.scenario, overrides, name)
+        except ScenarioError as error:  # Without what was drawn, it loads.
+            problem = str(error).removeprefix("override: ")
+            raise ScenarioError(f"variation: {problem}") from None
         fleet.set_method(self.method)
         return fleet
 

@@ -71,12 +71,7 @@ class Variation:
         return self.label or (merge_overrides(self.text) if self.text else "none")
 
     def draw(self, scenario: Scenario, seed: int, index: int) -> dict[str, Any]:
-        """Returns one draw, as overrides of the scenario; see `Draw`.
-
-        Args:
-            scenario: The scenario around which to draw.
-            seed: The study's seed.
-            index: Which draw of the study.
+        """Returns one draw; see `Draw`.
 
         Raises:
             ScenarioError: The text is no variation of this scenario.
@@ -107,12 +102,7 @@ class PythonVariation:
         return f"{Path(self.path).name} {hashlib.sha256(content).hexdigest()[:8]}"
 
     def draw(self, scenario: Scenario, seed: int, index: int) -> dict[str, Any]:
-        """Returns one draw, as overrides of the scenario; see `Draw`.
-
-        Args:
-            scenario: The scenario around which to draw.
-            seed: The study's seed.
-            index: Which draw of the study.
+        """Returns one draw; see `Draw`.
 
         Raises:
             ScenarioError: The file has no function ``draw``.

@@ -1,24 +1,27 @@
-"""The fault campaign: every fault, with and without the volume barrier."""
+"""The fault campaign: each fault, with and without volume barrier, and its page."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from vcbf_drake.safety import FilterStatus
-from vcbf_drake.simulation.audit import CONDITIONS
+from vcbf_drake.simulation.audit import CONDITIONS, PROMISES
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.studies.trial import Record, Trial
+
+# Of trials: scenario, fault, method and fidelity.
+KIND = ("scenario", "fault", "method", "fidelity")
+Kind = tuple[str, str, str, str]
+Generator = np.random.Generator
 
 METHODS = ("dob-cbf-qp", "dob-vcbf-qp")
 FIDELITIES = ("corrected", "paper")
 # Of the starting position's coordinates [m].
 _START_OFFSETS = ((-0.1, 0.1), (-0.1, 0.1), (0.0, 0.2))
-
-Generator = np.random.Generator
 
 
 @dataclass(frozen=True)
@@ -37,13 +40,7 @@ class FaultDraw:
         return _FAULTS[self.name][0]
 
     def draw(self, scenario: Scenario, seed: int, index: int) -> dict[str, Any]:
-        """Returns one draw, as overrides; see `Draw`.
-
-        Args:
-            scenario: The scenario around which to draw.
-            seed: The study's seed.
-            index: Which draw of the study.
-        """
+        """Returns one draw, as overrides; see `Draw`."""
         start = _random_start(scenario, np.random.default_rng([seed, index]))
         generator = np.random.default_rng([seed, index, 1])
         if self.name == "noise":
@@ -123,8 +120,8 @@ FAULTS = tuple(map(FaultDraw, _FAULTS))
 
 def fault_trials(
     scenarios: Sequence[str], trials: int, seed: int = 0
-) -> dict[tuple[str, str, str, str], list[Trial]]:
-    """Returns the campaign's trials by (scenario, fault, method, fidelity).
+) -> dict[Kind, list[Trial]]:
+    """Returns the campaign's trials by their kind.
 
     Where no input is safe the least violation is applied, so that every run goes on and
     shows whether it recovers.
@@ -154,50 +151,147 @@ def fault_trials(
 
 
 def summarise_faults(records: Sequence[Record]) -> dict[str, Any]:
-    """Returns the summary of a fault's effect on one method, over its trials.
+    """Returns the summary of a fault's effect on one method.
 
     Args:
         records: The records of one kind of trial.
     """
     ended = [each for each in records if each["error"] is None]
-    ticks = sum(each["ticks"] for each in ended)
+    ticks = max(sum(each["ticks"] for each in ended), 1)
     bad = [each for each in ended if each["infeasible_ticks"] + each["failed_ticks"]]
+    reasons = [each["reasons_against"] for each in ended]
+    inside = [each for each in reasons if _is_inside(each)]
     return {
         "trials": len(records),
         "errors": len(records) - len(ended),
         "reached": sum(each["outcome"] == "reached" for each in ended),
         "collisions": sum(each["outcome"] == "collision" for each in ended),
         "runs_with_bad_ticks": len(bad),
-        "recovered": sum(map(_recovered, bad)),
+        "recovered": sum(
+            each["final_status"] < FilterStatus.INFEASIBLE
+            and each["outcome"] != "collision"
+            for each in bad
+        ),
         **{
-            f"{name}_share": sum(each[f"{name}_ticks"] for each in ended)
-            / max(ticks, 1)
+            f"{name}_share": sum(each[f"{name}_ticks"] for each in ended) / ticks
             for name in ("relaxed", "infeasible", "failed")
         },
         "least_barrier": min((each["min_barrier"] for each in ended), default=None),
-        "illegal_inputs": _count(ended, "audit: input"),
-        "guaranteed": sum(not each["reasons_against"] for each in ended),
-        "inside_assumptions": sum(map(_is_inside, ended)),
-        "broken_inside": sum(
-            _is_inside(each) and bool(each["reasons_against"]) for each in ended
-        ),
+        "illegal_inputs": sum("audit: input" in each for each in reasons),
+        "guaranteed": sum(not each for each in reasons),
+        "inside_assumptions": len(inside),
+        "broken_inside": sum(map(bool, inside)),
     }
 
 
-def _recovered(record: Record) -> bool:
-    """Whether the last tick was feasible again, without a collision before."""
-    good = record["final_status"] < FilterStatus.INFEASIBLE
-    return bool(good and record["outcome"] != "collision")
-
-
-def _is_inside(record: Record) -> bool:
+def _is_inside(reasons: Sequence[str]) -> bool:
     """Whether every hypothesis and every condition of the theorems on a run held."""
     asked = [f"audit: {name}" for name in CONDITIONS]
-    return not any(
-        reason.startswith("hypothesis: ") or reason in asked
-        for reason in record["reasons_against"]
+    return not any(each.startswith("hypothesis: ") or each in asked for each in reasons)
+
+
+# The page -----------------------------------------------------------------------------
+
+_PAGE = """\
+# Faults in the loop
+
+Produced by `{command}`: {trials} of each fault, method and fidelity, from random
+starts. All kinds share their draws.
+At infeasible ticks the input of least violation is applied, so that a run continues
+until it collides or its time is over. A run has *recovered* if its last tick was
+neither infeasible nor failed and it did not collide.
+
+{findings}
+
+A run is *guaranteed* if every hypothesis of `vcbf-drake check` held and the audit,
+which knows the true state and disturbance, found every promise below kept at every
+tick. It is *inside the assumptions* if the hypotheses held and, during the run, the
+conditions of the theorems (*condition* below); the theorems then promise the rest. The
+labels are those of the package's docs/theory.md.
+
+| checked at every tick | meaning | role |
+| --- | --- | --- |
+{promises}
+
+| fault | description |
+| --- | --- |
+{faults}
+"""
+
+_COLUMNS = {
+    "reached": "reached",
+    "collisions": "collided",
+    "relaxed_share": "relaxed ticks",
+    "infeasible_share": "infeasible ticks",
+    "failed_share": "failed ticks",
+    "runs_with_bad_ticks": "runs with such ticks",
+    "recovered": "of them recovered",
+    "least_barrier": "least h",
+    "guaranteed": "called guaranteed",
+}
+
+
+def headline(summaries: Mapping[Kind, Mapping[str, Any]]) -> list[str]:
+    """Returns the campaign's main findings, one sentence each."""
+
+    def total(name: str) -> int:
+        return sum(int(each[name]) for each in summaries.values())
+
+    in_vain = [kind for kind in summaries if kind[1] != FAULTS[0].name]
+    guaranteed = sum(int(summaries[kind]["guaranteed"]) for kind in in_vain)
+    return [
+        f"{_counted(total('trials'), 'run')}, {total('errors')} ended in an error.",
+        f"{_counted(total('illegal_inputs'), 'run')} had an input that was not finite"
+        " or outside its limits.",
+        f"{_counted(total('inside_assumptions'), 'run')} stayed inside the assumptions;"
+        f" {total('broken_inside')} of them broke a promise.",
+        f"{_counted(guaranteed, 'run')} under a fault passed as guaranteed.",
+    ]
+
+
+def campaign_markdown(summaries: Mapping[Kind, Mapping[str, Any]], command: str) -> str:
+    """Returns the campaign's page.
+
+    Args:
+        summaries: The results of `summarise_faults`, for each kind of trial.
+        command: The command that makes this page.
+    """
+    roles = [
+        (name, text, "condition" if name in CONDITIONS else "promised")
+        for name, text in PROMISES.items()
+    ]
+    trials = max(each["trials"] for each in summaries.values())
+    page = _PAGE.format(
+        command=command,
+        trials=_counted(trials, "trial"),
+        findings="\n".join(f"* {sentence}" for sentence in headline(summaries)),
+        promises="\n".join(map(_row, roles)),
+        faults="\n".join(_row([fault.name, fault.description]) for fault in FAULTS),
     )
+    for scenario in dict.fromkeys(kind[0] for kind in summaries):
+        titles = _row([*KIND[1:], *_COLUMNS.values()])
+        rule = _row(["---"] * 3 + ["---:"] * len(_COLUMNS))
+        rows = [
+            _row([*kind[1:], *(_cell(name, summary[name]) for name in _COLUMNS)])
+            for kind, summary in summaries.items()
+            if kind[0] == scenario
+        ]
+        page += "\n".join([f"\n## {scenario}\n", titles, rule, *rows, ""])
+    return page
 
 
-def _count(records: Sequence[Record], reason: str) -> int:
-    return sum(reason in each["reasons_against"] for each in records)
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def _row(cells: Sequence[str]) -> str:
+    # A bar would end its cell.
+    return f"| {' | '.join(cell.replace('|', '&#124;') for cell in cells)} |"
+
+
+def _cell(name: str, value: float | None) -> str:
+    if value is None:
+        return "-"
+    if name.endswith("_share"):
+        return f"{100.0 * value:.1f} %"
+    return f"{value:.3f}" if name == "least_barrier" else str(value)
