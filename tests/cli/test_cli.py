@@ -257,10 +257,6 @@ ONE_GAIN = "{barrier: {gains: [4.0]}}"
     ("arguments", "problem"),
     [
         (["rnu"], "No such command 'rnu'"),
-        (["bench", "--quick"], "bench is `make bench`"),
-        (["reproduce"], "reproduce is `make reproduce`"),
-        (["reliability"], "reliability is `vcbf-drake faults SCENARIO...`"),
-        (["rate-sweep"], "rate-sweep is `python -m examples.paper.rates`"),
         (["--colour"], "--colour"),
         (["run"], "Missing argument 'SCENARIO'"),
         (["run", "car-avoidance", "--metod", "x"], "--metod"),

@@ -10,7 +10,7 @@ import signal
 import sys
 from typing import Any, NoReturn
 
-from vcbf_drake.cli.application import OneLineCommand, app
+from vcbf_drake.cli.application import app
 from vcbf_drake.cli.hardware import controller, plant
 from vcbf_drake.cli.hardware_logs import replay_log
 from vcbf_drake.cli.simulations import (
@@ -48,7 +48,7 @@ def _help(command: Callable[..., Any]) -> str:
 
 
 for _name, _command in _COMMANDS.items():
-    app.command(_name, cls=OneLineCommand, help=_help(_command))(_command)
+    app.command(_name, help=_help(_command))(_command)
 
 __all__ = ["app", "main"]
 

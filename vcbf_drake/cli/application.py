@@ -7,37 +7,13 @@ import traceback
 from typing import Annotated, Any, cast
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperGroup
 
 from vcbf_drake.environment import raise_on_interrupt, show_warnings_only
 
 _FAILED, _BAD_USAGE, _INTERRUPTED = 1, 2, 130
-
-
-# Commands of earlier versions, and where their work is done now.
-_MOVED = {
-    "reliability": "is `vcbf-drake faults SCENARIO...`; hostile ticks are"
-    " `make properties` in a clone of the repository",
-    "reproduce": "is `make reproduce` in a clone of the repository",
-    "rate-sweep": "is `python -m examples.paper.rates` in a clone of the repository",
-    "bench": "is `make bench` in a clone of the repository",
-}
-
 # Click's class, wherever the installed typer keeps it.
 _UsageError = cast(type[Exception], typer.BadParameter.__base__)
-
-
-class OneLineCommand(TyperCommand):
-    """A command that Ctrl-C ends with one line, after it has tidied up."""
-
-    def invoke(self, ctx: Any) -> Any:
-        """Runs the command."""
-        try:
-            raise_on_interrupt()
-            return super().invoke(ctx)
-        except KeyboardInterrupt:
-            complain("interrupted")
-            raise typer.Exit(_INTERRUPTED) from None
 
 
 class OneLineGroup(TyperGroup):
@@ -68,18 +44,19 @@ class OneLineGroup(TyperGroup):
         """Reads the options; nothing at all asks for help."""
         return super().parse_args(ctx, args or ["--help"])
 
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Finds the command; of one that has moved, says where to."""
-        if args[0] in _MOVED:
-            raise _UsageError(f"{args[0]} {_MOVED[args[0]]}")
-        return super().resolve_command(ctx, args)
-
     def invoke(self, ctx: Any) -> Any:
-        """Runs the command; with ``--traceback``, shows where it failed."""
+        """Runs the command; with ``--traceback``, shows where it failed.
+
+        Ctrl-C ends it with one line, after it has tidied up.
+        """
         try:
+            raise_on_interrupt()
             return super().invoke(ctx)
         except (_UsageError, typer.Exit):
             raise
+        except KeyboardInterrupt:
+            complain("interrupted")
+            raise typer.Exit(_INTERRUPTED) from None
         except Exception:
             if ctx.params["show_traceback"]:
                 traceback.print_exc()

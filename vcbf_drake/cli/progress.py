@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import sys
-from threading import Event, Thread
 import time
 
 Advance = Callable[[float], None]
@@ -21,22 +20,9 @@ def progress() -> Iterator[Callable[[str], Advance]]:
     That is called with the fraction that is done. A task begins when the one before it
     is done. It shows the remaining time; bars disappear at the end.
     """
-    if sys.stderr.isatty():
-        with _bars() as begin:
-            yield begin
+    if not sys.stderr.isatty():
+        yield _lines
         return
-    lines, done = _Lines(), Event()
-    teller = Thread(target=lines.tell, args=[done], daemon=True)
-    teller.start()
-    try:
-        yield lines.begin
-    finally:
-        done.set()
-        teller.join()
-
-
-@contextmanager
-def _bars() -> Iterator[Callable[[str], Advance]]:
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -63,27 +49,23 @@ def _bars() -> Iterator[Callable[[str], Advance]]:
         yield begin
 
 
-class _Lines:
-    """The task at work, told every `_PATIENCE` seconds."""
+def _lines(name: str) -> Advance:
+    """Begins a task that prints a line when it goes on, every `_PATIENCE` seconds."""
+    started = told = time.monotonic()
 
-    def __init__(self) -> None:
-        self._name, self._started, self._done = "", time.monotonic(), 0.0
+    def advance(done: float) -> None:
+        nonlocal told
+        now = time.monotonic()
+        if now - told < _PATIENCE:
+            return
+        told, spent = now, now - started
+        text = f"{name}: for {_duration(spent)}"
+        if 0.0 < done < 1.0:
+            left = _duration(spent * (1.0 / done - 1.0))
+            text += f", {done:.0%}, about {left} left"
+        print(text, file=sys.stderr, flush=True)
 
-    def begin(self, name: str) -> Advance:
-        self._name, self._started, self._done = name, time.monotonic(), 0.0
-        return self._advance
-
-    def _advance(self, done: float) -> None:
-        self._done = done
-
-    def tell(self, ended: Event) -> None:
-        while not ended.wait(_PATIENCE):
-            spent = time.monotonic() - self._started
-            text = f"{self._name}: for {_duration(spent)}"
-            if 0.0 < self._done < 1.0:
-                left = _duration(spent * (1.0 / self._done - 1.0))
-                text += f", {self._done:.0%}, about {left} left"
-            print(text, file=sys.stderr, flush=True)
+    return advance
 
 
 def _duration(seconds: float) -> str:

@@ -24,7 +24,6 @@ from vcbf_drake.barriers import (
     PerceivedSpheres,
     StateInputLimit,
 )
-from vcbf_drake.checks import require
 from vcbf_drake.disturbances import (
     DisturbanceBounds,
     DisturbanceObserver,
@@ -236,22 +235,9 @@ def obstacles_in_sight(
     """Returns the port of what is seen; None where all obstacles are known."""
     if scenario.faults.sight == 0.0 or not scenario.spheres:
         return None
-    slots = perceived_spheres(scenario)
-    rule = f"at least {len(scenario.spheres)}, the number of spheres"
-    where = ("hardware", "most_obstacles")
-    require(slots.capacity >= len(scenario.spheres), where, slots.capacity, rule)
-    state = state_port_of(plant)
-    seeing = builder.AddNamedSystem(
-        "obstacles_in_sight",
-        ObstaclesInSight(
-            scenario.spheres,
-            slots,
-            state.size(),
-            scenario.vehicle.positions,
-            scenario.faults.sight,
-        ),
-    )
-    builder.Connect(state, seeing.get_input_port())
+    seeing = ObstaclesInSight(scenario, perceived_spheres(scenario))
+    builder.AddNamedSystem("obstacles_in_sight", seeing)
+    builder.Connect(state_port_of(plant), seeing.get_input_port())
     return seeing.get_output_port()
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -210,31 +210,30 @@ def _in_form(obstacle: Shape, form: SphereForm) -> Shape:
     return obstacle
 
 
-def check_place(
-    obstacle: AnyObstacle,
-    at: str,
-    position: Sequence[float],
-    what: str,
-    target: bool,
-    radius: float = 0.0,
+def check_places(
+    scenario: Scenario, numbered: Iterable[tuple[int, AnyObstacle]]
 ) -> None:
-    """Checks that a place of the vehicle is clear of an obstacle.
+    """Checks that start and target are clear of the obstacles, with their margins.
 
-    Args:
-        obstacle: The obstacle.
-        at: The field of the place.
-        position: The place [m].
-        what: The name of the obstacle in the scenario.
-        target: Whether it is the target, over which a moving obstacle may pass.
-        radius: The radius of the body around the place [m].
+    A moving obstacle may pass over the target.
 
     Raises:
-        InvalidValueError: The place is inside the obstacle or its margin.
+        InvalidValueError: One is not, or a point of the body is not the vehicle's.
     """
-    if isinstance(obstacle, Shape) and not (target and obstacle.moves):
-        height = obstacle.grown(radius).height(position)
-        rule = f"outside {what}, margin included; its signed distance is {height:.3g} m"
-        require(height > 0.0, at, [*position], rule)
+    state, at_start = np.array(scenario.initial_state), []
+    for i, each in enumerate(body(scenario)):
+        with below("body", i):
+            at_start.append((each.radius, each.place(state)))
+    for i, obstacle in numbered:
+        if not isinstance(obstacle, Shape):
+            continue
+        places = [("initial_state", *each) for each in at_start]
+        if not obstacle.moves:
+            places.append(("target", 0.0, scenario.target))
+        for name, radius, place in places:
+            height = obstacle.grown(radius).height(place)
+            rule = f"outside obstacles[{i}], margin included; its signed distance is"
+            require(height > 0.0, name, [*place], f"{rule} {height:.3g} m")
 
 
 def check_limits(scenario: Scenario) -> None:
@@ -265,13 +264,7 @@ def check_limits(scenario: Scenario) -> None:
 def check_fits(
     obstacle: AnyObstacle, path: tuple[str | int, ...], names: Sequence[str], size: int
 ) -> None:
-    """Checks that an obstacle has the vehicle's dimensions, or names one of its states.
-
-    Args:
-        obstacle: The obstacle.
-        path: Its path in the scenario.
-        names: The names of the vehicle's states.
-        size: The number of dimensions of its position.
+    """Checks that an obstacle has `size` dimensions, or names one of these states.
 
     Raises:
         InvalidValueError: It does not fit.

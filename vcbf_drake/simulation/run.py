@@ -149,14 +149,11 @@ def check_assumptions(scenario: Scenario | Fleet) -> tuple[Assumption, ...]:
     fleet = scenario if isinstance(scenario, Fleet) else Fleet.of(scenario)
     diagram = make_fleet_loop(fleet)
     context = make_simulator(diagram, fleet).get_context()
-    loops, found = loops_of(diagram, fleet), list[Assumption]()
-    for each, loop in zip(fleet.vehicles, loops, strict=True):
-        if len(loops) == 1:
-            return loop_assumptions(each, loop, context)
-        found += [
-            replace(assumption, name=f"{each.name}: {assumption.name}")
-            for assumption in loop_assumptions(each, loop, context, True)
-        ]
+    found, several = list[Assumption](), len(fleet.vehicles) > 1
+    for each, loop in zip(fleet.vehicles, loops_of(diagram, fleet), strict=True):
+        for own in loop_assumptions(each, loop, context, several):
+            name = f"{each.name}: {own.name}" if several else own.name
+            found.append(replace(own, name=name))
     return tuple(found)
 
 
@@ -185,14 +182,7 @@ def make_simulator(diagram: Diagram, scenario: Scenario | Fleet) -> Simulator:
 def loop_assumptions(
     scenario: Scenario, diagram: Diagram, context: Context, has_others: bool = False
 ) -> tuple[Assumption, ...]:
-    """Returns the hypotheses with the numbers of a loop at its context.
-
-    Args:
-        scenario: The scenario of the loop.
-        diagram: The loop.
-        context: The root's.
-        has_others: Whether there are other vehicles.
-    """
+    """Returns the hypotheses with the numbers of a loop at the root's context."""
     safety_filter: SafetyFilter = diagram.GetSubsystemByName("filter")
     with naming_user_code(context.get_time):
         found = assumptions(
@@ -249,12 +239,7 @@ def _ends_at_target(
 
 
 def _stops(scenario: Scenario, least: int) -> list[float]:
-    """The times to stop at, all control ticks so that no step is cut, and the end.
-
-    Args:
-        scenario: The scenario.
-        least: The least number of pieces.
-    """
+    """The times to stop at, all control ticks so that no step is cut, and the end."""
     duration, period = scenario.duration, scenario.period
     longest = min(_LONGEST_PIECE, _MOST_TICKS * period)
     pieces = max(math.ceil(duration / longest), least)

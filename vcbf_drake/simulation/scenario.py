@@ -35,10 +35,9 @@ from vcbf_drake.simulation.faults import Faults
 from vcbf_drake.simulation.obstacles import (
     AnyObstacle,
     BodyPoint,
-    body,
     check_fits,
     check_limits,
-    check_place,
+    check_places,
     with_files_read,
 )
 from vcbf_drake.simulation.sections import (
@@ -259,15 +258,7 @@ class Scenario(FilterSettings):
         state = np.array(self.initial_state)
         limits = np.array(self.input_set.lower), np.array(self.input_set.upper)
         check_returns(self.vehicle, state, self.target, limits)
-        places = []
-        for i, each in enumerate(body(self)):
-            with below("body", i):
-                places.append((each.radius, each.place(state)))
-        for i, obstacle in numbered:
-            what = f"obstacles[{i}]"
-            for radius, place in places:
-                check_place(obstacle, "initial_state", place, what, False, radius)
-            check_place(obstacle, "target", self.target, what, target=True)
+        check_places(self, numbered)
         check_limits(self)
 
     @property

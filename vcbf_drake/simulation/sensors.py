@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from functools import lru_cache
 import math
 from typing import TYPE_CHECKING
@@ -11,11 +10,11 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from vcbf_drake.barriers import PerceivedSpheres
-from vcbf_drake.checks import Array
+from vcbf_drake.checks import Array, require
 
 if TYPE_CHECKING:
-    from vcbf_drake.barriers import SphereObstacle
     from vcbf_drake.simulation.faults import Faults
+    from vcbf_drake.simulation.scenario import Scenario
     from vcbf_drake.simulation.sections import MeasurementNoise
 
 # Ticks are compared with this part of a period to spare.
@@ -121,30 +120,26 @@ class ObstaclesInSight(LeafSystem):
     radius there contains its margin.
     """
 
-    def __init__(
-        self,
-        obstacles: Sequence[SphereObstacle],
-        spheres: PerceivedSpheres,
-        num_states: int,
-        positions: Callable[[Array], Array],
-        sight: float,
-    ) -> None:
+    def __init__(self, scenario: Scenario, spheres: PerceivedSpheres) -> None:
         """Declares the ports.
 
         Args:
-            obstacles: The obstacles.
-            spheres: The format of the port, one slot per obstacle.
-            num_states: n.
-            positions: From states (T, n) to positions (T, k) [m].
-            sight: The distance from which a surface is seen [m].
+            scenario: With its spheres, its vehicle's position, and its fault of sight.
+            spheres: The format of the port, with a slot for each.
         """
         super().__init__()
+        obstacles = scenario.spheres
+        rule = f"at least {len(obstacles)}, the number of spheres"
+        where = ("hardware", "most_obstacles")
+        require(spheres.capacity >= len(obstacles), where, spheres.capacity, rule)
         motions = np.array([each.motion for each in obstacles])
         self._centers, self._velocities = motions[:, 0], motions[:, 1]
         self._surfaces = np.array([each.radius for each in obstacles])
         self._radii = np.array([each.safety_distance for each in obstacles])
-        self._spheres, self._positions, self._sight = spheres, positions, sight
-        self._state = self.DeclareVectorInputPort("state", num_states)
+        self._spheres, self._sight = spheres, scenario.faults.sight
+        self._positions = scenario.vehicle.positions
+        n = len(scenario.initial_state)
+        self._state = self.DeclareVectorInputPort("state", n)
         self.DeclareVectorOutputPort("obstacles", spheres.size, self._calc)
 
     def _calc(self, context: Context, output: BasicVector) -> None:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from vcbf_drake.studies.trial import Record, Trial
 
 Interval = tuple[float, float]
-_Pair = tuple[Trial, Record, Record]
 
 _CONFIDENCE = 0.95
 
@@ -78,12 +76,7 @@ def mean_interval(values: Sequence[float]) -> Interval | None:
 
 
 def share_interval(count: int, total: int) -> Interval | None:
-    """Returns Wilson's 95 % confidence interval of a share, None for a total of 0.
-
-    Args:
-        count: In how many.
-        total: The total number.
-    """
+    """Returns Wilson's 95 % confidence interval of a share, None for a total of 0."""
     if total == 0:
         return None
     from scipy.stats import binomtest
@@ -93,12 +86,7 @@ def share_interval(count: int, total: int) -> Interval | None:
 
 
 def summarise_method(method: str, records: Sequence[Record]) -> Record:
-    """Returns a method's part of `summarise_study`.
-
-    Args:
-        method: The method.
-        records: The records of a study.
-    """
+    """Returns a method's part of `summarise_study`."""
     own = [record for record in records if record["method"] == method]
     times = [r["running_time"] for r in own if r["error"] is None]
     return {
@@ -112,11 +100,26 @@ def summarise_method(method: str, records: Sequence[Record]) -> Record:
 def _compare(
     baseline: str, method: str, trials: Sequence[Trial], records: Sequence[Record]
 ) -> Record:
-    pairs = list(_pairs(baseline, method, trials, records))
+    bases = {r["index"]: r for r in records if r["method"] == baseline}
+    pairs = [
+        (trial, own, base)
+        for trial, own in zip(trials, records, strict=True)
+        if trial.method == method and (base := bases.get(trial.index)) is not None
+        if own["error"] is None and base["error"] is None
+    ]
     differences = [own["running_time"] - base["running_time"] for _, own, base in pairs]
     merits = [(_merit(own), _merit(base)) for _, own, base in pairs]
     worse = [
-        pair for pair, (own, base) in zip(pairs, merits, strict=True) if own < base
+        {
+            "index": trial.index,
+            "outcome": own["outcome"],
+            "running_time": own["running_time"],
+            "baseline_outcome": base["outcome"],
+            "baseline_running_time": base["running_time"],
+            "replay": trial.command(),
+        }
+        for trial, own, base in pairs
+        if _merit(own) < _merit(base)
     ]
     return {
         "method": method,
@@ -127,38 +130,13 @@ def _compare(
         "better": sum(own > base for own, base in merits),
         "same": sum(own == base for own, base in merits),
         "worse": len(worse),
-        "worse_trials": [_worse_trial(pair) for pair in worse],
+        "worse_trials": worse,
     }
-
-
-def _pairs(
-    baseline: str, method: str, trials: Sequence[Trial], records: Sequence[Record]
-) -> Iterator[_Pair]:
-    """The trials of a method that ended, each with its record and the baseline's."""
-    bases = {r["index"]: r for r in records if r["method"] == baseline}
-    for trial, record in zip(trials, records, strict=True):
-        base = bases.get(trial.index)
-        if trial.method != method or base is None:
-            continue
-        if record["error"] is None and base["error"] is None:
-            yield trial, record, base
 
 
 def _merit(record: Record) -> tuple[bool, float, bool]:
     outcome = record["outcome"]
     return outcome != "collision", record["running_time"], outcome == "reached"
-
-
-def _worse_trial(pair: _Pair) -> dict[str, Any]:
-    trial, own, base = pair
-    return {
-        "index": trial.index,
-        "outcome": own["outcome"],
-        "running_time": own["running_time"],
-        "baseline_outcome": base["outcome"],
-        "baseline_running_time": base["running_time"],
-        "replay": trial.command(),
-    }
 
 
 def _mean(values: Sequence[float]) -> float | None:

@@ -132,7 +132,7 @@ def run_trial(trial: Trial) -> Record:
     except Exception as error:
         return error_record(trial, f"{type(error).__name__}: {error}")
     numbers = {
-        name: _finite(_worst_of(worse, [each[name] for each in summaries]))
+        name: _worst_of(worse, [each[name] for each in summaries])
         for name, worse in _NUMBERS.items()
     }
     # Only where a backup manoeuvre is kept there is something to guarantee.
@@ -152,24 +152,16 @@ def run_trial(trial: Trial) -> Record:
 
 
 def _worst_of(worse: Callable[..., Any], values: Sequence[float | None]) -> Any:
-    return worse((each for each in values if each is not None), default=None)
+    """The worst value that JSON has; None without one."""
+    kept = (each for each in values if each is not None and math.isfinite(each))
+    return worse(kept, default=None)
 
 
 def error_record(trial: Trial, error: str) -> Record:
-    """Returns the record of a trial that did not end.
-
-    Args:
-        trial: The trial.
-        error: Why.
-    """
+    """Returns the record of a trial that did not end, with the reason."""
     return {
         **trial.identity,
         "outcome": "error",
         **dict.fromkeys((*_NUMBERS, "guaranteed_feasible", "reasons_against")),
         "error": error,
     }
-
-
-def _finite(value: float | None) -> float | None:
-    """The value, or None for numbers that JSON lacks."""
-    return None if value is None or not math.isfinite(value) else value
