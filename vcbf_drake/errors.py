@@ -78,12 +78,11 @@ class SolverError(VcbfError):
     Attributes:
         A: The rows of the problem, shape (n, m).
         b: The right-hand sides, shape (n,).
-        details: The solver's report.
     """
 
-    def __init__(self, message: str, A: Array, b: Array, details: str = "") -> None:
-        super().__init__(f"{message} ({details})" if details else message)
-        self.A, self.b, self.details = A, b, details
+    def __init__(self, message: str, A: Array, b: Array) -> None:
+        super().__init__(message)
+        self.A, self.b = A, b
 
 
 class ModelError(VcbfError):

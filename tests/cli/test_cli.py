@@ -269,6 +269,10 @@ ONE_GAIN = "{barrier: {gains: [4.0]}}"
         (["compare", "car-avoidance", "--methods", "cbf-qp,x"], "drake: method: 'x'"),
         (["check", "car-avoidance", "--method", "x"], "vcbf-drake: method: 'x'"),
         (["check", "car-avoidance", "--override", ONE_GAIN], "give 2 gains"),
+        (
+            ["run", "car-avoidance", "--override", "{input_weights: [1]}"],
+            "vcbf-drake: override: input_weights: [1.0]; it must be 2 positive numbers",
+        ),
     ],
 )
 def test_bad_usage_is_one_line_and_status_2(

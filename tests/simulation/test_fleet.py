@@ -364,6 +364,25 @@ def test_a_wrong_entry_of_all_vehicles_is_found_in_its_own_line(
     assert str(refused.value).startswith(f"{path}:3: vehicles[0].")
 
 
+@pytest.mark.parametrize(
+    ("entry", "problem"),
+    [
+        ("input_weights: [1.0]", "2: vehicles[0].input_weights: [1.0]; it must be 2 p"),
+        ("observer: {beta: 0.001}", "2: vehicles[0].observer: gains alpha, beta, "),
+    ],
+)
+def test_a_value_that_only_the_loop_refuses_is_found_in_its_line(
+    entry: str, problem: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "fleet.yaml"
+    text = CROSSING.read_text().replace("crossing:", f"crossing:\n  {entry}", 1)
+    path.write_text(text[text.index("crossing:") :])
+    fleet = load_fleet(path)
+    with pytest.raises(ScenarioError) as refused:
+        check_assumptions(fleet)
+    assert str(refused.value).startswith(f"{path}:{problem}")
+
+
 def test_where_one_vehicle_is_needed_several_are_refused() -> None:
     message = r"2 vehicles \(eastbound, northbound\), where one is needed"
     with pytest.raises(ScenarioError, match=message):

@@ -186,11 +186,7 @@ def _of_measurements(
 
 
 def authority(log: Mapping[str, Array]) -> Array:
-    """Returns how far the inputs moved each row, infinite for a slot without obstacle.
-
-    Args:
-        log: The arrays of the log, one row a control tick.
-    """
+    """Returns how far the inputs moved each row; infinite for a slot that is empty."""
     moved = log["authority"]
     is_empty = (moved == 0.0) & np.isnan(log["barriers"])
     return np.where(is_empty, np.inf, moved)
@@ -228,14 +224,7 @@ def _decrease_margin(times: Array, volume: Array, gain: float) -> Array:
 def finding(
     statement: str, times: Array, margins: Array, tolerance: float = ROUNDING
 ) -> dict[str, Any]:
-    """Returns the finding of one promise, as `audit_findings` has it.
-
-    Args:
-        statement: The promise.
-        times: When it was looked at, shape (T,) [s].
-        margins: The margins, shape (T,); negative where the promise is broken.
-        tolerance: The tolerance of a margin, for rounding.
-    """
+    """Returns the finding of one promise from its margins (T,), as `audit_findings`."""
     broken = np.flatnonzero(margins < -tolerance)
     worst = int(np.argmin(margins))
     return {

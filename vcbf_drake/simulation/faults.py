@@ -235,13 +235,7 @@ class LostAnswers(LeafSystem):
 def true_disturbance(
     builder: DiagramBuilder, faults: Faults, declared: OutputPort
 ) -> OutputPort:
-    """Returns the port of the disturbance that really acts.
-
-    Args:
-        builder: Holds the source of the declared one.
-        faults: The faults of the disturbance.
-        declared: The source's port.
-    """
+    """Returns the port of the disturbance that really acts."""
     acting = declared
     if not declared.size():
         return acting  # Nothing disturbs such a robot.
@@ -265,13 +259,7 @@ def true_disturbance(
 def faulty_actuator(
     builder: DiagramBuilder, scenario: Scenario, plant_input: InputPort
 ) -> InputPort:
-    """Returns the port that takes the held input in the plant's place.
-
-    Args:
-        builder: Holds the plant.
-        scenario: With its faults.
-        plant_input: The plant's own port.
-    """
+    """Returns the port that takes the held input in the place of the plant's own."""
     faults, limits = scenario.faults, scenario.input_set
     if faults.actuator_lag > 0.0:
         lag = FirstOrderLowPassFilter(faults.actuator_lag, plant_input.size())
@@ -291,11 +279,6 @@ def lose_answers(
 
     While the process is down there is no command, and the observer is reset. Call this
     after all readers of the filter's answers are connected: it rewires them.
-
-    Args:
-        builder: Holds the loop.
-        scenario: With its faults.
-        loop: The filter, its hold and its observer.
     """
     faults, answering = scenario.faults, loop.filter
     if faults.solver_failure == faults.outage == 0.0:

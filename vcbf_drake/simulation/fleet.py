@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import combinations
 import math
@@ -21,7 +22,7 @@ from pydrake.systems.framework import (
 
 from vcbf_drake.barriers import PerceivedSpheres
 from vcbf_drake.checks import Array, require
-from vcbf_drake.errors import ScenarioError, below
+from vcbf_drake.errors import ModelError, Path as KeyPath, ScenarioError, below
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import Assumption
 from vcbf_drake.safety.settings import METHODS
@@ -48,6 +49,7 @@ class Fleet:
     Attributes:
         name: The name of the results; in a file, its top-level key.
         vehicles: Their scenarios; of several, each has a name of its own.
+        locate: Returns where a value was written, from its path; None if nowhere.
     """
 
     name: str = ""
@@ -55,19 +57,16 @@ class Fleet:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        self.locate: Callable[[KeyPath], str] | None = None
         require(len(self.vehicles) > 0, "vehicles", "none", "one at least")
         self.name = self.name or self.vehicles[0].name
         first = self.vehicles[0]
         names = [each.name for each in self.vehicles]
         for i, each in enumerate(self.vehicles if len(names) > 1 else ()):
             with below("vehicles", i):
+                is_own = each.name != "" and names.count(each.name) == 1
                 rule = "a name that no other vehicle has"
-                require(
-                    each.name != "" and names.count(each.name) == 1,
-                    "name",
-                    each.name,
-                    rule,
-                )
+                require(is_own, "name", each.name, rule)
                 for key in _SHARED:
                     value, shared = getattr(each, key), getattr(first, key)
                     rule = f"{shared}, as of the first vehicle: they share the time"
@@ -122,6 +121,21 @@ class Fleet:
             each.method = method
             validate(each)
 
+    @contextmanager
+    def located(self) -> Iterator[None]:
+        """Adds its place to what only the loop finds wrong with a value.
+
+        Raises:
+            ScenarioError: From a `ModelError`, if the fleet is from a file.
+        """
+        try:
+            yield
+        except ModelError as error:
+            if self.locate is None:
+                raise
+            place = self.locate(getattr(error, "path", ()))
+            raise ScenarioError(f"{place}: {error}") from error
+
     @property
     def duration(self) -> float:
         """Length of the run [s]."""
@@ -140,41 +154,33 @@ def make_fleet_loop(fleet: Fleet, controller: System | None = None) -> Diagram:
         controller: In the place of an only vehicle's own, with its ports.
     """
     if len(fleet.vehicles) == 1:
-        return make_loop(fleet.vehicles[0], controller)
-    builder, loops = DiagramBuilder(), []
-    for own in fleet.vehicles:
+        with fleet.located():
+            return make_loop(fleet.vehicles[0], controller)
+    builder, loops = DiagramBuilder(), dict[str, Diagram]()
+    for i, own in enumerate(fleet.vehicles):
         names = [each.name for each in fleet.vehicles if each is not own]
-        loops.append(builder.AddNamedSystem(own.name, make_loop(own, None, names)))
-    for own, loop in zip(fleet.vehicles, loops, strict=True):
-        others = [
-            (each, other)
-            for each, other in zip(fleet.vehicles, loops, strict=True)
-            if each is not own
-        ]
-        models = [other.GetSubsystemByName("filter").model for _, other in others]
-        seeing = builder.AddNamedSystem(
-            f"seen by: {own.name}",  # No vehicle's name has a colon.
-            OtherVehicles(
-                [each for each, _ in others], models, own.separation.distance
-            ),
-        )
-        for each, other in others:
+        with fleet.located(), below("vehicles", i):
+            loop = make_loop(own, None, names)
+        loops[own.name] = builder.AddNamedSystem(own.name, loop)
+    for own in fleet.vehicles:
+        others = [each for each in fleet.vehicles if each is not own]
+        models = [loops[e.name].GetSubsystemByName("filter").model for e in others]
+        seeing = OtherVehicles(others, models, own.separation.distance)
+        # No vehicle's name has a colon.
+        builder.AddNamedSystem(f"seen by: {own.name}", seeing)
+        for each in others:
             for port in ("state", "held_input"):
                 told = seeing.GetInputPort(f"{each.name}: {port}")
-                builder.Connect(other.GetOutputPort(port), told)
-        builder.Connect(seeing.get_output_port(), loop.GetInputPort("others"))
+                builder.Connect(loops[each.name].GetOutputPort(port), told)
+        asking = loops[own.name].GetInputPort("others")
+        builder.Connect(seeing.get_output_port(), asking)
     diagram = builder.Build()
     diagram.set_name(fleet.name)
     return diagram
 
 
 def loops_of(diagram: Diagram, fleet: Fleet) -> list[Diagram]:
-    """Returns the diagram of each vehicle's loop.
-
-    Args:
-        diagram: A diagram of `make_fleet_loop`.
-        fleet: The fleet of the diagram.
-    """
+    """Returns the diagram of each vehicle's loop in that of `make_fleet_loop`."""
     if len(fleet.vehicles) == 1:
         return [diagram]
     return [diagram.GetSubsystemByName(each.name) for each in fleet.vehicles]
@@ -233,11 +239,7 @@ class OtherVehicles(LeafSystem):
 
 
 def others_assumption(scenario: Scenario) -> Assumption:
-    """Returns the hypothesis on how the other vehicles accelerate.
-
-    Args:
-        scenario: The scenario of the vehicle that keeps apart.
-    """
+    """Returns the hypothesis on how the others of a scenario's vehicle accelerate."""
     bound, method = scenario.separation.acceleration, METHODS[scenario.method]
     return Assumption(
         OTHERS,
@@ -255,10 +257,6 @@ def others_finding(log: Mapping[str, Array], scenario: Scenario) -> dict[str, An
 
     In a motion within the bound, velocity and position deviate from the last tick's
     message by no more than that acceleration allows.
-
-    Args:
-        log: The arrays of the log, one row a control tick.
-        scenario: The scenario of the vehicle that keeps apart.
     """
     k, time = len(scenario.target), log["time"]
     seen = log["obstacles"].reshape(len(time), -1, 2 * k + 2)

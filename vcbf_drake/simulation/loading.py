@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 import importlib.util
 from pathlib import Path
 import sys
@@ -174,7 +174,9 @@ def _parse(
         node = _select(compose(text, source), source, scenario_name)
         if overrides is not None:
             node = merged(node, compose(overrides))
-        return _build_fleet(node)
+        fleet = _build_fleet(node)
+        fleet.locate = partial(locate, node)
+        return fleet
     except InvalidValueError as error:
         raise ScenarioError(f"{locate(node, error.path)}: {error}") from None
     except RecursionError:

@@ -52,11 +52,7 @@ class RunLog:
             self.path = LogFiles(Path(directory) / _PATH)
 
     def take(self, context: Context) -> None:
-        """Moves the content of the sinks to the log.
-
-        Args:
-            context: The loop's.
-        """
+        """Moves the content of the sinks to the log."""
         found = {name: _taken(sink, context) for name, sink in self._sinks.items()}
         times, states = found.pop(_PATH)
         _, seen = found.pop(_PATH_OBSTACLES, (times, None))
@@ -125,11 +121,7 @@ class LogFiles:
     """
 
     def __init__(self, directory: str | Path) -> None:
-        """Makes the directory and empties it of arrays.
-
-        Args:
-            directory: The directory of the files.
-        """
+        """Makes the directory and empties it of arrays."""
         self._directory = Path(directory)
         self._directory.mkdir(parents=True, exist_ok=True)
         for path in self._directory.glob("*.npy"):
@@ -137,11 +129,7 @@ class LogFiles:
         self._lengths: dict[str, int] = {}
 
     def append(self, arrays: Mapping[str, Array]) -> None:
-        """Adds a piece to each array's end; the pieces differ in their first axis only.
-
-        Args:
-            arrays: The pieces, of the same names every time.
-        """
+        """Adds a piece to each array's end; all are alike but for their first axis."""
         for name, values in arrays.items():
             piece, path = np.ascontiguousarray(values), self._path(name)
             before = self._lengths.get(name, 0)
@@ -169,9 +157,6 @@ class LogFiles:
 
 def read_log_files(directory: str | Path) -> dict[str, Array]:
     """Returns the arrays that `LogFiles` has written so far, equally long each.
-
-    Args:
-        directory: The directory of the files.
 
     Raises:
         FileNotFoundError: There are none.

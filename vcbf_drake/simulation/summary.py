@@ -110,12 +110,12 @@ def judge(
     """Returns the summary of a simulated run, with its assumptions and audit.
 
     Args:
-        scenario: The scenario of the run.
-        diagram: Its vehicle's loop.
-        log: The arrays of the log, one row a control tick.
-        path: The motion at the integrator's steps, as in `RunLog.path`.
+        scenario: See `summarise`.
+        diagram: The vehicle's loop.
+        log: See `summarise`.
+        path: See `summarise`.
         found: The hypotheses at the start.
-        ending: The ending of the run.
+        ending: See `summarise`.
     """
     safety_filter: SafetyFilter = diagram.GetSubsystemByName("filter")
     summary = summarise(scenario, safety_filter, log, path, ending)
@@ -182,12 +182,7 @@ def _certified_least(
 def arrival(
     scenario: Scenario, path: Mapping[str, Array]
 ) -> tuple[float | None, float]:
-    """Returns when the vehicle arrived, None if never, and its last distance [s, m].
-
-    Args:
-        scenario: The scenario of the run.
-        path: The times of the integrator's steps, and the true state there.
-    """
+    """Returns when the vehicle arrived, None if never, and its last distance [s, m]."""
     away = scenario.vehicle.positions(path["state"]) - np.array(scenario.target)
     distance = np.linalg.norm(away, axis=1)
     has_arrived = distance <= scenario.arrival_distance
