@@ -270,7 +270,7 @@ ONE_GAIN = "{barrier: {gains: [4.0]}}"
         (["check", "car-avoidance", "--method", "x"], "vcbf-drake: method: 'x'"),
         (["check", "car-avoidance", "--override", ONE_GAIN], "give 2 gains"),
         (
-            ["run", "car-avoidance", "--override", "{input_weights: [1]}"],
+            ["check", "car-avoidance", "--override", "{input_weights: [1]}"],
             "vcbf-drake: override: input_weights: [1.0]; it must be 2 positive numbers",
         ),
     ],
