@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
+import difflib
 import math
 from numbers import Real
 import reprlib
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -125,6 +127,15 @@ def require_choice(name: str | Path, value: object, allowed: Collection[str]) ->
     """
     known = isinstance(value, str) and value in allowed
     require(known, name, value, f"one of {', '.join(allowed)}")
+
+
+def did_you_mean(word: str, allowed: Iterable[str]) -> str:
+    """Returns the close matches of a word, or what is allowed, on one line."""
+    allowed = list(allowed)
+    if matches := difflib.get_close_matches(word, allowed, n=2):
+        return f"did you mean {' or '.join(matches)}?"
+    known = shorten(", ".join(allowed) or "none", 300, placeholder=" and more")
+    return f"allowed: {known}"
 
 
 def _check_numbers(

@@ -16,7 +16,7 @@ from typing import Any
 from pydrake.common.yaml import yaml_dump
 import yaml
 
-from vcbf_drake.checks import require
+from vcbf_drake.checks import did_you_mean, require
 from vcbf_drake.errors import InvalidValueError, ScenarioError, VcbfError, place_of
 from vcbf_drake.files import read_text
 from vcbf_drake.simulation.fleet import Fleet
@@ -25,7 +25,6 @@ from vcbf_drake.simulation.yaml_nodes import (
     Node,
     build,
     compose,
-    did_you_mean,
     entries_of,
     locate,
     merged,

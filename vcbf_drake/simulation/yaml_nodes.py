@@ -7,16 +7,14 @@ of them by their classes' type hints, and check themselves. As for
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import MISSING, fields, is_dataclass
-import difflib
 from functools import reduce
 import inspect
 import math
 from pathlib import Path
 import re
-from textwrap import shorten
 from typing import Any, TypeAlias, get_origin
 
 import numpy as np
@@ -24,7 +22,7 @@ from pydrake.common.yaml import yaml_dump
 import yaml
 from yaml.constructor import SafeConstructor
 
-from vcbf_drake.checks import require
+from vcbf_drake.checks import did_you_mean, require
 from vcbf_drake.errors import (
     InvalidValueError,
     Path as KeyPath,
@@ -152,15 +150,6 @@ def _where(mark: Any) -> str:
     return f"{mark.name}:{mark.line + 1}" if has_lines else str(mark.name)
 
 
-def did_you_mean(word: str, allowed: Iterable[str]) -> str:
-    """Returns the close matches of a word, or what is allowed, on one line."""
-    allowed = list(allowed)
-    if matches := difflib.get_close_matches(word, allowed, n=2):
-        return f"did you mean {' or '.join(matches)}?"
-    known = shorten(", ".join(allowed) or "none", 300, placeholder=" and more")
-    return f"allowed: {known}"
-
-
 def build(node: Node, hint: Any, path: KeyPath = ()) -> Any:
     """Returns the value of a node, of a given type.
 
@@ -169,13 +158,10 @@ def build(node: Node, hint: Any, path: KeyPath = ()) -> Any:
     """
     classes, kind = tagged_types(hint), allowed_types(hint)[0]
     tag = node.tag if node.tag.startswith("!") else ""
-    if tag and tag not in classes:
-        advice = did_you_mean(tag, classes)
-        raise InvalidValueError(path, f"unknown tag {tag}; {advice}")
+    if tag not in classes and (tag or inspect.isabstract(hint)):
+        problem = f"unknown tag {tag}" if tag else "its tag is missing"
+        raise InvalidValueError(path, f"{problem}; {did_you_mean(tag, classes)}")
     if classes and isinstance(node, yaml.MappingNode):
-        if inspect.isabstract(hint) and not tag:
-            missing = f"its tag is missing; allowed: {', '.join(classes)}"
-            raise InvalidValueError(path, missing)
         return _build_object(node, classes, tag, path)
     item = item_type(kind)
     if item is not None and isinstance(node, yaml.SequenceNode):
@@ -192,8 +178,8 @@ def _build_object(
     node: Node, classes: Mapping[str, Any], tag: str, path: KeyPath
 ) -> Any:
     first, *others = classes
-    guess = f" (no tag, so read as {first}; or {', '.join(others)})"
-    guess = guess if others and not tag else ""
+    is_guess = f" (no tag, so read as {first}; or {', '.join(others)})"
+    guess = is_guess if others and not tag else ""
     schema, values, entries = classes[tag or first], {}, entries_of(node)
     hints = field_types(schema)
     for name, (_, value) in entries.items():
@@ -217,18 +203,19 @@ def _build_object(
 def _scalar(node: Node, kind: Any, path: KeyPath) -> Any:
     """Returns a number, true or false, nothing or a text."""
     value: Any = node.value
-    with suppress(ValueError, LookupError):
+    with suppress(ValueError, TypeError, LookupError, OverflowError):
         if node.tag.rpartition(":")[2] in ("null", "bool", "int", "float"):
             value = SafeConstructor().construct_document(node)
-        elif kind is float and not node.style:  # YAML 1.1 takes 1e-3 for text.
-            value = float(value)
-    if kind is float and isinstance(value, str):
-        rule = "a number, in radians: 1.5708 for 90 degrees"
-        require(not _ANGLE.search(value), path, value, rule)
-    if type(value) in (int, float):
-        rule = f"at most {_LARGEST:g} in size"
-        require(not _LARGEST < abs(value) < math.inf, path, value, rule)
-        return float(value) if kind is float else value
+        if kind is float and not (node.style or isinstance(value, bool)):
+            value = float(value)  # YAML 1.1 takes 1e-3 for text.
+    if isinstance(value, str):
+        is_angle = kind is float and _ANGLE.search(value) is not None
+        require(
+            not is_angle, path, value, "a number, in radians: 1.5708 for 90 degrees"
+        )
+    elif value is not None:
+        is_huge = _LARGEST < abs(value) < math.inf
+        require(not is_huge, path, value, f"at most {_LARGEST:g} in size")
     return value
 
 
