@@ -16,10 +16,10 @@ import numpy as np
 from tests.properties.campaign import make_example
 from vcbf_drake import load_scenario, simulate
 from vcbf_drake.checks import Array
-from vcbf_drake.safety import projection, tick_qp
+from vcbf_drake.safety import projection, qp
 from vcbf_drake.safety.active_set import nearest_by_active_set
 from vcbf_drake.safety.programs import SOLVERS, NearestPointProgram, check_solver
-from vcbf_drake.safety.unit_rows import UnitRows
+from vcbf_drake.safety.projection import UnitRows
 
 _HOSTILE_TICKS = 4000
 Asked = tuple[UnitRows, Array, int]
@@ -64,7 +64,7 @@ def asked_of_qp(run: Callable[[], object]) -> list[Asked]:
         asked.append((rows, reference, num_firm))
         return found
 
-    with patch.object(tick_qp, "nearest_in", remember):
+    with patch.object(qp, "nearest_in", remember):
         run()
     return asked
 

@@ -49,7 +49,7 @@ from vcbf_drake.safety import (
     FilterSettings,
     Tick,
 )
-from vcbf_drake.safety.qp import FilterDecision, FilterStatus
+from vcbf_drake.safety.decision import FilterDecision, FilterStatus
 
 ROOT = Path(__file__).parents[2]
 GAINS = (4.0, 3.0)

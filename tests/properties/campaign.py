@@ -22,8 +22,8 @@ from tests.properties.hostile_ticks import KINDS, random_input_set, random_tick
 from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.safety import DisturbanceKnowledge, FilterDecision, InputSet
+from vcbf_drake.safety.decision import choose_input
 from vcbf_drake.safety.feasible_set import RowCosts, feasible_set
-from vcbf_drake.safety.qp import choose_input
 from vcbf_drake.studies.executors import new_pool
 
 # The kinds of rows, and the states of each plant, take turns.
@@ -93,7 +93,6 @@ def decide(tick: Tick) -> FilterDecision:
             tick.volume_row,
             tick.reference,
             tick.held_input,
-            tick.input_set,
             tick.exact_slack,
             tick.policy,
         )

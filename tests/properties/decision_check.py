@@ -18,8 +18,8 @@ import numpy as np
 from tests.properties.first_order_optimality import suboptimality
 from vcbf_drake.checks import Array
 from vcbf_drake.safety import FilterDecision, FilterStatus, InputSet
-from vcbf_drake.safety.qp import InfeasiblePolicy
-from vcbf_drake.safety.tick_qp import VolumeRow
+from vcbf_drake.safety.decision import InfeasiblePolicy
+from vcbf_drake.safety.qp import VolumeRow
 
 # What is done where no input satisfies the rows, of all that asks for nothing but them:
 # the policy "backup" needs a plant, and a manoeuvre of it.

@@ -9,7 +9,7 @@ import numpy as np
 from tests.properties.decision_check import POLICIES, Tick
 from vcbf_drake.checks import Array
 from vcbf_drake.safety import InputSet
-from vcbf_drake.safety.tick_qp import VolumeRow
+from vcbf_drake.safety.qp import VolumeRow
 
 MOST_INPUTS = 4
 MOST_ROWS = 8

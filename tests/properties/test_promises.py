@@ -19,7 +19,7 @@ from tests.properties.decision_check import (
     broken_promises,
 )
 from vcbf_drake.safety import FilterStatus, InputSet
-from vcbf_drake.safety.tick_qp import VolumeRow
+from vcbf_drake.safety.qp import VolumeRow
 
 BOX = InputSet.box([-1.0, -0.2, -3.0], [0.5, 0.3, 1.0])
 TRIANGLE = InputSet(

@@ -5,7 +5,7 @@ import pytest
 
 from tests.helpers.fixed_set import fixed_set
 from vcbf_drake.safety import InputSet
-from vcbf_drake.safety.cut_box import cut_box
+from vcbf_drake.safety.certified_ellipsoid import cut_box
 from vcbf_drake.safety.ellipsoid import InscribedEllipsoidSolver, inscribed_ellipsoid
 from vcbf_drake.safety.programs import EllipsoidProgram
 from vcbf_drake.safety.volume import VolumeMeasure

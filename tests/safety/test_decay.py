@@ -8,7 +8,7 @@ from vcbf_drake import load_scenario, simulate
 from vcbf_drake.barriers import HalfSpace
 from vcbf_drake.safety import FilterStatus, InputSet
 from vcbf_drake.safety.decay import DecayRates
-from vcbf_drake.safety.qp import choose_input
+from vcbf_drake.safety.decision import choose_input
 
 LINE = InputSet.box([-1.0], [1.0])
 
@@ -21,7 +21,6 @@ def decide(b, slopes, reference, most=9.0, policy="decay", **choices):
         None,
         np.array([reference]),
         np.zeros(1),
-        LINE,
         True,
         policy,
         decay_rates=DecayRates(np.array(slopes), np.full(len(b), most), **choices),
@@ -105,7 +104,6 @@ def test_optimal_decay_solves_the_smooth_problem_without_its_variables():
             None,
             reference,
             np.zeros(3),
-            box,
             True,
             "stop",
             decay_rates=rates,

@@ -1,18 +1,15 @@
 """Limits that are next to infinite, infinite, or leave an input no room at all."""
 
 import numpy as np
+from pydrake.symbolic import Expression, MakeVectorVariable
 import pytest
 from scipy.optimize import linprog
 
 from tests.helpers.fixed_set import fixed_set
 from vcbf_drake import Car, ControlAffineModel, SafetyFilter, SphereObstacle
-from vcbf_drake.safety import (
-    FilterSettings,
-    FilterStatus,
-    InputSet,
-)
-from vcbf_drake.safety.qp import choose_input
-from vcbf_drake.safety.row_names import RowNames
+from vcbf_drake.barriers import StateLimit
+from vcbf_drake.safety import FilterSettings, FilterStatus, InputSet
+from vcbf_drake.safety.decision import choose_input
 
 FAR = [1e6, 1e8, 1e9, 1e10, 1e12, 1e300, 1.7e308, np.inf]
 
@@ -20,7 +17,7 @@ FAR = [1e6, 1e8, 1e9, 1e10, 1e12, 1e300, 1.7e308, np.inf]
 def choose(input_set, A, b, reference, policy="least_violation"):
     feasible, held = fixed_set(input_set, A, b), np.zeros(len(reference))
     reference = np.array(reference, dtype=float)
-    return choose_input(feasible, None, reference, held, input_set, True, policy)
+    return choose_input(feasible, None, reference, held, True, policy)
 
 
 @pytest.mark.parametrize("far", FAR)
@@ -50,10 +47,15 @@ def test_what_excludes_every_input_is_decided_without_rounding(far, gap):
 def test_rows_that_exclude_each_other_are_named_whatever_the_limits(far, least):
     """U <= 1 and u >= 2, in inputs from least * far to far."""
     box = InputSet.box([least * far if least else 0.0], [far])
-    names = RowNames.of(box, ("low", "high"))
+    x = MakeVectorVariable(1, "x")
+    one = np.array([[Expression(1.0)]])
+    model = ControlAffineModel(x, 0.0 * one[0], one, np.zeros((1, 0)))
+    barriers = StateLimit(0, -1.0, 1.0).barriers()
+    filtered = SafetyFilter(model, barriers, box, FilterSettings(method="cbf-qp"))
     A = np.vstack([box.A, [[1.0], [-1.0]]])
-    assert names.in_conflict(A, np.append(box.b, [1.0, -2.0])) == ("low", "high")
-    assert names.in_conflict(A, np.append(box.b, [2.0, -1.0])) == ()
+    names = ("state limit (low)", "state limit (high)")
+    assert filtered.names_in_conflict(A, np.append(box.b, [1.0, -2.0])) == names
+    assert filtered.names_in_conflict(A, np.append(box.b, [2.0, -1.0])) == ()
 
 
 @pytest.mark.parametrize("far", FAR)
@@ -203,7 +205,7 @@ def test_the_volume_barrier_alone_needs_limits():
     model = ControlAffineModel.from_system(Car())
     barriers = [SphereObstacle([3.0, 0.1], 0.5).barrier([4.0, 3.0])]
     inputs = InputSet.box([-np.inf, -0.5], [np.inf, 0.5])
-    with pytest.raises(ValueError, match="infinite limit, and the volume barrier"):
+    with pytest.raises(ValueError, match=r"an infinite limit.*finite for the volume"):
         SafetyFilter(model, barriers, inputs, FilterSettings(method="dob-vcbf-qp"))
     settings = FilterSettings(method="cbf-qp")
     safety_filter = SafetyFilter(model, barriers, inputs, settings)

@@ -17,12 +17,12 @@ def test_a_packed_set_comes_back_with_a_symmetric_shape():
         packed.append(
             pack_feasible_set(rows[tick], bounds[tick], frames[tick], centers[tick])
         )
-    log = unpack_feasible_set(np.array(packed), 5, 3)
+    log = unpack_feasible_set(np.array(packed), 3)
     assert_allclose(log.A, rows)
     assert_allclose(log.b, bounds)
     assert_allclose(log.center, centers)
     for tick, frame in enumerate(frames):
-        one = unpack_feasible_set(packed[tick], 5, 3).shape
+        one = unpack_feasible_set(packed[tick], 3).shape
         assert_allclose(one, log.shape[tick])
         assert_allclose(one, one.T, atol=1e-14)
         assert_allclose(one @ one, frame @ frame.T, rtol=1e-10, atol=1e-12)
@@ -33,4 +33,4 @@ def test_a_frame_that_is_not_whole_is_not_known():
     frame = np.eye(2)
     frame[0, 1] = np.nan
     packed = pack_feasible_set(np.eye(2), np.ones(2), frame, np.zeros(2))
-    assert np.isnan(unpack_feasible_set(packed, 2, 2).shape).all()
+    assert np.isnan(unpack_feasible_set(packed, 2).shape).all()

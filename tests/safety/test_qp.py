@@ -13,12 +13,12 @@ from vcbf_drake.safety import (
     InputSet,
     chebyshev_ball,
     projection,
-    tick_qp,
+    qp,
 )
+from vcbf_drake.safety.decision import choose_input, least_violation
 from vcbf_drake.safety.feasible_set import RowCosts, feasible_set
 from vcbf_drake.safety.projection import nearest_in
-from vcbf_drake.safety.qp import choose_input, least_violation
-from vcbf_drake.safety.tick_qp import Frame, VolumeRow
+from vcbf_drake.safety.qp import Frame, VolumeRow
 
 BOX = InputSet.box([-1.0, -2.0], [3.0, 2.0])
 ORIGIN = np.zeros(2)
@@ -51,7 +51,6 @@ def choose(feasible, reference, volume_row=None, **options):
         volume_row,
         np.array(reference, dtype=float),
         settings["held_input"],
-        BOX,
         settings["exact_slack"],
         settings["policy"],
     )
@@ -189,7 +188,7 @@ def failing(*arguments, **options):
 
 
 def test_an_emptiness_that_floats_cannot_prove_is_proven_in_rationals(monkeypatch):
-    monkeypatch.setattr(projection, "BALANCE_TOLERANCE", -1.0)
+    monkeypatch.setattr(projection, "_BALANCE", -1.0)
     feasible = set_of([[1.0, 0.0], [-1.0, 0.0]], [-0.5, 0.2])
     decision = choose(feasible, [0.0, 0.5])
     assert decision.status == FilterStatus.INFEASIBLE and decision.conflict == (4, 5)
@@ -204,7 +203,7 @@ def test_no_answer_at_all_is_a_failure(monkeypatch):
         attempts.append(arguments)
         return nearest_in(*arguments) if len(attempts) > 1 else failing()
 
-    monkeypatch.setattr(tick_qp, "nearest_in", but_the_first)
+    monkeypatch.setattr(qp, "nearest_in", but_the_first)
     feasible = set_of([[1.0, 0.0], [-1.0, 0.0]], [-0.5, 0.2])
     decision = choose(feasible, [0.0, 0.5])
     assert decision.status == FilterStatus.FAILED and decision.conflict == ()
@@ -229,7 +228,7 @@ def test_a_volume_row_that_holds_after_all_has_no_slack(monkeypatch):
             raise EmptySetError(*rows.given, -1e-9)
         return nearest_in(rows, *others)
 
-    monkeypatch.setattr(tick_qp, "nearest_in", at_the_second)
+    monkeypatch.setattr(qp, "nearest_in", at_the_second)
     row = VolumeRow(a=np.array([1.0, 0.0]), c=-0.5, slack_penalty=1e3)
     decision = choose(set_of([0.0, 1.0], 1.0), [-0.8, 1.5], row)
     assert decision.status == FilterStatus.FILTERED and decision.slack == 0.0
@@ -245,8 +244,8 @@ def test_without_limits_and_hard_rows_the_least_violation_is_none():
 
 
 def test_without_any_solver_the_held_input_acts(monkeypatch):
-    monkeypatch.setattr(tick_qp, "nearest_in", failing)
-    monkeypatch.setattr(tick_qp, "minimise_linear", failing)
+    monkeypatch.setattr(qp, "nearest_in", failing)
+    monkeypatch.setattr(qp, "minimise_linear", failing)
     decision = choose(set_of([1.0, 1.0], -1.0), [2.0, 1.0], held_input=[-9.0, 0.5])
     assert decision.status == FilterStatus.FAILED
     np.testing.assert_allclose(decision.input, [-1.0, 0.5])

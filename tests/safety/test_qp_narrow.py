@@ -12,9 +12,9 @@ from tests.properties.first_order_optimality import solve_exactly
 from vcbf_drake.errors import EmptySetError
 from vcbf_drake.safety import FilterStatus, InputSet
 from vcbf_drake.safety.active_set import nearest_by_active_set
+from vcbf_drake.safety.decision import choose_input
 from vcbf_drake.safety.projection import minimise_linear, nearest_point
-from vcbf_drake.safety.qp import choose_input
-from vcbf_drake.safety.tick_qp import VolumeRow
+from vcbf_drake.safety.qp import VolumeRow
 
 SQUARE = np.vstack([np.eye(2), -np.eye(2)])
 
@@ -47,7 +47,7 @@ def in_unit_box(A, b, reference, volume_row=None, exact_slack=True):
     box = InputSet.box(-np.ones(len(reference)), np.ones(len(reference)))
     feasible, held = fixed_set(box, A, b), np.zeros(len(reference))
     return choose_input(
-        feasible, volume_row, reference, held, box, exact_slack, "least_violation"
+        feasible, volume_row, reference, held, exact_slack, "least_violation"
     )
 
 

@@ -23,13 +23,11 @@ from vcbf_drake.safety import (
     METHODS,
     FilterSettings,
     FilterStatus,
-    decider,
-    decider as decider_module,
-    row_names,
+    safety_filter as filter_module,
     unpack_feasible_set,
 )
 from vcbf_drake.safety.ellipsoid import InscribedEllipsoidSolver
-from vcbf_drake.safety.tick_qp import VolumeRow
+from vcbf_drake.safety.qp import VolumeRow
 from vcbf_drake.safety.volume import VolumeBarrier
 
 LIMITS = InputSet.box([-0.05, -0.2, -0.02], [0.25, 0.2, 0.02])
@@ -78,9 +76,7 @@ def test_every_method_keeps_its_rows_and_the_input_limits(model, method, fidelit
     safety_filter = make_filter(model, method=method, fidelity=fidelity, delta1=0.1)
     context = fixed(safety_filter, CLOSE)
     u = evaluate(safety_filter, context, "command")
-    packed = unpack_feasible_set(
-        evaluate(safety_filter, context, "feasible_set"), safety_filter.num_rows, 3
-    )
+    packed = unpack_feasible_set(evaluate(safety_filter, context, "feasible_set"), 3)
     # The gains (4, 3) have a last rate of 1, which one method lets grow.
     growth = evaluate(safety_filter, context, "decay")[0] - 1.0
     assert (growth > 0.0) == (method == "optimal-decay")
@@ -117,13 +113,13 @@ def test_far_from_everything_the_reference_passes_through(model):
 
 def test_all_ports_share_one_solve(model, monkeypatch):
     calls = []
-    original = decider_module.choose_input
+    original = filter_module.choose_input
 
     def counting(*arguments):
         calls.append(1)
         return original(*arguments)
 
-    monkeypatch.setattr(decider_module, "choose_input", counting)
+    monkeypatch.setattr(filter_module, "choose_input", counting)
     safety_filter = make_filter(model)
     context = fixed(safety_filter, CLOSE)
     for _ in range(3):
@@ -216,7 +212,7 @@ def test_a_volume_row_beyond_what_floats_hold_is_left_out_too(
     without = make_filter(model, method="dob-cbf-qp")
     expected = evaluate(without, fixed(without, CLOSE), "command")
     row = VolumeRow(np.array([-1.0, 0.3, 0.0]), bound, 1e3)
-    monkeypatch.setattr(decider, "volume_row", lambda *_: row)
+    monkeypatch.setattr(filter_module, "volume_row", lambda *_: row)
     safety_filter = make_filter(model)
     context = fixed(safety_filter, CLOSE)
     assert evaluate(safety_filter, context, "status")[0] == FilterStatus.FAILED
@@ -242,26 +238,14 @@ def test_rows_that_exclude_each_other_are_named(model):
     near = np.array([[1.0, 0.0, 0.0]])
     A = np.vstack([LIMITS.A, near, -near])
     b = np.append(LIMITS.b, [0.1, -0.05])
-    assert safety_filter.row_names.in_conflict(A, b) == ()
+    assert safety_filter.names_in_conflict(A, b) == ()
     b[-2] = -0.2  # Below the lower limit -0.05; "far" asks for 0.05 at least.
-    assert safety_filter.row_names.in_conflict(A, b) == ("near", "far")
+    assert safety_filter.names_in_conflict(A, b) == ("near", "far")
     b[-1] = 0.3
-    assert safety_filter.row_names.in_conflict(A, b) == (
+    assert safety_filter.names_in_conflict(A, b) == (
         "lower limit of input 0",
         "near",
     )
-
-
-def test_naming_a_conflict_stops_nobody(model, monkeypatch):
-    """Summaries and a vehicle's controller ask for names; neither may end for them."""
-
-    def unsure(A, b, *_):
-        raise SolverError("neither a point nor a proof", A, b)
-
-    monkeypatch.setattr(row_names, "nearest_point", unsure)
-    safety_filter = make_filter(model)
-    A = np.zeros((safety_filter.num_rows, 3))
-    assert safety_filter.row_names.in_conflict(A, np.ones(len(A))) == ()
 
 
 def test_rows_are_named_after_what_they_limit(model):
@@ -365,13 +349,13 @@ def test_add_safety_filter_keeps_a_users_loop_safe(method):
 
 def test_one_solve_a_tick_in_a_running_loop(monkeypatch):
     calls = []
-    original = decider_module.choose_input
+    original = filter_module.choose_input
 
     def counting(*arguments):
         calls.append(1)
         return original(*arguments)
 
-    monkeypatch.setattr(decider_module, "choose_input", counting)
+    monkeypatch.setattr(filter_module, "choose_input", counting)
     diagram, _, log = guarded_blimp(infeasible="stop")
     simulator = Simulator(diagram)
     simulator.AdvanceTo(1.0)

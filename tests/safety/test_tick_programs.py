@@ -23,8 +23,8 @@ from vcbf_drake.safety import (
     InputSet,
     SafetyFilter,
     VolumeBarrier,
+    decision,
     ellipsoid,
-    qp,
 )
 from vcbf_drake.safety.programs import (
     EllipsoidProgram,
@@ -78,7 +78,7 @@ def test_every_answer_is_a_solved_programs(monkeypatch, capsys):
     for kind in (NearestPointProgram, EllipsoidProgram):
         monkeypatch.setattr(kind, "solve", counted(kind, kind.solve))
     cut = Counter()
-    chosen, largest = qp.choose_input, ellipsoid.InscribedEllipsoidSolver.solve
+    chosen, largest = decision.choose_input, ellipsoid.InscribedEllipsoidSolver.solve
 
     def choose(*arguments):
         before = solved[NearestPointProgram]
@@ -97,7 +97,7 @@ def test_every_answer_is_a_solved_programs(monkeypatch, capsys):
             cut["by a cone program"] += solved[EllipsoidProgram] > before
         return found
 
-    monkeypatch.setattr("vcbf_drake.safety.decider.choose_input", choose)
+    monkeypatch.setattr("vcbf_drake.safety.safety_filter.choose_input", choose)
     monkeypatch.setattr(ellipsoid.InscribedEllipsoidSolver, "solve", solve)
     scenario = load_scenario("blimp-multiple-obstacles", {"method": "dob-vcbf-qp"})
     assert simulate(scenario).summary["outcome"] == "reached"

@@ -10,8 +10,8 @@ from vcbf_drake.safety import (
     FilterStatus,
     InputSet,
 )
-from vcbf_drake.safety.qp import choose_input
-from vcbf_drake.safety.tick_qp import Frame, VolumeRow
+from vcbf_drake.safety.decision import choose_input
+from vcbf_drake.safety.qp import Frame, VolumeRow
 
 BOX = InputSet.box([-1.0, -4.0, -2.0], [3.0, 4.0, 2.0])
 
@@ -26,7 +26,6 @@ def choose(
         volume_row,
         np.array(reference, dtype=float),
         np.zeros(len(reference)),
-        box,
         True,
         "least_violation",
         frame=Frame.of(box, weights),

@@ -18,9 +18,8 @@ from vcbf_drake.errors import ModelError
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.model.manoeuvre import FOREVER, Box, Manoeuvre, Plan
 from vcbf_drake.safety.backup_rows import manoeuvres_of
+from vcbf_drake.safety.decision import FilterDecision, FilterStatus, Tick
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.qp import FilterDecision, FilterStatus
-from vcbf_drake.safety.row_holder import Tick
 
 # The number of bisections between a filter's input and a manoeuvre's.
 _HALVINGS = 5

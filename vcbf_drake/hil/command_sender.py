@@ -178,9 +178,8 @@ class CommandSender(LeafSystem):
         """The rows that excluded each other at the last tick, by name."""
         if held["status"][0] != FilterStatus.INFEASIBLE:
             return []
-        rows, m = self._filter.num_rows, self._filter.model.num_inputs
-        packed = unpack_feasible_set(held["feasible_set"], rows, m)
-        return list(self._filter.row_names.in_conflict(packed.A, packed.b))
+        packed = unpack_feasible_set(held["feasible_set"], self._filter.model.num_inputs)
+        return list(self._filter.names_in_conflict(packed.A, packed.b))
 
     def _speaks(self, stamp: StateStamp) -> bool:
         """Whether a command is sent; the states alone decide."""

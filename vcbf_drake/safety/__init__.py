@@ -2,6 +2,14 @@
 
 from vcbf_drake.safety.assumptions import Assumption, assumptions
 from vcbf_drake.safety.certified_ellipsoid import Ellipsoid
+from vcbf_drake.safety.decision import (
+    INFEASIBLE_POLICIES,
+    FilterDecision,
+    FilterStatus,
+    InfeasiblePolicy,
+    RowHolder,
+    Tick,
+)
 from vcbf_drake.safety.ellipsoid import inscribed_ellipsoid
 from vcbf_drake.safety.feasible_set import (
     DisturbanceKnowledge,
@@ -16,13 +24,6 @@ from vcbf_drake.safety.polytope import (
     chebyshev_ball,
     emptiness_certificate,
 )
-from vcbf_drake.safety.qp import (
-    INFEASIBLE_POLICIES,
-    FilterDecision,
-    FilterStatus,
-    InfeasiblePolicy,
-)
-from vcbf_drake.safety.row_holder import RowHolder, Tick
 from vcbf_drake.safety.safety_filter import SafetyFilter
 from vcbf_drake.safety.settings import (
     BETWEEN_TICKS,

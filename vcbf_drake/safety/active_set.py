@@ -1,7 +1,11 @@
 """Goldfarb and Idnani's active-set iterations on a handful of rows.
 
-They run in floats or, where rounding leaves a question open, in rational numbers, which
-represent floats exactly and do not round.
+They minimise 1/2 |v - reference|^2 subject to ``A v <= b``, A (n, m) and b (n,), by
+their dual method (1983): the row that is violated most joins, rows that would push
+leave. It ends when no row is violated, or none of the active ones can make room for the
+one that is: then the rows have no common point. It runs in floats or, where rounding
+leaves a question open, in rational numbers, which represent floats exactly and do not
+round.
 """
 
 from __future__ import annotations
@@ -42,18 +46,7 @@ class Projection(NamedTuple):
 def nearest_by_active_set(
     A: Array, b: Array, reference: Array, near: NDArray[np.intp] | None = None
 ) -> Projection:
-    """Minimises 1/2 |v - reference|^2 subject to ``A v <= b``, in floats.
-
-    By the dual method of Goldfarb and Idnani (1983): the row that is violated most
-    joins, rows that would push leave. It ends when no row is violated, or none of the
-    active ones can make room for the one that is: then the rows have no common point.
-
-    Args:
-        A: The rows, shape (n, m).
-        b: Their right-hand sides, shape (n,).
-        reference: The point that is projected, shape (m,).
-        near: Indices of the rows to consider; by default all.
-    """
+    """Returns the nearest point in floats, of the rows `near` or of all."""
     if near is None:
         near = np.arange(len(b))
     rows, sides = A[near].tolist(), b[near].tolist()
@@ -61,15 +54,10 @@ def nearest_by_active_set(
 
 
 def nearest_in_rationals(A: Array, b: Array, reference: Array) -> Projection:
-    """Minimises 1/2 |v - reference|^2 subject to ``A v <= b``, without rounding.
+    """Returns the nearest point without rounding, or Farkas' proof.
 
-    Every step raises the cost, so that no choice of active rows comes twice: it ends
-    with the point or with Farkas' proof. It takes about a hundred times longer.
-
-    Args:
-        A: The rows, shape (n, m).
-        b: Their right-hand sides, shape (n,).
-        reference: The point that is projected, shape (m,).
+    Every step raises the cost, so that no choice of active rows comes twice. It takes
+    about a hundred times longer than in floats.
     """
     rows = [_rational(row) for row in A]
     face = _Face(rows, _rational(b), _rational(reference), is_exact=True)
@@ -131,7 +119,7 @@ class _Face:
         """Makes rows active until the point violates none; returns the result.
 
         Args:
-            near: Which rows these are.
+            near: Which of all rows these are.
             num_rows: The number of all rows.
         """
         conflict, tolerance, joined = None, self._tolerance, 0

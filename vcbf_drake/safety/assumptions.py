@@ -68,21 +68,31 @@ def assumptions(
         safety_filter.GetOutputPort(name).Eval(filter_context)
         for name in ("levels", "authority", "volume")
     )
+    xi = safety_filter.threshold(filter_context)
     found = [
         *_standing(safety_filter, observer, noise),
-        *start_assumptions(
-            safety_filter,
-            levels,
-            authority,
-            float(volume[0]),
-            safety_filter.threshold(filter_context),
-        ),
+        *start_assumptions(safety_filter, levels, authority, float(volume[0]), xi),
     ]
     if safety_filter.gate is not None:
         _, certified = safety_filter.GetOutputPort("backup").Eval(filter_context)
-        found += [certified_plan(safety_filter, bool(certified)), _exact_state(noise)]
+        found.append(certified_plan(safety_filter, bool(certified)))
+        exact = Assumption(
+            "exact state",
+            "the measured state is the state: plans begin there (Theorem 5)",
+            noise == 0.0,
+            {"measurement noise": noise},
+            "the filter may run out of inputs",
+        )
+        found.append(exact)
         if safety_filter.barrier_set.obstacles_size:
-            found.append(_OBSTACLES_AS_TOLD)
+            told = Assumption(
+                "obstacles as told",
+                "no perceived obstacle appears, or changes its velocity (Theorem 5)",
+                False,
+                consequence="the filter may run out of inputs: a plan follows what is"
+                " perceived at its tick",
+            )
+            found.append(told)
     return (*found, *_information(safety_filter, filter_context, observer))
 
 
@@ -95,12 +105,8 @@ def start_assumptions(
 ) -> Iterator[Assumption]:
     """Yields the hypotheses about the state in which a loop starts.
 
-    Args:
-        safety_filter: The filter.
-        levels: The value of its port ``levels``.
-        authority: The value of its port ``authority``.
-        volume: The value of its port ``volume``.
-        threshold: xi, which is in it.
+    From the values of the filter's ports ``levels``, ``authority`` and ``volume``, and
+    xi, which is in the last.
     """
     names = safety_filter.barrier_set.names
     ends = np.cumsum(safety_filter.barrier_set.degrees)
@@ -116,12 +122,7 @@ def start_assumptions(
 
 
 def certified_plan(safety_filter: SafetyFilter, is_certified: bool) -> Assumption:
-    """Returns the hypothesis that a backup manoeuvre is safe at the start.
-
-    Args:
-        safety_filter: The filter, with a gate.
-        is_certified: Whether one is.
-    """
+    """Returns the hypothesis that a backup manoeuvre is safe at the start."""
     return Assumption(
         "certified plan",
         "a backup manoeuvre of the plant, from the start, keeps every hard barrier for"
@@ -134,31 +135,8 @@ def certified_plan(safety_filter: SafetyFilter, is_certified: bool) -> Assumptio
     )
 
 
-def _exact_state(noise: float) -> Assumption:
-    return Assumption(
-        "exact state",
-        "the measured state is the state: plans begin there (Theorem 5)",
-        noise == 0.0,
-        {"measurement noise": noise},
-        "the filter may run out of inputs",
-    )
-
-
-_OBSTACLES_AS_TOLD = Assumption(
-    "obstacles as told",
-    "no perceived obstacle appears, or changes its velocity (Theorem 5)",
-    False,
-    consequence="the filter may run out of inputs: a plan follows what is perceived at"
-    " its tick",
-)
-
-
 def gain_assumptions(observer: DisturbanceObserver) -> Iterator[Assumption]:
-    """Yields the conditions that an observer's error bound puts on its gains.
-
-    Args:
-        observer: The observer.
-    """
+    """Yields the conditions that an observer's error bound puts on its gains."""
     for condition in observer.gain_conditions():
         yield Assumption(
             f"observer gain: {condition.name}",
@@ -310,12 +288,11 @@ def _information(
         last_levels = [chain[-1] for chain in chains if len(chain)]
         lowest = float(np.fmin.reduce(last_levels, initial=np.inf))
         condition = "beta_1 > delta1^2 / (2 phi(0)), of the last phi: "
-        asked = {"least beta_1": _least_weight(delta1, lowest)}
-        yield _as_printed("beta_1", condition, 1, asked)
+        yield _as_printed("beta_1", condition, 1, _least_weight(1, delta1, lowest))
         if method.has_volume_row:
             start = safety_filter.GetOutputPort("volume").Eval(context)[0]
-            asked = {"least beta_2": _least_weight(delta1, start)}
-            yield _as_printed("beta_2", "beta_2 > delta1^2 / (2 V_v(0)): ", 2, asked)
+            condition = "beta_2 > delta1^2 / (2 V_v(0)): "
+            yield _as_printed("beta_2", condition, 2, _least_weight(2, delta1, start))
             asked = {"lambda_V": decay, "lambda_Vv": volume.gain}
             yield _as_printed("lambda_V >= lambda_Vv", "", 2, asked)
     yield _sampling(safety_filter, context)
@@ -333,8 +310,9 @@ def _as_printed(
     return Assumption(name, statement, None, numbers, "nothing")
 
 
-def _least_weight(delta1: float, start: float) -> float:
-    return float(delta1**2 / (2.0 * start)) if start > 0.0 else np.inf
+def _least_weight(index: int, delta1: float, start: float) -> dict[str, float]:
+    least = float(delta1**2 / (2.0 * start)) if start > 0.0 else np.inf
+    return {f"least beta_{index}": least}
 
 
 def _sampling(safety_filter: SafetyFilter, context: Context) -> Assumption:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Generic, TypeVar
 
 from pydrake.common.value import Value
 from pydrake.systems.framework import (
@@ -12,53 +12,49 @@ from pydrake.systems.framework import (
     Context,
     DependencyTicket,
     LeafSystem,
-    OutputPort,
     ValueProducer,
 )
 
+_T = TypeVar("_T")
+
+
+class Cached(Generic[_T]):
+    """A function of a system's context, evaluated once however many ports read it."""
+
+    def __init__(self, entry: CacheEntry) -> None:
+        self._entry = entry
+        self.ticket: DependencyTicket = entry.ticket()
+
+    def __call__(self, context: Context) -> _T:
+        """Returns the value, calculated if the context's is out of date."""
+        (found,) = self._entry.Eval(context)
+        value: _T = found
+        return value
+
 
 class CachedSystem(LeafSystem):
-    """Calculates every Python object once for a context, however many ports read it."""
+    """Calculates every Python object once for a context."""
 
-    def _entry(
+    def _cached(
         self,
         name: str,
-        calc: Callable[[Context], object],
+        calc: Callable[[Context], _T],
         needs: set[DependencyTicket],
-    ) -> CacheEntry:
-        """Declares a cache entry for the result of `calc`.
-
-        Args:
-            name: For Drake's messages.
-            calc: Calculates it.
-            needs: Its prerequisites.
-        """
+    ) -> Cached[_T]:
+        """Declares a cache entry for what `calc` returns, with its prerequisites."""
         producer = ValueProducer(
             allocate=lambda: Value[object](),
             # In a tuple, for newer pydrake takes no None.
             calc=lambda context, value: value.set_value((calc(context),)),
         )
-        return self.DeclareCacheEntry(name, producer, needs)
+        return Cached(self.DeclareCacheEntry(name, producer, needs))
 
     def _output(
-        self, name: str, size: int, entry: CacheEntry, read: Callable[[Any], object]
-    ) -> OutputPort:
-        """Declares a vector port that reads an entry.
-
-        Args:
-            name: The port's.
-            size: The port's.
-            entry: The entry.
-            read: Returns the port's value from the entry's.
-        """
+        self, name: str, size: int, source: Cached[_T], read: Callable[[_T], object]
+    ) -> None:
+        """Declares a vector port: what `read` returns of a cached value."""
 
         def calc(context: Context, output: BasicVector) -> None:
-            output.SetFromVector(read(held_by(entry, context)))
+            output.SetFromVector(read(source(context)))
 
-        return self.DeclareVectorOutputPort(name, size, calc, {entry.ticket()})
-
-
-def held_by(entry: CacheEntry, context: Context) -> Any:
-    """Returns the value of an entry."""
-    (found,) = entry.Eval(context)
-    return found
+        self.DeclareVectorOutputPort(name, size, calc, {source.ticket})

@@ -1,4 +1,4 @@
-"""A proposed ellipsoid made exact and certified.
+"""A proposed ellipsoid made exact and certified, and two that have a closed form.
 
 Newton's method on the optimality conditions (E56), in the ellipsoid's own coordinates,
 makes it and its multipliers exact. Weak duality bounds the remaining error.
@@ -165,15 +165,7 @@ def polish(
 def certified(
     A: Array, b: Array, center: Array, frame: Array, multipliers: Array
 ) -> Ellipsoid | None:
-    """Returns an unchanged ellipsoid with its certificate; None without a bound.
-
-    Args:
-        A: As for `polish`, like the others.
-        b: The right-hand sides.
-        center: c.
-        frame: F.
-        multipliers: Multipliers of the rows.
-    """
+    """Returns the ellipsoid as it is with its certificate; None without a bound."""
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         n, length, e, w = _contacts(A, b, center, frame, multipliers)
         gap = _gap(n, e, w)
@@ -255,3 +247,74 @@ def interval(A: Array, b: Array) -> Ellipsoid | None:
     return Ellipsoid(
         center, np.array([[half]]), math.log(half), multipliers, rounding, A
     )
+
+
+def cut_box(a: Array, b: float) -> tuple[Array, Array, Array]:
+    """Returns the largest ellipsoid of a box that one row cuts, to be certified.
+
+    Of the box |v_j| <= 1 and the row a v <= b, in closed form but for one root (E74).
+    With r = |B a|, rho_j = |a_j| / r and S_j = (1 - 4 w (1 - w) rho_j^2)^(1/2), its
+    half-widths are min(1, 1 / rho_j) and the row's weight is w. The far sides have the
+    weights w, or (1 + S_j) / 4 + w rho_j / 2, the near ones 0, or (1 + S_j) / 4 -
+    w rho_j / 2, and B^2 = Q (I - w u u') Q: u is the direction of Q a, and Q^2 is
+    diagonal, of 1 / (w rho_j^2), or 2 / (1 + S_j).
+
+    Args:
+        a: The row, of unit length and without zeros, shape (m,).
+        b: Its right-hand side, below 1 and above -sum |a_j|.
+
+    Returns:
+        c, shape (m,); F, shape (m, m); the multipliers of the rows v_j <= 1, -v_j <= 1
+        and the row that cuts, shape (2 m + 1,).
+    """
+    row = a.tolist()
+    size = [abs(each) for each in row]
+    r = _reach(size, b)
+    ratio = [each / r for each in size]
+    w = _weight([rho for rho in ratio if rho <= 1.0], sum(rho > 1.0 for rho in ratio))
+    center, diagonal, upper, lower = [], [], [], []
+    for each, rho in zip(row, ratio, strict=True):
+        if rho > 1.0:
+            near, far, half_width, q = 0.0, w * rho, 1.0 / rho, 1.0 / (w * rho * rho)
+        else:
+            both, half_width = 0.25 + 0.25 * _root(w, rho), 1.0
+            near, far, q = both - 0.5 * w * rho, both + 0.5 * w * rho, 0.5 / both
+        center.append(math.copysign(1.0 - half_width, -each))
+        diagonal.append(math.sqrt(q))
+        upper.append(near if each > 0.0 else far)
+        lower.append(far if each > 0.0 else near)
+    Q = np.array(diagonal)
+    u = Q * a
+    shrunk = (1.0 - math.sqrt(1.0 - w)) / (u @ u) * np.outer(u, u)
+    frame = Q[:, None] * (np.eye(len(a)) - shrunk)
+    multipliers = np.maximum([*upper, *lower, w / r], 0.0)
+    return np.array(center), frame, multipliers
+
+
+def _reach(size: list[float], b: float) -> float:
+    """Solves r + sum_j (min(r, a_j) - a_j) = b for r, from below."""
+    far = size
+    while True:
+        r = (b + sum(far)) / (1 + len(far))
+        further = [each for each in far if each > r]
+        if len(further) == len(far):
+            return r
+        far = further
+
+
+def _weight(ratio: list[float], k: int) -> float:
+    """Solves for w by Newton's method, from above: the function is convex."""
+    w = 1.0
+    while True:
+        value, slope = w - k * (1.0 - w), 1.0 + k
+        for rho in ratio:
+            S = _root(w, rho)
+            value -= 0.5 * (1.0 - S)
+            slope -= (1.0 - 2.0 * w) * rho * rho / (S or 1.0)
+        if not (value > 1e-16 * slope > 0.0):
+            return w
+        w -= value / slope
+
+
+def _root(w: float, rho: float) -> float:
+    return math.sqrt(max(0.0, 1.0 - 4.0 * w * (1.0 - w) * rho * rho))

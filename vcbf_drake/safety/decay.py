@@ -12,7 +12,7 @@ import numpy as np
 from vcbf_drake.barriers import Barrier
 from vcbf_drake.checks import Array
 from vcbf_drake.safety.feasible_set import FeasibleSet
-from vcbf_drake.safety.tick_qp import QP
+from vcbf_drake.safety.qp import QP
 
 # The share of itself by which a level may fall in a period, to first order.
 _LARGEST_STEP = 0.9

@@ -19,18 +19,14 @@ from vcbf_drake.safety.certified_ellipsoid import (
     ACCEPTED_GAP,
     Ellipsoid,
     certified,
+    cut_box,
     interval,
     polish,
 )
-from vcbf_drake.safety.cut_box import cut_box
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.polytope import (
-    chebyshev_ball,
-    dikin_frame,
-    recession_direction,
-)
+from vcbf_drake.safety.polytope import chebyshev_ball, recession_direction
 from vcbf_drake.safety.programs import DEFAULT_SOLVER, FEW_INPUTS, EllipsoidProgram
-from vcbf_drake.safety.unit_rows import UnitRows
+from vcbf_drake.safety.projection import UnitRows
 
 # Of a set of unit size the cone program reaches this tolerance; one Newton step is then
 # enough. With more inputs than a few, others cost less than the solver's.
@@ -73,7 +69,7 @@ def inscribed_ellipsoid(A: ArrayLike, b: ArrayLike) -> Ellipsoid:
         if direction is not None:
             raise UnboundedSetError(*rows.given, direction)
         raise SolverError("no ellipsoid could be certified", *rows.given)
-    multipliers = rows.in_units_given(found.multipliers)
+    multipliers = rows.as_given(found.multipliers)
     return found._replace(multipliers=multipliers, rows=rows.given[0])
 
 
@@ -101,8 +97,14 @@ def _search(rows: UnitRows) -> Ellipsoid | None:
 def _around(
     center: Array, A: Array, b: Array, kept: NDArray[np.intp]
 ) -> Ellipsoid | None:
-    """The same, from an interior point; the cone program has the rows kept."""
-    frame, multipliers = dikin_frame(A, b - A @ center), np.zeros(len(b))
+    """The same, from an interior point; the cone program has the rows kept.
+
+    In the frame (sum a_i a_i' / distance_i^2)^(-1/2), with distances from the point,
+    rows that matter are about equally far.
+    """
+    _, singular, axes = np.linalg.svd(A / (b - A @ center)[:, None], False)
+    frame = (axes.T / np.maximum(singular, 1e-12 * singular[0])) @ axes
+    multipliers = np.zeros(len(b))
     for _ in range(4):
         normals, distance = A[kept] @ frame, b[kept] - A[kept] @ center
         length = np.linalg.norm(normals, axis=1)

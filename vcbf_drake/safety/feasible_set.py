@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.checks import Array
-from vcbf_drake.disturbances import DisturbanceEstimate
 from vcbf_drake.safety.certified_ellipsoid import symmetric
 from vcbf_drake.safety.input_set import InputSet
 
@@ -34,25 +33,6 @@ class DisturbanceKnowledge(NamedTuple):
     bound: float
     bound_rate: float
     gain: float
-
-    @staticmethod
-    def of(
-        estimate: DisturbanceEstimate, margin: float, gain: float
-    ) -> DisturbanceKnowledge:
-        """Returns the knowledge from an observer's estimate while an input is held.
-
-        Args:
-            estimate: At the tick.
-            margin: The bound of the error's growth until the next tick [m/s^2].
-            gain: The observer's `estimate_gain` [1/s].
-        """
-        return DisturbanceKnowledge(
-            estimate.disturbance,
-            estimate.rate,
-            float(estimate.error_bound) + margin,
-            float(estimate.error_bound_rate),
-            gain,
-        )
 
     @staticmethod
     def constant(num_disturbances: int, bound: float) -> DisturbanceKnowledge:
@@ -153,11 +133,16 @@ class FeasibleSet(NamedTuple):
             self.input_set, self.rows, self.bound - reserve, self.known, self.costs
         )
 
-    def cut_by(self, widening: float) -> NDArray[np.intp]:
-        """Returns the barrier rows that cut the bounding box, taken so many times."""
-        if widening == 1.0:
-            return self.cut
-        return (self.distance / widening < self.farthest).nonzero()[0]
+    def cut_by(self, widening: float) -> tuple[NDArray[np.intp], Array, Array]:
+        """Returns the barrier rows that cut the bounding box, taken so many times.
+
+        Their indices, and the rows in v / widening: normals (k, m), distances (k,).
+        """
+        cut, distance = self.cut, self.distance
+        if widening != 1.0:
+            distance = distance / widening
+            cut = (distance < self.farthest).nonzero()[0]
+        return cut, self.normals[cut], distance[cut]
 
 
 def disturbance_margin(rows: BarrierRows, known: DisturbanceKnowledge) -> Array:
@@ -235,17 +220,15 @@ def pack_feasible_set(A: Array, b: Array, frame: Array, center: Array) -> Array:
     return np.concatenate([A.ravel(), b, frame.ravel(), center])
 
 
-def unpack_feasible_set(
-    packed: Array, num_rows: int, num_inputs: int
-) -> PackedFeasibleSet:
+def unpack_feasible_set(packed: Array, num_inputs: int) -> PackedFeasibleSet:
     """Takes apart one value, or an array of values, of the ``feasible_set`` port.
 
     Args:
         packed: Shape (..., size of the port).
-        num_rows: Rows of the set.
         num_inputs: m.
     """
-    rows, m, lead = num_rows, num_inputs, packed.shape[:-1]
+    *lead, size = packed.shape
+    m, rows = num_inputs, size // (num_inputs + 1) - num_inputs
     A, b, frame, center = np.split(packed, np.cumsum([rows * m, rows, m * m]), axis=-1)
     shape = symmetric(frame.reshape(*lead, m, m))
     return PackedFeasibleSet(A.reshape(*lead, rows, m), b, shape, center)

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from vcbf_drake.checks import Array, require
 from vcbf_drake.errors import EmptySetError, UnboundedSetError
 from vcbf_drake.safety.polytope import chebyshev_ball, recession_direction
-from vcbf_drake.safety.projection import minimise_linear, nearest_point
-from vcbf_drake.safety.unit_rows import UnitRows
+from vcbf_drake.safety.projection import UnitRows, minimise_linear, nearest_point
 from vcbf_drake.typed import typed
 
 # A point this many input ranges away (without limits, units away) counts as infinitely
@@ -132,6 +131,15 @@ class InputSet:
     def fixed(self) -> list[int]:
         """Which inputs are fixed."""
         return np.flatnonzero(self.scale == 0.0).tolist()
+
+    @property
+    def row_names(self) -> tuple[str, ...]:
+        """The limit that each row is."""
+        if not self.is_box:
+            return tuple(f"input limit {i}" for i in range(len(self.b)))
+        inputs = range(self.num_inputs)
+        sides = ("upper", "lower")
+        return tuple(f"{side} limit of input {j}" for side in sides for j in inputs)
 
     @cached_property
     def limiting(self) -> tuple[Array, Array]:

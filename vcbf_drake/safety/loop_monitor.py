@@ -21,9 +21,9 @@ from vcbf_drake.safety.assumptions import (
     gain_assumptions,
     start_assumptions,
 )
-from vcbf_drake.safety.cached_system import CachedSystem, held_by
+from vcbf_drake.safety.cached_system import CachedSystem
+from vcbf_drake.safety.decision import FilterStatus
 from vcbf_drake.safety.feasible_set import unpack_feasible_set
-from vcbf_drake.safety.qp import FilterStatus
 from vcbf_drake.safety.safety_filter import SafetyFilter
 from vcbf_drake.safety.volume import least_threshold
 
@@ -104,7 +104,7 @@ class LoopMonitor(CachedSystem):
         self.DeclareDiscreteState(len(_Findings._fields))
         ports = ("status", "volume", "backup", "estimate")
         needs = {self._ports[name].ticket() for name in ports if name in self._ports}
-        self._findings = self._entry(
+        self._findings = self._cached(
             "findings", self._calc_findings, needs | {self.time_ticket()}
         )
         self.DeclareInitializationUnrestrictedUpdateEvent(self._check_start)
@@ -160,7 +160,7 @@ class LoopMonitor(CachedSystem):
         return EventStatus.Succeeded()
 
     def _check(self, context: Context) -> EventStatus:
-        found: _Findings = held_by(self._findings, context)
+        found = self._findings(context)
         told = _Findings(*context.get_discrete_state_vector().CopyToVector().tolist())
         if found.is_lost and not told.is_lost:
             self._warn(
@@ -193,7 +193,7 @@ class LoopMonitor(CachedSystem):
 
     def _remember(self, context: Context, discrete: DiscreteValues) -> None:
         told = context.get_discrete_state_vector().CopyToVector()
-        discrete.set_value(np.maximum(told, held_by(self._findings, context)))
+        discrete.set_value(np.maximum(told, self._findings(context)))
 
     def _calc_findings(self, context: Context) -> _Findings:
         status = float(self._read(context, "status")[0])
@@ -223,11 +223,9 @@ class LoopMonitor(CachedSystem):
             )
         else:
             packed = unpack_feasible_set(
-                self._read(context, "feasible_set")[None],
-                self._filter.num_rows,
-                self._filter.model.num_inputs,
+                self._read(context, "feasible_set"), self._filter.model.num_inputs
             )
-            rows = self._filter.row_names.in_conflict(packed.A[0], packed.b[0])
+            rows = self._filter.names_in_conflict(packed.A, packed.b)
             reason = f"no feasible input {at}"
             reason += f": {' against '.join(rows)}" if rows else ""
         (failed,) = context.get_abstract_state(0).get_value()

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import EmptySetError, UnboundedSetError
 from vcbf_drake.safety.active_set import nearest_by_active_set
-from vcbf_drake.safety.projection import minimise_linear, nearest_point
-from vcbf_drake.safety.unit_rows import UnitRows
+from vcbf_drake.safety.projection import UnitRows, minimise_linear, nearest_point
 
 # A ray may turn towards a row by this angle [rad] and still count as a ray.
 _RAY_TOLERANCE = 1e-11
@@ -56,16 +55,6 @@ def chebyshev_ball(A: ArrayLike, b: ArrayLike) -> tuple[Array, float]:
             break
         center, radius, size = found, least, abs(least) or size
     return center, radius
-
-
-def dikin_frame(A: Array, distance: Array) -> Array:
-    """Returns (sum a_i a_i' / distance_i^2)^(-1/2), shape (m, m).
-
-    In coordinates z, u = center + frame z, rows that far from the centre hold the unit
-    ball, and rows that matter are about equally far.
-    """
-    _, singular, axes = np.linalg.svd(A / distance[:, None], full_matrices=False)
-    return (axes.T / np.maximum(singular, 1e-12 * singular[0])) @ axes
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,9 @@
 """The QP behind every filter and the linear programs beside it, solved and verified.
 
-A MathematicalProgram proposes, the active set makes the proposal exact on the rows it
-touches, and arithmetic decides: the optimality conditions hold, or Farkas' multipliers
-prove that there is no point. Questions that floats leave open are decided in rational
-numbers.
+Rows are ``A v <= b``, A (n, m) and b (n,). A MathematicalProgram proposes, the active
+set makes the proposal exact on the rows it touches, and arithmetic decides: the
+optimality conditions hold, or Farkas' multipliers prove that there is no point. What
+floats leave open is decided in rational numbers.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import EmptySetError, SolverError
@@ -26,12 +26,10 @@ from vcbf_drake.safety.programs import (
     LinearProgram,
     NearestPointProgram,
 )
-from vcbf_drake.safety.unit_rows import (
-    BALANCE_TOLERANCE,
-    FEASIBILITY_TOLERANCE,
-    UnitRows,
-)
 
+# A point that leaves every row, measured as a distance, by no more than this counts as
+# a point of the set [units of u].
+FEASIBILITY_TOLERANCE = 1e-9
 # Rows of sets that may have no interior are opened by so much of the tolerance, ...
 OPENING = 0.6 * FEASIBILITY_TOLERANCE
 # ... and a verified solution leaves the opened rows by no more than so much of it.
@@ -39,6 +37,8 @@ _EXCESS = 0.1 * FEASIBILITY_TOLERANCE
 # No point of the set as given is better by more, relative to the distance from the
 # reference.
 _GAP = 1e-9
+# Multipliers of unit rows, scaled to sum 1, balance when |A'y| is below this.
+_BALANCE = 1e-12
 # Rows of a conflict that are lighter have no part in it.
 _LIGHTEST = 1e-10
 # The same, where there is no rounding but that of the rows.
@@ -60,6 +60,95 @@ _SHARPNESS = 1e4
 # as far as this has none.
 _DOWNHILL = 1e60
 _FARTHEST = 1e30
+# A row further away than this holds everywhere, or nowhere [units of u].
+_FARTHEST_ROW = 1e20
+
+
+class UnitRows:
+    """Rows ``A u <= b`` scaled to unit length, which measure a violation as a distance.
+
+    A row without a direction is a blank: zeros, with its right-hand side. Blanks are
+    rows of zeros, and those further away than 1e20.
+
+    Args:
+        A: The rows, shape (n, m).
+        b: The right-hand sides, shape (n,).
+
+    Attributes:
+        A: The rows, of unit length or zeros, shape (n, m).
+        b: Their right-hand sides, shape (n,).
+        length: The length |a_i| each of them had, 1 for blanks, shape (n,).
+        is_blank: Shape (n,).
+        given: A and b as given.
+    """
+
+    def __init__(self, A: Array, b: Array) -> None:
+        self.given = A, b
+        self.length = _lengths(A)
+        # Not by b / length, which may overflow, nor may the largest length.
+        self.is_blank = ~(np.abs(b) / _FARTHEST_ROW < self.length)
+        if self.is_blank.any():
+            self.length[self.is_blank] = 1.0
+            A = np.where(self.is_blank[:, None], 0.0, A)
+        self.A, self.b = A / self.length[:, None], b / self.length
+
+    @staticmethod
+    def checked(A: ArrayLike, b: ArrayLike) -> UnitRows:
+        """Returns the rows of arrays A (n, m) and b (n,) of finite numbers.
+
+        Raises:
+            ValueError: Naming the array, its shape and the shape or value allowed.
+        """
+        A, b = np.asarray(A, dtype=float), np.asarray(b, dtype=float)
+        if A.ndim != 2 or A.shape[1] == 0:
+            raise ValueError(f"A has shape {A.shape}, must be (n, m) with m >= 1")
+        if b.shape != A.shape[:1]:
+            raise ValueError(
+                f"b has shape {b.shape}, must be ({len(A)},) like A's rows"
+            )
+        for name, array in (("A", A), ("b", b)):
+            wrong = np.argwhere(~np.isfinite(array))
+            if len(wrong):
+                index = tuple(wrong[0].tolist())
+                raise ValueError(
+                    f"{name}{list(index)} is {array[index]}, must be finite"
+                )
+        return UnitRows(A, b)
+
+    @property
+    def conflict(self) -> int | None:
+        """Index of a blank row 0 u <= b_i < 0, if there is one."""
+        conflicts = (self.is_blank & (self.b < 0.0)).nonzero()[0]
+        return int(conflicts[0]) if len(conflicts) else None
+
+    def without_blanks(self) -> tuple[Array, Array]:
+        """Returns the rows that have a direction, and their right-hand sides."""
+        return self.A[~self.is_blank], self.b[~self.is_blank]
+
+    def as_given(self, multipliers: Array) -> Array:
+        """Returns multipliers of the rows as given, infinite of subnormal ones.
+
+        Args:
+            multipliers: Those of the unit rows, (n,); or of those without the blanks.
+        """
+        if len(multipliers) < len(self.b):
+            kept, multipliers = multipliers, np.zeros(len(self.b))
+            multipliers[~self.is_blank] = kept
+        with np.errstate(over="ignore"):
+            given: Array = multipliers / self.length
+        return given
+
+
+def _lengths(A: Array) -> Array:
+    with np.errstate(over="ignore"):
+        length: Array = np.sqrt(np.vecdot(A, A))
+    lengths = length.tolist()
+    if lengths and not (min(lengths) > 1e-150 and max(lengths) < 1e150):
+        # By the largest entry first: squares of tiny entries would vanish.
+        largest = np.abs(A).max(axis=1)
+        scaled = A / np.where(largest > 0.0, largest, 1.0)[:, None]
+        length = largest * np.sqrt(np.vecdot(scaled, scaled))
+    return length
 
 
 def nearest_point(
@@ -71,20 +160,8 @@ def nearest_point(
 ) -> Projection:
     """Returns the point of ``{v : A v <= b}`` nearest to the reference.
 
-    Its multipliers are of the rows as given.
-
-    A reference inside the set is returned untouched. Any other answer is verified by
-    the optimality conditions v = reference - A'y, y >= 0, A v <= b, y'(b - A v) = 0.
-    A set that is empty by less than 6e-10 counts as one with a point: where its rows
-    as given lead to no verified answer, they are opened by as much.
-
-    Args:
-        A: The rows, shape (n, m).
-        b: The right-hand sides, shape (n,).
-        reference: The point to stay close to, shape (m,).
-        num_firm: The number of first rows that are never opened: together they must
-            have an interior.
-        solver: The name of the solver that proposes, one of `SOLVERS`.
+    A reference inside the set is returned untouched; else see `nearest_in`. Its
+    multipliers are of the rows as given.
 
     Raises:
         EmptySetError: No point satisfies the rows; certified, not guessed.
@@ -99,15 +176,19 @@ def nearest_point(
 def nearest_in(
     rows: UnitRows, reference: Array, num_firm: int, solver: str
 ) -> Projection:
-    """Returns the same by the solver, wherever the reference is.
+    """Returns the point that satisfies some rows and is nearest to the reference.
 
-    Its multipliers are of the unit rows.
+    It is verified by the optimality conditions v = reference - A'y, y >= 0, A v <= b,
+    y'(b - A v) = 0, with multipliers y of the unit rows. A set that is empty by less
+    than 6e-10 counts as one with a point: where its rows as given lead to no verified
+    answer, they are opened by as much.
 
     Args:
         rows: The rows.
-        reference: As for `nearest_point`, like the others.
-        num_firm: The number of first rows that are never opened.
-        solver: The solver's name.
+        reference: The point to stay close to, shape (m,).
+        num_firm: The number of first rows that are never opened: together they must
+            have an interior.
+        solver: The name of the solver that proposes, one of `SOLVERS`.
 
     Raises:
         EmptySetError: No point satisfies the rows; certified, not guessed.
@@ -137,13 +218,8 @@ def minimise_linear(
     nearest to one downhill of the last is a minimiser after finitely many, from a
     solver's answer after one or two.
 
-    Args:
-        cost: Shape (m,).
-        A: The rows, shape (n, m).
-        b: The right-hand sides, shape (n,).
-        num_firm: The number of first rows that are not opened, as for `nearest_point`;
-            by default all.
-        reach: The bound of a point's entries where rows bound them.
+    Rows after the first `num_firm`, by default none, are opened as for `nearest_in`; a
+    point's entries are bounded by `reach` where rows bound them.
 
     Raises:
         EmptySetError: No point satisfies the rows; certified, not guessed.
@@ -189,13 +265,25 @@ def _in_rationals(rows: UnitRows, b: Array, reference: Array) -> Projection:
     raise _empty(rows, heavy if most < 0.5 * (z @ b) else z)
 
 
+def rows_in_conflict(A: Array, b: Array, num_firm: int, near: Array) -> tuple[int, ...]:
+    """Returns rows that exclude each other, as given; none where none surely do.
+
+    Decided in rational numbers, whatever the rows' sizes, and by more than the rounding
+    of their terms near a point. The first `num_firm` rows have none.
+    """
+    rounding = OPENING * (np.abs(b) + np.abs(A) @ np.abs(near))
+    rounding[:num_firm] = 0.0
+    proof = nearest_in_rationals(A, b + rounding, near).conflict
+    if proof is None:
+        return ()
+    weights = proof * UnitRows(A, b).length
+    return tuple(np.flatnonzero(weights > _LIGHTEST * weights.max()).tolist())
+
+
 def opened(rows: UnitRows, num_firm: int) -> Array:
     """Returns right-hand sides with which a set has an interior or no point, (n,).
 
-    Args:
-        rows: Its rows.
-        num_firm: The number of first rows that are not opened; blank rows are not
-            either.
+    The first `num_firm` rows and blank rows are not opened.
     """
     right = np.where(rows.is_blank, rows.b, rows.b + OPENING)
     right[:num_firm] = rows.b[:num_firm]
@@ -245,9 +333,9 @@ def _raise_if_empty(found: Projection, rows: UnitRows, num_firm: int) -> None:
     z /= z.sum()
     imbalance, reach = np.abs(z @ rows.A), max(1.0, float(np.abs(rows.b).max()))
     # Relative to what is in a column: a slack's may be small, and the slack large.
-    is_balanced = imbalance <= BALANCE_TOLERANCE * np.abs(rows.A).max(axis=0)
+    is_balanced = imbalance <= _BALANCE * np.abs(rows.A).max(axis=0)
     most = float(z @ opened(rows, num_firm)) + reach * float(imbalance.sum())
-    if is_balanced.all() and most < -10.0 * BALANCE_TOLERANCE:
+    if is_balanced.all() and most < -10.0 * _BALANCE:
         raise _empty(rows, z)
 
 

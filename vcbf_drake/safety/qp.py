@@ -1,301 +1,391 @@
-"""The decision of a control tick: the filter's QP, or the policy without a solution."""
+"""The QP of a control tick: its coordinates, its rows and its MathematicalPrograms."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-from enum import IntEnum
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 import math
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
-from numpy.linalg import LinAlgError
+from numpy.typing import ArrayLike, NDArray
+from pydrake.solvers import MathematicalProgram, MathematicalProgramResult
 
-from vcbf_drake.checks import Array
-from vcbf_drake.errors import EmptySetError, SolverError
-from vcbf_drake.safety.active_set import Projection, nearest_in_rationals
-from vcbf_drake.safety.decay import DecayRates
+from vcbf_drake.checks import Array, require
+from vcbf_drake.safety.active_set import Projection
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.programs import DEFAULT_SOLVER
-from vcbf_drake.safety.projection import OPENING, minimise_linear
-from vcbf_drake.safety.tick_qp import (
-    MARGIN,
-    QP,
-    Frame,
-    VolumeRow,
-    finer_frame,
-    solve_qp,
-    state_qp,
-)
-from vcbf_drake.safety.unit_rows import UnitRows
+from vcbf_drake.safety.programs import EllipsoidProgram, NearestPointProgram
+from vcbf_drake.safety.projection import UnitRows, minimise_linear, nearest_in
 
-InfeasiblePolicy = Literal["stop", "least_violation", "hold", "decay", "backup"]
-
-INFEASIBLE_POLICIES: tuple[InfeasiblePolicy, ...] = get_args(InfeasiblePolicy)
+# Where the rows that a solution touches are made of numbers this small, in the QP's
+# coordinates, it is solved again in coordinates of their size.
+_SMALL = 1e-3
+# The least slack or violation leaves a set without interior. Its rows are opened by
+# this distance, in normalised inputs.
+MARGIN = 1e-10
 
 
-class FilterStatus(IntEnum):
-    """The filter's status at a tick."""
-
-    REFERENCE = 0
-    """The reference satisfied every row and passed through untouched."""
-    FILTERED = 1
-    """The nearest input that satisfies every row."""
-    RELAXED = 2
-    """No input satisfies the volume row too; it gave way by the least slack."""
-    INFEASIBLE = 3
-    """No input satisfies the barrier rows, by certificate; the policy chose. With
-    decay rates that are variables these are taken at their largest."""
-    FAILED = 4
-    """Data were not finite or no solver's answer was verified; the fallback acts."""
-
-
-class FilterDecision(NamedTuple):
-    """The input that leaves the filter, finite and inside the input set.
+@dataclass(frozen=True)
+class VolumeRow:
+    """A condition a u <= c that may give way: the volume barrier's, or a soft one.
 
     Attributes:
-        input: Shape (m,).
-        status: The status of the tick.
-        slack: delta of (E54): the relaxation of the volume row, 0 without one.
-        conflict: When infeasible, rows of the feasible set that exclude each other.
-        row_margin: A lower bound of every barrier row's chi until the next tick (E88);
-            nan where no such input was sought.
-        soft_slacks: The relaxation of each soft barrier row, at most 0, where the input
-            is a QP's solution.
-        decay: The largest factor omega on a barrier's last decay rate (E69), 1 where
-            the rows hold at their own rates.
-        backup: The share of a backup manoeuvre in the input, from 0 to 1.
-        is_certified: Whether a certified plan follows on it (Theorem 5); None where
-            none was sought.
-        qp: The QP whose solution the input is, where it is one.
+        a: Shape (m,).
+        c: The right-hand side.
+        slack_penalty: M of (E54, the DOB-VCBF-QP), for the inexact slack.
+        unit: The divisor of the row, which multiplies its slack.
+        linear_penalty: N of (E71): the penalty of the slack itself, beside M times its
+            square.
     """
 
-    input: Array
-    status: FilterStatus
-    slack: float = 0.0
-    conflict: tuple[int, ...] = ()
-    row_margin: float = math.nan
-    soft_slacks: tuple[float, ...] = ()
-    decay: float = 1.0
-    backup: float = 0.0
-    is_certified: bool | None = None
-    qp: QP | None = None
+    a: Array
+    c: float
+    slack_penalty: float
+    unit: float = 1.0
+    linear_penalty: float = 0.0
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether every number in it is finite."""
+        return math.isfinite(self.c) and bool(np.isfinite(self.a).all())
+
+    def slack(self, u: Array) -> float:
+        """Returns the row's slack at an input, at most 0."""
+        return self.unit * min(0.0, self.c - float(self.a @ u))
+
+    def cuts(self, input_set: InputSet) -> bool:
+        """Returns whether it excludes any input of the bounding box."""
+        farthest = float(input_set.farthest((self.a * input_set.scale)[None])[0])
+        return self.c - float(self.a @ input_set.center) < farthest
 
 
-def choose_input(
+@dataclass(frozen=True)
+class Frame:
+    """The coordinates z of a QP, u = origin + size * scale * z.
+
+    Attributes:
+        origin: Shape (m,); the input set's center, as a rule.
+        scale: The input set's, shape (m,).
+        size: 1, as a rule.
+        metric: The cost is |metric (z - reference)|^2; no singular value is below 1,
+            shape (m, m). None for the identity.
+        cost_unit: The divisor of the cost for that.
+    """
+
+    origin: Array
+    scale: Array
+    size: float = 1.0
+    metric: Array | None = None
+    cost_unit: float = 1.0
+
+    @staticmethod
+    def of(input_set: InputSet, weights: ArrayLike | None = None) -> Frame:
+        """Returns the frame of the normalised inputs.
+
+        Args:
+            input_set: The input set.
+            weights: W of the cost (u - u_ref)'W (u - u_ref), a matrix (m, m) or its
+                diagonal (m,); by default that of the normalised inputs' norm.
+
+        Raises:
+            ValueError: W has another shape or is not positive definite.
+        """
+        frame = Frame(input_set.center, input_set.scale)
+        if weights is None or not np.size(weights):
+            return frame
+        m, W = input_set.num_inputs, np.array(weights, dtype=float)
+        W = np.diag(W) if W.ndim == 1 else W
+        is_matrix = W.shape == (m, m) and bool(np.isfinite(W).all())
+        require(
+            is_matrix and np.allclose(W, W.T) and np.linalg.eigvalsh(W)[0] > 0.0,
+            "input_weights",
+            weights,
+            f"{m} positive numbers or a positive definite ({m}, {m}) matrix",
+        )
+        # Inputs that are fixed have no part in it.
+        W = input_set.scale[:, None] * W * input_set.scale
+        W[input_set.scale == 0.0, input_set.scale == 0.0] = 1.0
+        least = float(np.linalg.eigvalsh(W)[0])
+        return replace(frame, metric=np.linalg.cholesky(W / least).T, cost_unit=least)
+
+    @property
+    def reach(self) -> float:
+        """The bound of coordinates in a bounded input set that contains the origin."""
+        return 2.0 / self.size
+
+    def input(self, z: Array) -> Array:
+        """Returns u of z, shape (m,)."""
+        return self.origin + self.size * self.scale * z[: len(self.scale)]
+
+    def finer(
+        self, feasible: FeasibleSet, u: Array, touched: Iterable[int]
+    ) -> Frame | None:
+        """Returns coordinates of the size of some barrier rows; None if this is that.
+
+        With very large limits, the numbers of barrier rows and their differences are
+        negligible in normalised inputs.
+
+        Args:
+            feasible: The feasible set.
+            u: An input near the rows, shape (m,).
+            touched: Indices of them, among the barriers'.
+        """
+        size, reach = math.inf, np.abs(u)
+        for i in touched:
+            a = np.abs(feasible.rows.A[i])
+            length = math.hypot(*(a * self.scale).tolist())
+            terms = abs(float(feasible.bound[i])) + float(a @ reach)
+            if terms > 0.0 and length > 0.0:
+                size = min(size, terms / length)
+        if not 0.0 < size < _SMALL * self.size:
+            return None
+        return replace(self, origin=feasible.input_set.project(u), size=size)
+
+
+class QP(NamedTuple):
+    """min 1/2 |R (z - reference)|^2 subject to ``A z <= b``.
+
+    The variables are the inputs in the coordinates of a frame, the growth of decay
+    rates that may grow and, for each row that gives way at a penalty, sqrt(M) times its
+    slack; R is the frame's metric. The rows are the feasible set's that can matter, the
+    volume row or the limits of decay rates, and those that give way.
+
+    Attributes:
+        frame: The coordinates.
+        A: The rows, shape (n, d).
+        b: Their right-hand sides, shape (n,).
+        reference: Shape (d,).
+        num_firm: The number of first rows, which limit the input in every state.
+        cut: Which barrier rows follow those.
+        num_hard: The number of first rows, which do not give way.
+        has_hard_volume: Whether the last of those is the volume row.
+        further_rows: The rows after the feasible set's: "volume", or an index there.
+        num_decays: The number of variables, after the inputs, that are growths (E69).
+    """
+
+    frame: Frame
+    A: Array
+    b: Array
+    reference: Array
+    num_firm: int
+    cut: NDArray[np.intp]
+    num_hard: int
+    has_hard_volume: bool = False
+    further_rows: tuple[str | int, ...] = ()
+    num_decays: int = 0
+
+    @property
+    def is_met(self) -> bool:
+        """Whether the reference satisfies every row, and none gives way."""
+        m = len(self.frame.scale)
+        return bool((self.A[:, :m] @ self.reference[:m] <= self.b).all())
+
+    @property
+    def hard(self) -> QP:
+        """The QP of the rows that never give way."""
+        n = self.num_hard - self.has_hard_volume
+        d = len(self.frame.scale) + self.num_decays
+        return self._replace(
+            A=self.A[:n, :d],
+            b=self.b[:n],
+            reference=self.reference[:d],
+            num_hard=n,
+            has_hard_volume=False,
+            further_rows=(),
+        )
+
+    def solved(self, solver: str) -> Projection:
+        """Returns the minimiser z, shape (d,), and the multipliers of its unit rows.
+
+        Raises:
+            EmptySetError: No point satisfies the hard rows, certified.
+        """
+        A, reference, back = self.as_projection()
+        found = nearest_in(UnitRows(A, self.b), reference, self.num_firm, solver)
+        return found if back is None else found._replace(point=back @ found.point)
+
+    def relaxed(self) -> QP:
+        """Returns the QP whose hard volume row gives way by the least (E55).
+
+        Raises:
+            EmptySetError: No point satisfies the other hard rows, certified.
+            SolverError: The least slack was not verified.
+        """
+        i, b = self.num_hard - 1, self.b.copy()
+        row, others = self.A[i], self.A[:i]
+        z = minimise_linear(row, others, b[:i], self.num_firm, self.frame.reach)
+        length = float(UnitRows(self.A[i : i + 1], b[i : i + 1]).length[0])
+        b[i] = max(b[i], float(row @ z) + MARGIN * length)
+        return self._replace(b=b)
+
+    def as_projection(self) -> tuple[Array, Array, Array | None]:
+        """Returns rows and reference in y = R z, and R^-1 (None for the identity)."""
+        metric = self.frame.metric
+        if metric is None:
+            return self.A, self.reference, None
+        R, m = np.eye(len(self.reference)), len(metric)
+        R[:m, :m] = metric
+        back = np.asarray(np.linalg.inv(R), dtype=float)
+        return self.A @ back, R @ self.reference, back
+
+
+def state_qp(
     feasible: FeasibleSet,
-    volume_row: VolumeRow | None,
+    frame: Frame,
     reference: Array,
-    held_input: Array,
-    input_set: InputSet,
-    exact_slack: bool,
-    policy: InfeasiblePolicy,
-    solver: str = DEFAULT_SOLVER,
-    frame: Frame | None = None,
-    decay_rates: DecayRates | None = None,
-) -> FilterDecision:
-    """Returns the feasible input nearest to the reference, (E47) or (E54), (E55).
-
-    With the exact slack the volume row is hard and gives way, by as little as possible,
-    only when no input satisfies it together with the other rows; without, it has the
-    printed penalty M delta^2. Soft barrier rows always have theirs (E71).
+    volume_row: VolumeRow | None = None,
+    exact_slack: bool = True,
+) -> QP:
+    """Returns the tick's QP.
 
     Args:
         feasible: Input limits and barrier rows.
-        volume_row: The volume barrier's row, finite; None where it has none.
-        reference: The controller's input, shape (m,).
-        held_input: The input applied now, shape (m,); for the fallbacks.
-        input_set: The inputs the actuators can produce.
-        exact_slack: Whether the volume row is hard with the least slack.
-        policy: The policy when the barrier rows have no solution.
-        solver: The name of the solver that proposes, one of `SOLVERS`.
-        frame: The coordinates of the normalised inputs, with the cost's weights; by
-            default `Frame.of(input_set)`.
-        decay_rates: The decay rates that may grow, at every tick or only where the rows
-            have no input (the policy ``decay``); None for fixed rates. At every tick
-            there is no volume row.
-    """
-    if not (feasible.is_finite and np.isfinite(reference).all()):
-        return FilterDecision(input_set.project(held_input), FilterStatus.FAILED)
-    if volume_row is not None and not _cuts(volume_row, input_set):
-        volume_row = None
-    frame = frame or Frame.of(input_set)
-    if not input_set.is_bounded:
-        farthest = np.abs(input_set.normalised(reference)).max()
-        frame = replace(frame, size=max(1.0, float(farthest)))
-    growing = decay_rates
-    if decay_rates is not None and decay_rates.only_where_empty:
-        growing = None
-
-    def stated(frame: Frame) -> QP:
-        qp = state_qp(feasible, frame, volume_row, reference, exact_slack)
-        return qp if growing is None else growing.grown(qp, feasible)
-
-    qp = stated(frame)
-    if qp.is_met and not _moves_a_fixed(reference, input_set):
-        return FilterDecision(reference, FilterStatus.REFERENCE, qp=qp)
-    try:
-        found, solved = solve_qp(qp, solver)
-        u, gave_way = frame.input(found.point), solved is not qp or not exact_slack
-        if solved is qp:
-            finer = finer_frame(feasible, frame, u, _touched(found, qp))
-            if finer is not None:
-                found, solved = _better(stated(finer), found, qp, feasible, solver)
-                u = solved.frame.input(found.point)
-    except EmptySetError as error:
-        # Rows of the feasible set all: those that may give way are in no conflict, and
-        # those that limit decay rates say nothing beside the rows that these belong to.
-        kept = feasible.cutting
-        conflict = tuple(kept[[i for i in error.conflict if i < len(kept)]].tolist())
-        u, decay = _fallback(
-            feasible, frame, policy, decay_rates, reference, held_input, solver
-        )
-        status = FilterStatus.INFEASIBLE
-        return FilterDecision(u, status, conflict=conflict, decay=decay)
-    except (SolverError, LinAlgError):
-        u = least_violation(feasible, frame, reference, held_input, solver)
-        return FilterDecision(u, FilterStatus.FAILED)
-    slack = volume_row.slack(u) if volume_row and gave_way else 0.0
-    status = FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
-    room = ((i, float(feasible.rows.A[i] @ u)) for i in feasible.costs.soft)
-    soft = tuple([min(0.0, float(feasible.bound[i]) - taken) for i, taken in room])
-    u = input_set.project(u)
-    decay = 1.0 if growing is None else growing.factor(feasible, u)
-    return FilterDecision(u, status, slack, soft_slacks=soft, decay=decay, qp=solved)
-
-
-def _touched(found: Projection, qp: QP) -> list[int]:
-    """Which barrier rows a solution rests on, or leaves by next to nothing."""
-    excess, y = (qp.A @ found.point - qp.b).tolist(), found.multipliers.tolist()
-    barriers = enumerate(qp.cut.tolist(), start=qp.num_firm)
-    return [barrier for row, barrier in barriers if y[row] > 0.0 or excess[row] > 0.0]
-
-
-def _fallback(
-    feasible: FeasibleSet,
-    frame: Frame,
-    policy: InfeasiblePolicy,
-    rates: DecayRates | None,
-    reference: Array,
-    held_input: Array,
-    solver: str,
-) -> tuple[Array, float]:
-    """The policy's input where the rows have none, and its factor omega (E69)."""
-    project = feasible.input_set.project
-    if policy == "hold":
-        return project(held_input), 1.0
-    if policy == "decay" and rates is not None:
-        hard = state_qp(feasible, frame, None, reference, exact_slack=True).hard
-        try:
-            z = rates.grown(hard, feasible).solved(solver).point
-        except (EmptySetError, SolverError, LinAlgError):
-            pass  # No rate helps.
-        else:
-            u = project(frame.input(z))
-            return u, rates.factor(feasible, u)
-    return least_violation(feasible, frame, reference, held_input, solver), 1.0
-
-
-def least_violation(
-    feasible: FeasibleSet,
-    frame: Frame,
-    reference: Array,
-    held_input: Array,
-    solver: str = DEFAULT_SOLVER,
-) -> Array:
-    """Returns the input whose worst weighted barrier violation is least, shape (m,).
-
-    Among those, the one nearest to the reference; the held input, or the one nearest to
-    it that is allowed, where none was verified.
-
-    Args:
-        feasible: Input limits and barrier rows, all finite.
         frame: The coordinates.
         reference: The controller's input, finite, shape (m,).
-        held_input: The input applied now, shape (m,).
-        solver: The solver's name.
+        volume_row: The volume barrier's row, finite; None where it has none.
+        exact_slack: Whether the volume row is hard; else it gives way at its penalty.
     """
-    best = held_input
-    try:
-        for _ in range(2):
-            qp = state_qp(feasible, frame, None, reference, exact_slack=True).hard
-            z = _least_violation(feasible, qp, solver)
-            best, violated = frame.input(z), (qp.A @ z > qp.b)[qp.num_firm :]
-            finer = finer_frame(feasible, frame, best, feasible.cut[violated].tolist())
-            if finer is None:
-                break
-            frame = finer
-    except (EmptySetError, SolverError, LinAlgError):
-        pass  # In the coordinates before there may be an answer.
-    return feasible.input_set.project(best)
+    inputs, costs, cut = feasible.input_set, feasible.costs, feasible.cut
+    z = inputs.normalised_near(reference)
+    limits, sides = inputs.limiting
+    rows = [limits, feasible.normals[cut]]
+    distances = [sides, feasible.distance[cut]]
+    if frame.origin is not inputs.center:
+        z = z - inputs.normalised(frame.origin)
+        distances = _distances(feasible, frame)
+    further = [] if volume_row is None else [volume_row]
+    names: tuple[str | int, ...] = () if volume_row is None else ("volume",)
+    for i in costs.soft:
+        square, linear = costs.penalties[i], costs.linear_penalties[i]
+        bound = float(feasible.bound[i])
+        soft = VolumeRow(feasible.rows.A[i], bound, square, linear_penalty=linear)
+        further.append(soft)
+        names = (*names, feasible.num_input_rows + i)
+    for row in further:
+        rows.append((row.a * frame.scale)[None])
+        distances.append(np.array([row.c - row.a @ frame.origin]))
+    b = np.concatenate(distances)
+    if frame.size != 1.0:
+        z, b = z / frame.size, b / frame.size
+    is_hard = exact_slack and volume_row is not None
+    yielding = further[is_hard:]
+    qp = QP(
+        frame=frame,
+        A=np.concatenate(rows),
+        b=b,
+        reference=z,
+        num_firm=len(sides),
+        cut=cut,
+        num_hard=len(b) - len(yielding),
+        has_hard_volume=is_hard,
+        further_rows=names,
+    )
+    return _with_slacks(qp, yielding) if yielding else qp
 
 
-def _least_violation(feasible: FeasibleSet, qp: QP, solver: str) -> Array:
-    """Min t subject to weight_i (a_i u - b_i) <= t, t >= 0, and then the nearest z."""
-    A, b, k, m = qp.A.copy(), qp.b.copy(), qp.num_firm, len(qp.frame.scale)
-    weight = feasible.costs.weights[feasible.cut]
-    length = UnitRows(A[k:], b[k:]).length
-    # t is counted in units of the heaviest row's distance, and from where no input is
-    # below it.
-    weight /= float(np.max(weight * length, initial=0.0)) or 1.0
-    A[k:], b[k:] = A[k:] * weight[:, None], b[k:] * weight
-    farthest = feasible.input_set.farthest(A[k:]) / qp.frame.size
-    b[k:] += max(0.0, float(np.max(-b[k:] - farthest, initial=0.0)))
-    last = np.append(np.zeros(m), 1.0)
-    give = np.concatenate([np.zeros(k), np.ones(len(weight))])
-    rows = np.vstack([np.column_stack([A, -give]), -last])
-    z = minimise_linear(last, rows, np.append(b, 0.0), reach=qp.frame.reach)[:-1]
-    b[k:] += np.max(A[k:] @ z - b[k:], initial=0.0) + MARGIN
-    return qp._replace(A=A, b=b).solved(solver).point
+def _with_slacks(qp: QP, yielding: Sequence[VolumeRow]) -> QP:
+    """Gives the last rows slacks delta <= 0 at M delta^2 - N delta (E54), (E71).
 
-
-def _cuts(row: VolumeRow, input_set: InputSet) -> bool:
-    """Whether a row excludes any input of the bounding box."""
-    a = row.a * input_set.scale
-    farthest = float(input_set.farthest(a[None])[0])
-    return row.c - float(row.a @ input_set.center) < farthest
-
-
-def _moves_a_fixed(reference: Array, input_set: InputSet) -> bool:
-    """Whether a reference asks of an input that is fixed what it does not do."""
-    return any(reference[j] != input_set.center[j] for j in input_set.fixed)
-
-
-def _better(
-    finer: QP, found: Projection, qp: QP, feasible: FeasibleSet, solver: str
-) -> tuple[Projection, QP]:
-    """The solution in finer coordinates; where none is verified, the one found.
-
-    Raises:
-        EmptySetError: No input satisfies the rows that never give way, certified.
+    In the variables (z, w = sqrt(M) delta) the cost is a distance again, from
+    w = N / (2 sqrt(M)); where that is not 0, a row more keeps w from being positive.
     """
-    try:
-        return finer.solved(solver), finer
-    except EmptySetError:
-        pass
-    try:
-        # A conflict with the volume row does not imply that the other rows are empty.
-        finer.hard.solved(solver)
-    except EmptySetError as error:
-        u = qp.frame.input(found.point)
-        if _excludes_every_input(feasible, error.conflict, u):
-            raise
-    return found, qp
+    frame, m, count = qp.frame, len(qp.reference), len(yielding)
+    root = np.sqrt([row.slack_penalty / frame.cost_unit for row in yielding])
+    linear = np.array([row.linear_penalty for row in yielding])
+    away = linear / (2.0 * frame.cost_unit * frame.size * root)
+    slopes = np.concatenate([np.zeros((qp.num_hard, count)), np.diag(1.0 / root)])
+    is_kept = linear > 0.0
+    signs = np.hstack([np.zeros((count, m)), np.eye(count)])[is_kept]
+    names = np.array(qp.further_rows, dtype=object)[-count:][is_kept]
+    return qp._replace(
+        A=np.vstack([np.hstack([qp.A, slopes]), signs]),
+        b=np.append(qp.b, np.zeros(len(signs))),
+        reference=np.append(qp.reference, away),
+        further_rows=(*qp.further_rows, *names),
+    )
 
 
-def _excludes_every_input(
-    feasible: FeasibleSet, conflict: Sequence[int], u: Array
-) -> bool:
-    """Whether rows in conflict are one for every input, as they were given.
+def _distances(feasible: FeasibleSet, frame: Frame) -> list[Array]:
+    """The distances of limits and relevant barrier rows from a frame's origin.
 
-    In finer coordinates the input set is large, and what is left of y'A there, next to
-    nothing, may be worth more than y'b. In rational numbers nothing is left of it.
-    Nor may the conflict be no more than the rounding of the rows' terms near an input.
+    From the rows as given: where two large numbers cancel, little is left.
     """
-    rows = [*feasible.input_set.limits, *feasible.cutting[list(conflict)]]
-    chosen = np.unique(rows).astype(int)
-    A, b = feasible.A[chosen], feasible.b[chosen]
-    terms = np.abs(b) + np.abs(A) @ np.abs(u)
-    b = b + np.where(chosen < feasible.num_input_rows, 0.0, OPENING * terms)
-    return nearest_in_rationals(A, b, feasible.input_set.center).conflict is not None
+    inputs, cut = feasible.input_set, feasible.cut
+    length = np.linalg.norm(inputs.A * frame.scale, axis=1)
+    limits = (inputs.b - inputs.A @ frame.origin) / np.where(length > 0.0, length, 1.0)
+    barriers = feasible.bound[cut] - feasible.rows.A[cut] @ frame.origin
+    return [limits[inputs.limits], barriers]
+
+
+@dataclass(frozen=True)
+class TickPrograms:
+    """The QP and the cone program of one control tick, as MathematicalPrograms.
+
+    Both are stated anew, with rows of unit length as the filter's solver was given
+    them; nobody else holds them. The inputs are normalised, v with u = center + scale v
+    (see `InputSet`), unless the cost has weights or limits are very large.
+
+    Attributes:
+        qp: min 1/2 |z - reference|^2 subject to ``A z <= b``; z is v, followed by the
+            scaled slack of every row that gives way at a penalty.
+        qp_rows: The meaning of each of its rows.
+        ellipsoid: max (det L)^(1/P) subject to |L'a_i| + a_i d <= b_i (E48), the set's
+            largest ellipsoid {L w + d : |w| <= 1}; None for a single input, whose
+            largest interval needs no program.
+        ellipsoid_rows: The meaning of each of its rows.
+        solved: The QP that it states.
+    """
+
+    qp: MathematicalProgram
+    qp_rows: tuple[str, ...]
+    ellipsoid: MathematicalProgram | None
+    ellipsoid_rows: tuple[str, ...]
+    solved: QP
+
+    @staticmethod
+    def of(
+        qp: QP, feasible: FeasibleSet, names: Sequence[str], widening: float
+    ) -> TickPrograms:
+        """States the programs of a tick.
+
+        Args:
+            qp: The QP that was solved.
+            feasible: The feasible set whose ellipsoid was found.
+            names: The names of the feasible set's rows.
+            widening: kappa of the volume barrier.
+        """
+        A, reference, _ = qp.as_projection()
+        rows = UnitRows(A, qp.b)
+        nearest = NearestPointProgram(*A.shape)
+        nearest.state(rows.A, rows.b, reference)
+        (limits, sides), (cut, A, b) = (
+            feasible.input_set.limiting,
+            feasible.cut_by(widening),
+        )
+        unit = UnitRows(np.concatenate([limits, A]), np.concatenate([sides, b]))
+        cone = None
+        if A.shape[1] > 1:
+            largest = EllipsoidProgram(len(unit.b), unit.A.shape[1], 1e-9)
+            largest.state(unit.A, unit.b)
+            cone = largest.program
+        first, k = feasible.input_set.limits.tolist(), feasible.num_input_rows
+        qp_rows = (*first, *(k + qp.cut).tolist(), *qp.further_rows)
+        return TickPrograms(
+            nearest.program,
+            tuple(row if isinstance(row, str) else names[row] for row in qp_rows),
+            cone,
+            tuple(names[i] for i in (*first, *(k + cut).tolist())),
+            qp,
+        )
+
+    def input(self, result: MathematicalProgramResult) -> Array:
+        """Returns the input u of a solution of the QP, shape (m,)."""
+        y, back = result.get_x_val(), self.solved.as_projection()[2]
+        return self.solved.frame.input(y if back is None else back @ y)
+
+    def log_det(self, result: MathematicalProgramResult) -> float:
+        """Returns log det B of a solution of the cone program, in normalised inputs."""
+        row, column = np.tril_indices(len(self.solved.frame.scale))
+        diagonal = result.get_x_val()[: len(row)][row == column]
+        return float(np.log(diagonal).sum())

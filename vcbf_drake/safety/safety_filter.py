@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import deepcopy
+from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import (
@@ -16,12 +17,20 @@ from pydrake.systems.framework import (
 )
 
 from vcbf_drake.barriers import Barrier, BarrierRows, BarrierSet, StateInputLimit
-from vcbf_drake.checks import Array
+from vcbf_drake.checks import Array, require
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.backup_rows import BackupRows, manoeuvres_of
-from vcbf_drake.safety.cached_system import CachedSystem, held_by
-from vcbf_drake.safety.decider import Decider
+from vcbf_drake.safety.cached_system import CachedSystem
+from vcbf_drake.safety.decision import (
+    FilterDecision,
+    FilterStatus,
+    Gate,
+    RowHolder,
+    Tick,
+    choose_input,
+    least_violation,
+)
 from vcbf_drake.safety.feasible_set import (
     DisturbanceKnowledge,
     FeasibleSet,
@@ -29,20 +38,15 @@ from vcbf_drake.safety.feasible_set import (
     pack_feasible_set,
 )
 from vcbf_drake.safety.input_set import InputSet, check_inputs
-from vcbf_drake.safety.qp import FilterDecision, FilterStatus, least_violation
-from vcbf_drake.safety.row_holder import (
-    Gate,
-    MakeGate,
-    MakeRowHolder,
-    RowHolder,
-    Tick,
-    given,
-)
-from vcbf_drake.safety.row_names import RowNames
+from vcbf_drake.safety.projection import rows_in_conflict
+from vcbf_drake.safety.qp import Frame, TickPrograms
 from vcbf_drake.safety.settings import METHODS, FilterSettings
-from vcbf_drake.safety.tick_programs import TickPrograms
-from vcbf_drake.safety.tick_qp import Frame
-from vcbf_drake.safety.volume import Volume, VolumeMeasure, threshold_of
+from vcbf_drake.safety.volume import (
+    Volume,
+    VolumeMeasure,
+    threshold_of,
+    volume_row,
+)
 from vcbf_drake.typed import NotNegative, typed
 
 
@@ -82,6 +86,13 @@ class SafetyFilter(CachedSystem):
 
     Methods without an observer declare no port ``estimate``; without perceived barriers
     there is no port ``obstacles``.
+
+    Attributes:
+        barrier_rows: Returns the barriers' own rows at a context's state and time.
+        feasible_set: Returns the feasible set there.
+        volume: Returns V_v with its derivatives; None where it could not be computed.
+        decision: Returns the chosen input and how it was found.
+        row_names: The names of the feasible set's rows: input limits, then barriers.
     """
 
     @typed
@@ -95,8 +106,8 @@ class SafetyFilter(CachedSystem):
         bounds: DisturbanceBounds | None = None,
         estimate_gain: NotNegative = 0.0,
         longest_hold: NotNegative = 0.0,
-        make_row_holder: MakeRowHolder | None = None,
-        make_gate: MakeGate | None = None,
+        make_row_holder: Callable[..., RowHolder] | None = None,
+        make_gate: Callable[..., Gate] | None = None,
     ) -> None:
         """Declares ports and cache entries.
 
@@ -106,8 +117,7 @@ class SafetyFilter(CachedSystem):
             input_set: The inputs that the actuators can deliver.
             settings: The method and its choices; `FilterSettings()` by default.
             bounds: delta1 and delta2 of the disturbance; none by default. delta2 times
-                the hold bounds the change of the disturbance during a hold; it is added
-                to the error bound (E28, the certified error bound).
+                the hold is added to the error bound (E28, the certified error bound).
             estimate_gain: The observer's `estimate_gain` [1/s].
             longest_hold: The longest hold, if it can exceed the control period [s].
             make_row_holder: `vcbf_drake.between_ticks.HeldRows`; needed where the
@@ -117,8 +127,8 @@ class SafetyFilter(CachedSystem):
 
         Raises:
             ValueError: An argument is outside what is allowed.
-            ModelError: A barrier does not fit the model; or there is a hold to certify,
-                and the model or a barrier has no enclosure on intervals.
+            ModelError: A barrier does not fit the model, or has no enclosure on
+                intervals where a hold is to be certified.
         """
         super().__init__()
         # A copy: settings changed later change no filter.
@@ -126,12 +136,12 @@ class SafetyFilter(CachedSystem):
         self.method = METHODS[settings.method]
         self.bounds = bounds or DisturbanceBounds(0.0, 0.0, 0.0)
         check_inputs(input_set, model.num_inputs, model.effort_limits)
-        if self.method.has_volume_row and not input_set.is_bounded:
-            raise ValueError(
-                "input_set: has an infinite limit, and the volume barrier of method"
-                f" {settings.method} needs a bounded set of inputs; give limits, or"
-                " take a method without volume barrier, as dob-cbf-qp"
-            )
+        require(
+            input_set.is_bounded or not self.method.has_volume_row,
+            "input_set",
+            "an infinite limit",
+            f"finite for the volume barrier of {settings.method}; dob-cbf-qp has none",
+        )
         self.model, self.input_set = model, input_set
         self.barrier_set = BarrierSet(
             model, barriers, by_chains=self.method.feasibility != "backup"
@@ -148,7 +158,7 @@ class SafetyFilter(CachedSystem):
                 settings.backup_margin,
             )
         names = (self.backup_rows or self.barrier_set).names
-        self.row_names = RowNames.of(input_set, names)
+        self.row_names = (*input_set.row_names, *names)
         self._estimate_gain = estimate_gain
         hold = max(settings.period, longest_hold)
         covers_hold = settings.corrections.error_floor
@@ -156,21 +166,18 @@ class SafetyFilter(CachedSystem):
         self.certified_hold = hold if settings.between_ticks == "certified" else 0.0
         self.row_holder: RowHolder | None = None
         if self.certified_hold:
-            make_row_holder = given("between_ticks: certified", make_row_holder)
-            self.row_holder = make_row_holder(
-                model, self.barrier_set, hold, self.bounds.delta1
-            )
+            make = _given("between_ticks: certified", make_row_holder)
+            self.row_holder = make(model, self.barrier_set, hold, self.bounds.delta1)
         self._costs = settings.row_costs(len(names))
         self.gate: Gate | None = None
         if settings.infeasible == "backup":
             is_hard = np.isinf(self._costs.penalties[: self.barrier_set.size])
-            make_gate = given("infeasible: backup", make_gate)
-            self.gate = make_gate(model, self.barrier_set, input_set, *known, is_hard)
-        self._decide = Decider(
-            model, self.barriers, input_set, settings, self.row_holder, self.gate
+            make = _given("infeasible: backup", make_gate)
+            self.gate = make(model, self.barrier_set, input_set, *known, is_hard)
+        self._frame = Frame.of(input_set, settings.input_weights)
+        self._measure = VolumeMeasure(
+            input_set, settings.volume.widening, settings.solver
         )
-        widening = settings.volume.widening
-        self._measure = VolumeMeasure(input_set, widening, settings.solver)
         self._declare_inputs()
         self._declare_cache_entries()
         self._declare_outputs()
@@ -192,19 +199,18 @@ class SafetyFilter(CachedSystem):
         needs = {self.time_ticket(), self._state.ticket()}
         if self._obstacles is not None:
             needs.add(self._obstacles.ticket())
-        self._rows_entry = self._entry("barrier rows", self._calc_rows, needs)
-        needs = {self._rows_entry.ticket()}
+        self.barrier_rows = self._cached("barrier rows", self._calc_rows, needs)
+        needs = {self.barrier_rows.ticket}
         if self.backup_rows is not None:
             needs |= {self.time_ticket(), self._state.ticket()}
         if self._estimate is not None:
             needs.add(self._estimate.ticket())
-        self._feasible_entry = self._entry(
-            "feasible set", self._calc_feasible_set, needs
+        self.feasible_set = self._cached("feasible set", self._calc_feasible_set, needs)
+        of_set = {self.feasible_set.ticket}
+        self._determinant = self._cached(
+            "det B", lambda c: self._measure(self.feasible_set(c)), of_set
         )
-        self._determinant_entry = self._entry(
-            "determinants", self._calc_determinant, {self._feasible_entry.ticket()}
-        )
-        needs = {self._determinant_entry.ticket()}
+        needs = {self._determinant.ticket}
         if self.settings.volume.threshold is None:
             # xi, from the first tick on: known before anything else happens there, so
             # that the tick is decided once.
@@ -214,26 +220,24 @@ class SafetyFilter(CachedSystem):
                 self.settings.period, 0.0, self._keep_threshold
             )
             needs.add(self.xd_ticket())
-        self._volume_entry = self._entry("volumes", self._calc_volume, needs)
-        needs = {self._reference.ticket(), self._held_input.ticket()}
-        needs.add(self._feasible_entry.ticket())
-        self._fallback_entry = self._entry("fallback", self._calc_fallback, needs)
+        self.volume = self._cached("volume", self._calc_volume, needs)
+        needs = of_set | {self._reference.ticket(), self._held_input.ticket()}
+        self._fallback = self._cached("fallback", self._calc_fallback, needs)
         if self.method.has_volume_row:
-            needs.add(self._volume_entry.ticket())
-        self._decision_entry = self._entry("decision", self._calc_decision, needs)
+            needs = needs | {self.volume.ticket}
+        self.decision = self._cached("decision", self._calc_decision, needs)
 
     def _declare_outputs(self) -> None:
-        m, n_rows = self.model.num_inputs, self.num_rows
+        m, n_rows = self.model.num_inputs, len(self.row_names)
         N, num_levels = self.barrier_set.size, sum(self.barrier_set.degrees)
-        num_soft = len(self._costs.soft)
-        decision = self._decision_entry
+        decision, rows = self.decision, self.barrier_rows
         self._output("command", m, decision, lambda d: d.input)
-        self._output("fallback", m, self._fallback_entry, lambda u: u)
+        self._output("fallback", m, self._fallback, lambda u: u)
         self._output("slack", 1, decision, lambda d: [d.slack])
-        if num_soft:
-            none = [np.nan] * num_soft
+        if count := len(self._costs.soft):
+            none = [np.nan] * count
             self._output(
-                "soft_slacks", num_soft, decision, lambda d: d.soft_slacks or none
+                "soft_slacks", count, decision, lambda d: d.soft_slacks or none
             )
         self._output("status", 1, decision, lambda d: [d.status])
         self._output("decay", 1, decision, lambda d: [d.decay])
@@ -242,10 +246,7 @@ class SafetyFilter(CachedSystem):
                 "backup", 2, decision, lambda d: [d.backup, bool(d.is_certified)]
             )
         self._output("row_margin", 1, decision, lambda d: [d.row_margin])
-        self._output(
-            "volume", 1, self._volume_entry, lambda v: [v.value if v else np.nan]
-        )
-        rows = self._rows_entry
+        self._output("volume", 1, self.volume, lambda v: [v.value if v else np.nan])
         self._output("barriers", N, rows, lambda r: r.value)
         self._output(
             "levels", num_levels, rows, lambda r: np.concatenate([[], *r.chain])
@@ -253,30 +254,31 @@ class SafetyFilter(CachedSystem):
         self._output(
             "authority",
             N,
-            self._feasible_entry,
+            self.feasible_set,
             lambda found: self.of_barriers(found.rows.authority(self.input_set.scale)),
         )
         self.DeclareVectorOutputPort(
             "feasible_set",
             n_rows * (m + 1) + m * (m + 1),
             self._calc_packed_feasible_set,
-            {self._volume_entry.ticket()},
+            {self.volume.ticket},
         )
 
-    @property
-    def num_rows(self) -> int:
-        """The number of rows of the feasible set: input limits, then barriers."""
-        return len(self.row_names)
-
     def of_barriers(self, of_rows: Array) -> Array:
-        """Returns the maximum over each barrier's rows, shape (..., N).
+        """Returns the maximum over each barrier's rows, (..., N)."""
+        rows = self.backup_rows
+        return of_rows if rows is None else rows.most_of_each(of_rows)
 
-        Args:
-            of_rows: A number of every row, shape (..., rows).
+    def names_in_conflict(self, A: Array, b: Array) -> tuple[str, ...]:
+        """Returns the names of rows of a feasible set that exclude each other.
+
+        None are named where none surely do.
         """
-        if self.backup_rows is None:
-            return of_rows
-        return self.backup_rows.most_of_each(of_rows)
+        inputs, limiting = self.input_set, np.isfinite(b).nonzero()[0]
+        num_firm = int(np.sum(limiting < len(inputs.b)))
+        near = inputs.project(np.zeros(inputs.num_inputs))
+        found = rows_in_conflict(A[limiting], b[limiting], num_firm, near)
+        return tuple(self.row_names[limiting[row]] for row in found)
 
     def knowledge(self, context: Context) -> DisturbanceKnowledge:
         """Returns the knowledge of the disturbance that this method uses."""
@@ -285,22 +287,13 @@ class SafetyFilter(CachedSystem):
             bound = self.bounds.delta1 if is_worst else 0.0
             return DisturbanceKnowledge.constant(self.model.num_disturbances, bound)
         known = DisturbanceEstimate.unpack(self._estimate.Eval(context))
-        return DisturbanceKnowledge.of(known, self.hold_margin, self._estimate_gain)
-
-    def feasible_set(self, context: Context) -> FeasibleSet:
-        """Returns the feasible set at the context's state and time."""
-        value: FeasibleSet = held_by(self._feasible_entry, context)
-        return value
-
-    def volume(self, context: Context) -> Volume | None:
-        """Returns V_v with its derivatives; None when it could not be computed."""
-        value: Volume | None = held_by(self._volume_entry, context)
-        return value
-
-    def decision(self, context: Context) -> FilterDecision:
-        """Returns the chosen input and how it was found."""
-        value: FilterDecision = held_by(self._decision_entry, context)
-        return value
+        return DisturbanceKnowledge(
+            known.disturbance,
+            known.rate,
+            float(known.error_bound) + self.hold_margin,
+            float(known.error_bound_rate),
+            self._estimate_gain,
+        )
 
     def programs(self, context: Context) -> TickPrograms | None:
         """Returns the tick's two programs, stated anew as they were solved.
@@ -310,29 +303,22 @@ class SafetyFilter(CachedSystem):
         FAILED) there are none.
         """
         decision, feasible = self.decision(context), self.feasible_set(context)
-        if decision.qp is None:
-            return None
-        widening = self.settings.volume.widening
-        return TickPrograms.of(decision.qp, feasible, self.row_names, widening)
-
-    def barrier_rows(self, context: Context) -> BarrierRows:
-        """Returns the barriers' own rows at the context's state and time."""
-        value: BarrierRows = held_by(self._rows_entry, context)
-        return value
+        names, widening = self.row_names, self.settings.volume.widening
+        return decision.qp and TickPrograms.of(decision.qp, feasible, names, widening)
 
     def _calc_rows(self, context: Context) -> BarrierRows:
-        x, t = self._state.Eval(context), context.get_time()
-        return self.barrier_set.rows(x, t, self._seen(context))
+        return self.barrier_set.rows(*self._situation(context))
 
-    def _seen(self, context: Context) -> Array | None:
-        """The perceived obstacles."""
-        return None if self._obstacles is None else self._obstacles.Eval(context)
+    def _situation(self, context: Context) -> tuple[Array, float, Array | None]:
+        """The measured state, the time and the perceived obstacles."""
+        seen = None if self._obstacles is None else self._obstacles.Eval(context)
+        return self._state.Eval(context), context.get_time(), seen
 
     def _calc_feasible_set(self, context: Context) -> FeasibleSet:
         rows = self.barrier_rows(context)
         if self.backup_rows is not None:
-            x, t = self._state.Eval(context), context.get_time()
-            rows = self.backup_rows.rows(x, t, rows, self._seen(context))
+            x, t, seen = self._situation(context)
+            rows = self.backup_rows.rows(x, t, rows, seen)
         return feasible_set(self.input_set, rows, self.knowledge(context), self._costs)
 
     def threshold(self, context: Context) -> float:
@@ -346,7 +332,7 @@ class SafetyFilter(CachedSystem):
         kept = float(context.get_discrete_state_vector()[0])
         if not np.isnan(kept):
             return kept
-        found: Volume | None = held_by(self._determinant_entry, context)
+        found = self._determinant(context)
         return threshold_of(found.value if found else np.nan, self.input_set.num_inputs)
 
     def _take_threshold(self, context: Context, state: State) -> EventStatus:
@@ -356,22 +342,46 @@ class SafetyFilter(CachedSystem):
     def _keep_threshold(self, context: Context, discrete: DiscreteValues) -> None:
         discrete.set_value([self.threshold(context)])
 
-    def _calc_determinant(self, context: Context) -> Volume | None:
-        return self._measure(self.feasible_set(context))
-
     def _calc_volume(self, context: Context) -> Volume | None:
-        determinant: Volume | None = held_by(self._determinant_entry, context)
+        determinant = self._determinant(context)
         return determinant and determinant.above(self.threshold(context))
 
     def _calc_decision(self, context: Context) -> FilterDecision:
         reference, held = self._reference.Eval(context), self._held(context)
-        x, t = self._state.Eval(context), context.get_time()
+        (x, t, seen), settings = self._situation(context), self.settings
         if not np.isfinite(x).all():
             return FilterDecision(self.input_set.project(held), FilterStatus.FAILED)
-        rows, feasible = self.barrier_rows(context), self.feasible_set(context)
-        tick = Tick(rows, x, t, feasible.known, self._seen(context))
+        feasible, row = self.feasible_set(context), None
         v = self.volume(context) if self.method.has_volume_row else None
-        return self._decide(tick, feasible, v, reference, held)
+        if v is not None and not v.is_on_plateau:  # There 0 <= lambda_Vv V_v.
+            is_total = settings.corrections.total_derivative
+            row = volume_row(
+                v, self.model, x, feasible.known, settings.volume, is_total
+            )
+        is_known = v is not None and (row is None or row.is_finite)
+        rates = settings.decay_rates(feasible, self.barriers)
+
+        def choose(margin: Array | None = None) -> FilterDecision:
+            return choose_input(
+                feasible if margin is None else feasible.tightened(margin),
+                row if is_known else None,
+                reference,
+                held,
+                settings.corrections.exact_slack,
+                settings.infeasible,
+                settings.solver,
+                self._frame,
+                rates,
+            )
+
+        decision = choose()
+        tick = Tick(self.barrier_rows(context), x, t, feasible.known, seen)
+        if self.method.has_volume_row and not is_known:
+            # The tick fails, and takes the input of the QP without the row.
+            decision = FilterDecision(decision.input, FilterStatus.FAILED)
+        elif self.row_holder is not None:
+            decision = self.row_holder.lasting_decision(tick, decision, choose)
+        return decision if self.gate is None else self.gate.decide(tick, decision)
 
     def _held(self, context: Context) -> Array:
         if not self._held_input.HasValue(context):
@@ -380,13 +390,20 @@ class SafetyFilter(CachedSystem):
         return held
 
     def _calc_fallback(self, context: Context) -> Array:
-        inputs, feasible = self.input_set, self.feasible_set(context)
         reference, held = self._reference.Eval(context), self._held(context)
-        if not (feasible.is_finite and np.isfinite(reference).all()):
-            return inputs.project(held)
-        return least_violation(feasible, Frame.of(inputs), reference, held)
+        return least_violation(self.feasible_set(context), self._frame, reference, held)
 
     def _calc_packed_feasible_set(self, context: Context, output: BasicVector) -> None:
         feasible, known = self.feasible_set(context), self.volume(context)
         frame, center = self._measure.ellipsoid(feasible, known)
         output.SetFromVector(pack_feasible_set(feasible.A, feasible.b, frame, center))
+
+
+def _given(setting: str, make: Callable[..., Any] | None) -> Callable[..., Any]:
+    """The function that `AddSafetyFilter` gives for a setting."""
+    if make is None:
+        raise ValueError(
+            f"{setting}; it needs what vcbf_drake.between_ticks makes for it"
+            " (AddSafetyFilter gives it)"
+        )
+    return make

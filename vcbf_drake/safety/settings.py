@@ -1,11 +1,8 @@
-"""FilterSettings: the choices behind a safety filter, in one dataclass.
-
-Before it the methods, as three independent choices each, and the errata of the
-published one.
-"""
+"""FilterSettings: the choices behind a safety filter; its methods and errata."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 import math
 from typing import Literal, get_args
@@ -21,10 +18,10 @@ from vcbf_drake.disturbances import (
     RiseObserver,
 )
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety.decay import DEFAULT_PENALTY
-from vcbf_drake.safety.feasible_set import RowCosts
+from vcbf_drake.safety.decay import DEFAULT_PENALTY, DecayRates
+from vcbf_drake.safety.decision import InfeasiblePolicy
+from vcbf_drake.safety.feasible_set import FeasibleSet, RowCosts
 from vcbf_drake.safety.programs import DEFAULT_SOLVER, check_solver
-from vcbf_drake.safety.qp import InfeasiblePolicy
 from vcbf_drake.safety.volume import VolumeBarrier
 from vcbf_drake.typed import (
     Checked,
@@ -195,14 +192,16 @@ class FilterSettings:
             self.observer.period,
             f"at most the control period, {self.period:g} s",
         )
+        chosen, is_certified = METHODS[self.method], self.between_ticks == "certified"
+        is_printed = not self.corrections.error_floor
         require(
-            self.between_ticks != "certified" or self.covers_hold,
+            not (is_certified and is_printed and chosen.disturbance == "estimated"),
             "between_ticks",
             self.between_ticks,
             "none without the correction error_floor, for the printed error bound does"
             " not hold between ticks",
         )
-        is_backup = METHODS[self.method].feasibility == "backup"
+        is_backup = chosen.feasibility == "backup"
         require(
             not (is_backup and self.infeasible == "decay"),
             "infeasible",
@@ -216,8 +215,7 @@ class FilterSettings:
             "another with violation_weights or soft_penalties",
         )
         require(
-            self.between_ticks != "certified"
-            or METHODS[self.method].feasibility not in ("decay", "backup"),
+            not (is_certified and chosen.feasibility in ("decay", "backup")),
             "between_ticks",
             self.between_ticks,
             f"none with {self.method}, whose rows are certified at the ticks alone",
@@ -245,18 +243,22 @@ class FilterSettings:
             numbers.append(np.array(given, dtype=float))
         return RowCosts(*numbers)
 
+    def decay_rates(
+        self, feasible: FeasibleSet, barriers: Sequence[object]
+    ) -> DecayRates | None:
+        """Returns the decay rates that may grow at a tick; None where they may not."""
+        always = METHODS[self.method].feasibility == "decay"
+        if not (always or self.infeasible == "decay"):
+            return None
+        penalty, chain = self.decay_penalty, feasible.rows.chain
+        return DecayRates.at(chain, barriers, self.period, penalty, not always)
+
     @property
     def corrections(self) -> Corrections:
         """The errata of the published method that the filter applies."""
         if isinstance(self.fidelity, Corrections):
             return self.fidelity
         return FIDELITIES[self.fidelity]
-
-    @property
-    def covers_hold(self) -> bool:
-        """Whether the error bound holds until the next tick too (E28)."""
-        is_estimated = METHODS[self.method].disturbance == "estimated"
-        return self.corrections.error_floor or not is_estimated
 
     def make_observer(
         self,

@@ -16,7 +16,7 @@ from vcbf_drake.safety.ellipsoid import THINNEST, InscribedEllipsoidSolver
 from vcbf_drake.safety.feasible_set import DisturbanceKnowledge, FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.programs import DEFAULT_SOLVER
-from vcbf_drake.safety.tick_qp import VolumeRow
+from vcbf_drake.safety.qp import VolumeRow
 from vcbf_drake.typed import check_fields
 
 # The thresholds that a start can lead to: the least is a ball of this radius.
@@ -30,11 +30,9 @@ class VolumeBarrier:
     B is the shape of the largest ellipsoid of inputs, in normalised inputs, so that det
     B = 1 for a box that no barrier cuts, in any units of the inputs.
 
-    The defaults suit plants without tuning: early and gentle. Over random courses of
-    five vehicles with weak inputs they kept 47 of 50 runs feasible, the paper's form
-    (gain 3, widening 1) 40, the same methods without a volume barrier 35
-    (docs/results/feasibility_defaults.md). The price is time: a vehicle slows down
-    earlier. A widening of 4 with a gain of 0.3 kept as many, and more of them arrived.
+    The defaults suit plants without tuning: early and gentle, at the price of time
+    (docs/results/feasibility_defaults.md). The paper's are a gain of 3 and a widening
+    of 1.
 
     Attributes:
         threshold: xi, the share of the input set's volume that must remain; null for a
@@ -72,18 +70,16 @@ class VolumeBarrier:
     @property
     def choice(self) -> str:
         """The origin of widening, gain and threshold, in a sentence."""
-        default = VolumeBarrier()
-        is_default = (self.widening, self.gain) == (default.widening, default.gain)
-        words = "widening and gain are given"
-        if is_default:
+        default, threshold, words = VolumeBarrier(), "given", "given"
+        if (self.widening, self.gain) == (default.widening, default.gain):
             words = (
-                "widening and gain are the default, for a plant that nobody tuned:"
-                " early and gentle, at the price of time (docs/guide/feasibility.md)"
+                "the default, for a plant that nobody tuned: early and gentle, at the"
+                " price of time (docs/guide/feasibility.md)"
             )
-        if self.threshold is not None:
-            return f"{words}; the threshold is given"
-        share = f"a tenth of det B at the start, at most {_MOST_THRESHOLD:g} (E50)"
-        return f"{words}; the threshold is {share}"
+        if self.threshold is None:
+            most = f"at most {_MOST_THRESHOLD:g} (E50)"
+            threshold = f"a tenth of det B at the start, {most}"
+        return f"widening and gain are {words}; the threshold is {threshold}"
 
 
 def threshold_of(determinant: float, num_inputs: int) -> float:
@@ -165,12 +161,12 @@ class VolumeMeasure:
         if self._solver is None or not feasible.is_finite:
             return None
         inputs, rows, known = self._input_set, feasible.rows, feasible.known
-        kappa, n, cut = self._widening, rows.num_states, feasible.cut_by(self._widening)
+        kappa, n = self._widening, rows.num_states
+        cut, A, b = feasible.cut_by(kappa)
         found, touching = self._solver.free, list[int]()
         determinant, is_of_set = math.exp(found.log_det), True
         try:
             if len(cut):
-                A, b = feasible.normals[cut], feasible.distance[cut] / kappa
                 found = self._solver.solve(A, b)
                 determinant, is_of_set = math.exp(found.log_det), kappa == 1.0
                 multipliers = found.multipliers[feasible.num_input_rows :]
@@ -216,12 +212,10 @@ class VolumeMeasure:
             known: V_v, which may have found it already.
         """
         inputs, m = self._input_set, self._input_set.num_inputs
-        cut = feasible.cut
         found = known.ellipsoid if known else None
         try:
             if not found and self._solver:
-                A, b = feasible.normals[cut], feasible.distance[cut]
-                found = self._solver.solve(A, b)
+                found = self._solver.solve(*feasible.cut_by(1.0)[1:])
         except (VcbfError, ValueError, np.linalg.LinAlgError):
             pass
         if found is None:
@@ -242,14 +236,6 @@ def volume_row(
 
     The total derivative is (E62); without it the row leaves out that the estimate
     moves, as printed (E53, the printed volume term), (E54).
-
-    Args:
-        volume: V_v and its derivatives.
-        model: The plant's f, g, E.
-        state: Shape (n,).
-        known: The knowledge of the disturbance.
-        barrier: Its gain and penalty.
-        total_derivative: Whether the derivative is total.
     """
     drift, input_matrix = model.drift_and_input_matrix(state)
     along_disturbance = volume.state @ model.disturbance_matrix

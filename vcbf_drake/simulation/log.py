@@ -102,7 +102,7 @@ def finish_log(
     log = {name: v[:, 0] if name in _SCALARS else v for name, v in log.items()}
     log |= DisturbanceEstimate.unpack(log.pop("estimate")).log_arrays()
     packed = unpack_feasible_set(
-        log.pop("feasible_set"), safety_filter.num_rows, safety_filter.model.num_inputs
+        log.pop("feasible_set"), safety_filter.model.num_inputs
     )
     log["polytope_A"], log["polytope_b"] = packed.A, packed.b
     rows = packed.A[:, len(safety_filter.input_set.b) :]

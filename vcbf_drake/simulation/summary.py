@@ -232,7 +232,7 @@ def _conflict(
     if not infeasible.any():
         return None
     tick = int(np.argmax(infeasible))
-    rows = safety_filter.row_names.in_conflict(
+    rows = safety_filter.names_in_conflict(
         log["polytope_A"][tick], log["polytope_b"][tick]
     )
     return list(rows) or None

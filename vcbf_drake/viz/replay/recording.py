@@ -272,7 +272,6 @@ def filter_values(safety_filter: SafetyFilter, root: Context) -> dict[str, Any]:
     }
     found = unpack_feasible_set(
         ports["feasible_set"][None],
-        safety_filter.num_rows,
         safety_filter.model.num_inputs,
     )
     return {
