@@ -178,7 +178,8 @@ class CommandSender(LeafSystem):
         """The rows that excluded each other at the last tick, by name."""
         if held["status"][0] != FilterStatus.INFEASIBLE:
             return []
-        packed = unpack_feasible_set(held["feasible_set"], self._filter.model.num_inputs)
+        num_inputs = self._filter.model.num_inputs
+        packed = unpack_feasible_set(held["feasible_set"], num_inputs)
         return list(self._filter.names_in_conflict(packed.A, packed.b))
 
     def _speaks(self, stamp: StateStamp) -> bool:
