@@ -14,8 +14,8 @@ from vcbf_drake.viz.feasible_set import (
     moment,
     polytope_vertices,
 )
+from vcbf_drake.viz.figures import parallel_view
 from vcbf_drake.viz.runs import Run
-from vcbf_drake.viz.space_figure import parallel_view
 from vcbf_drake.viz.style import ALARM, INK, MUTED, PAGE_WIDTH, new_figure
 
 _NAME = dict(fontsize=7, color=INK)

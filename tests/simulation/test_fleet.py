@@ -264,7 +264,7 @@ def test_a_motion_that_only_its_places_show_is_found() -> None:
 @pytest.mark.parametrize(
     ("change", "hypothesis"),
     [
-        ({"infeasible": "backup"}, "obstacles as told"),
+        ({"infeasible": "backup"}, "declared obstacles"),
         ({"method": "backup"}, "rows of the whole way"),
     ],
 )

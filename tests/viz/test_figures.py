@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
+from tests.helpers.pages import page_data
 from tests.helpers.synthetic_results import blimp_result, blimp_results, car_result
 from vcbf_drake.barriers import SphereObstacle
 from vcbf_drake.safety.settings import METHODS
@@ -21,10 +22,10 @@ from vcbf_drake.viz.feasible_set import (
     shadow,
     telling_times,
 )
+from vcbf_drake.viz.figures import parallel_view
 from vcbf_drake.viz.runs import label_runs
 from vcbf_drake.viz.series_figures import input_figure, volume_figure
 from vcbf_drake.viz.solids import hull
-from vcbf_drake.viz.space_figure import hidden, parallel_view
 from vcbf_drake.viz.style import METHOD_STYLES, figure_style, save_figure
 
 BLIMP_FIGURES = [
@@ -75,6 +76,15 @@ def test_a_blimps_figures(tmp_path):
         else:
             assert ElementTree.parse(path).getroot().tag.endswith("svg")
             assert b"dc:date" not in path.read_bytes()
+
+
+def test_a_method_without_a_volume_row_has_no_volume_to_show(tmp_path):
+    result = car_result("cbf-qp", 2.0)
+    assert {p.stem for p in write_figures([result], tmp_path)} == {*BLIMP_FIGURES} - {
+        "volume"
+    }
+    page = page_data(write_replay([result], tmp_path / "page.html").read_text())
+    assert "volume" not in [plot["key"] for plot in page["plots"]]
 
 
 def test_a_cars_figures_are_those_of_two_inputs(tmp_path):
@@ -264,23 +274,6 @@ def test_a_parallel_view_keeps_lengths_across_it():
     np.testing.assert_allclose(view @ view.T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(np.cross(right, up), toward, atol=1e-12)
     assert up[2] > 0.0
-
-
-def test_a_ball_hides_what_it_covers():
-    view = parallel_view(azimuth=-100.0, elevation=30.0)
-    rng = np.random.default_rng(0)
-    center, radius = np.array([0.3, -0.2, 0.5]), 0.8
-    points = center + rng.normal(size=(400, 3))
-    points = points[np.linalg.norm(points - center, axis=1) > radius]
-    # March from each point to the eye and see whether the ball is in the way.
-    steps = np.linspace(0.0, 6.0, 3001)[:, None, None]
-    way = points + steps * view[2]
-    expected = np.any(np.linalg.norm(way - center, axis=2) < radius, axis=0)
-    assert 0.1 < expected.mean() < 0.6
-    fine = np.random.default_rng(1).normal(size=(4000, 3))
-    ball = center + radius * fine / np.linalg.norm(fine, axis=1)[:, None]
-    disagree = hidden(points, ConvexHull(ball), view) != expected
-    assert disagree.mean() < 0.01  # Grazing lines, between two steps of the march.
 
 
 def crowd(count, dims=2):

@@ -85,14 +85,14 @@ def assumptions(
         )
         found.append(exact)
         if safety_filter.barrier_set.obstacles_size:
-            told = Assumption(
-                "obstacles as told",
+            declared = Assumption(
+                "declared obstacles",
                 "no perceived obstacle appears, or changes its velocity (Theorem 5)",
                 False,
                 consequence="the filter may run out of inputs: a plan follows what is"
                 " perceived at its tick",
             )
-            found.append(told)
+            found.append(declared)
     return (*found, *_information(safety_filter, filter_context, observer))
 
 

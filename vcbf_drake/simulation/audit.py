@@ -41,7 +41,7 @@ KNOWLEDGE = ("estimate", MEASUREMENT, QUADRATURE)
 BETWEEN_TICKS = "barrier between ticks"
 # The conditions and promises of Theorem 5, and its hypotheses, without faults.
 FEASIBILITY = ("plan", "disturbance", "barrier", BETWEEN_TICKS, "input")
-FEASIBILITY_HYPOTHESES = ("certified plan", "exact state", "obstacles as told")
+FEASIBILITY_HYPOTHESES = ("certified plan", "exact state", "declared obstacles")
 VOLUME_DECREASE = "volume decrease"
 AUTHORITY = "authority"
 

@@ -14,6 +14,7 @@ import numpy as np
 from vcbf_drake.barriers import Barrier, StateLimit
 from vcbf_drake.checks import Array
 from vcbf_drake.plants.vehicle import Channels, channels_of
+from vcbf_drake.safety.settings import METHODS
 from vcbf_drake.viz.solids import in_space
 from vcbf_drake.viz.style import METHOD_STYLES, VEHICLE_COLORS
 
@@ -53,6 +54,7 @@ class Drawn:
         log: The arrays of a `Result`'s log.
         inputs: The inputs' names with units.
         limits: The inputs' limits; None where the log has no filter's arrays.
+        has_volume: Whether the method has a volume row.
     """
 
     label: str
@@ -64,6 +66,7 @@ class Drawn:
     log: Mapping[str, Array]
     inputs: Sequence[str]
     limits: InputLimits | None
+    has_volume: bool
 
     @property
     def least_barrier(self) -> Array:
@@ -202,6 +205,7 @@ def _run(results: Sequence[Result], number: int, hues: Mapping[str, str]) -> Run
         log=result.log,
         inputs=channels_of(result.scenario.vehicle.make_plant()).input_labels,
         limits=result.scenario.input_set,
+        has_volume=METHODS[method].has_volume_row,
         result=result,
         name=name if len(hues) > 1 else "",
     )

@@ -137,7 +137,10 @@ def series_data(run: Drawn, path: Array) -> dict[str, Any]:
 
 
 def _plots(shown: Sequence[Drawn], unit: str, live: bool) -> list[dict[str, Any]]:
-    """The plots: barrier, volume, and the slack, or the inputs where it is nothing."""
+    """The plots: barrier, volume, and the slack, or the inputs where it is nothing.
+
+    Of methods without a volume row there is no volume.
+    """
     if shown[-1].limits is None:
         return []
     barrier = f"Barrier min h [{unit}]" if unit else "Barrier min h"
@@ -147,11 +150,12 @@ def _plots(shown: Sequence[Drawn], unit: str, live: bool) -> list[dict[str, Any]
     else:
         note = "and limits" if live else "and limits; the slack is 0 throughout"
         third = "Inputs", note, "input"
+    volume = "Volume barrier Vᵥ [-]", "room left for inputs", "volume"
     return [
         {"title": title, "note": note, "key": key, "below": key in _UNSAFE_BELOW}
         for title, note, key in (
             (barrier, "unsafe below 0", "barrier"),
-            ("Volume barrier Vᵥ [-]", "room left for inputs", "volume"),
+            *([volume] if any(run.has_volume for run in shown) else []),
             third,
         )
     ]

@@ -115,7 +115,7 @@ def write_diagram_replay(
     sources = [inspector.GetOwningSourceName(frame) for frame in poses]
     *trails, farthest = _ways(bodies, sources)
     title = title or diagram.get_name() or "Replay"
-    shown = Drawn(title, BLUE, (), False, (), np.array(frames), {}, (), None)
+    shown = Drawn(title, BLUE, (), False, (), np.array(frames), {}, (), None, False)
     if duration is not None and frames[-1] < duration - 1e-9:
         ended = Event(frames[-1], "infeasible", f"ended at {frames[-1]:.2f} s")
         shown = replace(shown, events=[ended])
@@ -142,7 +142,13 @@ def _filtered(shown: Drawn, safety_filter: SafetyFilter) -> Drawn:
     box = safety_filter.input_set
     ends = box.center - box.scale, box.center + box.scale
     limits = InputLimits(*(each.tolist() for each in ends))
-    return replace(shown, label=safety_filter.get_name(), inputs=inputs, limits=limits)
+    return replace(
+        shown,
+        label=safety_filter.get_name(),
+        inputs=inputs,
+        limits=limits,
+        has_volume=safety_filter.method.has_volume_row,
+    )
 
 
 def _ways(bodies: Sequence[Moving], sources: Sequence[str]) -> list[Array]:
