@@ -1,20 +1,18 @@
 """Barriers, limits on the input, and the rows that they impose on it."""
 
-from vcbf_drake.barriers.barrier import Barrier
+from vcbf_drake.barriers.barrier import Barrier, all_of, any_of
 from vcbf_drake.barriers.barrier_set import BarrierSet
 from vcbf_drake.barriers.limits import StateInputLimit, StateLimit, ackermann_limit
+from vcbf_drake.barriers.moving import MovingObstacle, PerceivedSpheres
 from vcbf_drake.barriers.obstacles import (
     BoxObstacle,
     CapsuleObstacle,
     EllipsoidObstacle,
     SphereObstacle,
 )
-from vcbf_drake.barriers.perceived import PerceivedSpheres
 from vcbf_drake.barriers.polygons import PolygonObstacle
 from vcbf_drake.barriers.rows import BarrierRows
 from vcbf_drake.barriers.shapes import Geofence, HalfSpace, PairDistance
-from vcbf_drake.barriers.unions import all_of, any_of
-from vcbf_drake.barriers.waypoints import MovingObstacle
 
 __all__ = [
     "Barrier",

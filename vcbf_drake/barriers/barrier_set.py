@@ -13,7 +13,7 @@ import numpy as np
 from vcbf_drake.barriers.barrier import Barrier, Changes
 from vcbf_drake.barriers.functions import require_same_numbers
 from vcbf_drake.barriers.limits import EarlyInputLimit, StateInputLimit
-from vcbf_drake.barriers.perceived import Slot
+from vcbf_drake.barriers.moving import Slot
 from vcbf_drake.barriers.rows import (
     BarrierRows,
     RowFunctions,

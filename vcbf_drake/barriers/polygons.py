@@ -10,9 +10,13 @@ from typing import ClassVar
 import numpy as np
 from pydrake.symbolic import Expression
 
-from vcbf_drake.barriers.barrier import arithmetic
+from vcbf_drake.barriers.barrier import (
+    arithmetic,
+    in_pairs,
+    smooth_maximum,
+    smooth_minimum,
+)
 from vcbf_drake.barriers.shapes import ShapeFunction, SmoothShape
-from vcbf_drake.barriers.unions import in_pairs, smooth_maximum, smooth_minimum
 from vcbf_drake.checks import Array, finite_array, require
 from vcbf_drake.model.formulas import Expressions
 from vcbf_drake.typed import NotNegative, Positive, check_fields

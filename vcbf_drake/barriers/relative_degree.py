@@ -62,7 +62,7 @@ def early_levels(
 def _explain_higher_degree(
     model: ControlAffineModel, chain: Chain, barrier: Barrier, part: Subsystem
 ) -> str:
-    """Returns the message for a barrier whose first r derivatives no input enters."""
+    """The message for a barrier whose first r derivatives no input enters."""
     r = barrier.relative_degree
     searched = max(r, min(r + _SEARCHED_BEYOND, model.num_states))
     plain = chain.formula._replace(order=searched, robust=False, class_k=None)
@@ -82,7 +82,7 @@ def _explain_higher_degree(
 
 
 def _first_level(entered: NDArray[np.bool_]) -> Array:
-    """Returns which derivative of h each channel enters first; infinite for none."""
+    """Which derivative of h each channel enters first; infinite for none."""
     return np.where(entered.any(axis=0), entered.argmax(axis=0) + 1.0, np.inf)
 
 
@@ -124,7 +124,7 @@ def _entered(
 
 @lru_cache
 def _samples(num_states: int) -> list[tuple[float, ...]]:
-    """Returns [x; t] of several magnitudes, the same ones every time."""
+    """The points [x; t] of several magnitudes, the same ones every time."""
     generator, samples = np.random.default_rng(0), []
     for magnitude in np.geomspace(0.1, 10.0, _NUM_SAMPLES).tolist():
         state = magnitude * generator.standard_normal(num_states)
@@ -137,6 +137,6 @@ def _gains(number: float) -> str:
 
 
 def _disturbed(model: ControlAffineModel, channel: int) -> str:
-    """Returns the names of the states a disturbance channel acts on."""
+    """The names of the states that a disturbance channel acts on."""
     acted_on = np.flatnonzero(model.disturbance_matrix[:, channel])
     return ", ".join(model.state_names[i] for i in acted_on)

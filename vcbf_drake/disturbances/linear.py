@@ -22,15 +22,10 @@ class LinearDisturbanceObserver(DisturbanceObserver):
 
         dhat <- rho dhat + (1 - rho) dbar,    rho = exp(-l dt),
 
-    which is (E67) for a disturbance that is constant over the interval. At the ticks
-    the error is certified to be at most (E41, the first-order observer's bound)
-
-        delta1 exp(-l t) + delta2 dt (1 + rho) / (2 (1 - rho)) (1 - exp(-l t)),
-
-    which tends to the bound (B4) of continuous time, with floor delta2 / l, as dt tends
-    to 0. That is proven for every rate, period and bounds; what noise adds (E40) is
-    exceeded with a probability below 1e-4 at each tick. For ports see
-    `DisturbanceObserver`.
+    which is (E67) for a disturbance that is constant over the interval. The bound of
+    the error at the ticks (E41, the first-order observer's bound) is proven for every
+    rate, period and bounds; what noise adds (E40) is exceeded with a probability below
+    1e-4 at each tick.
 
     Source: Wang and Xu (2023) for the observer; its sampled form and bound are ours.
     """

@@ -74,17 +74,6 @@ class _Posterior(NamedTuple):
 class DisturbanceObserver(LeafSystem):
     """Estimates d in ``xdot = f(x) + g(x) u + E d`` from sampled states.
 
-    .. pydrake_system::
-
-        name: DisturbanceObserver
-        input_ports:
-        - state
-        - input
-        - reset (optional)
-        output_ports:
-        - estimate
-        - disturbance_estimate
-
     | port | size | |
     | --- | --- | --- |
     | ``state`` | n | the measured state |

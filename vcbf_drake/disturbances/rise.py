@@ -81,15 +81,9 @@ class RiseObserver(DisturbanceObserver):
     * ``explicit``: forward Euler, which chatters (E27). For comparison only.
 
     At the ticks, if `gain_conditions` hold and measurements are exact, the error of the
-    first two is certified to be at most (E33, the implicit step's bound), (E38)
-
-        (δ1 + δ2 dt) exp(-λ t / 2) + δ2 dt / 2 [+ sqrt(φ/β (δ2² + c² / (κ (2α - κ))))],
-        κ = min(α - 1, γ),  λ = log(1 + κ dt) / dt,  c = (α - κ) δ2 + (1 + κ dt) δ3.
-
-    What noise adds to that, and the explicit step's bound, are calibrated (E39), (E27).
-    The means' quadrature error counts as a disturbance with larger bounds (E42).
-
-    For ports see `DisturbanceObserver`.
+    first two is certified by (E33, the implicit step's bound), (E38). What noise adds
+    to that, and the explicit step's bound, are calibrated (E39), (E27). The means'
+    quadrature error counts as a disturbance with larger bounds (E42).
 
     Source: (E17), (E20) are the paper's; the sampled steps and their bounds are ours.
     """

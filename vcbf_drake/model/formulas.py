@@ -58,10 +58,6 @@ _OPERATIONS = {
 def read(values: Any, variables: Mapping[Variable, Node]) -> Nodes:
     """Returns expressions, variables and numbers as nodes, of the same shape.
 
-    Args:
-        values: Those, and nodes, which stay.
-        variables: The node of each variable.
-
     Raises:
         KeyError: A variable is not known; it has the name.
         TypeError: A value is none of these.

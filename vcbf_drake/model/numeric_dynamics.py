@@ -172,11 +172,9 @@ class NumericDynamics:
         return plant.CalcMassMatrix(context), bias, rate
 
     def sensitivity(self, x: Array, parts: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Returns the derivatives of f (n, n) and of g (n, m, n) by x, in AutoDiffXd.
+        """Returns the derivatives of f (n, n) and of g (n, m, n), in AutoDiffXd.
 
-        Args:
-            x: The state, shape (n,).
-            parts: f and g there.
+        They are at the state x, where f and g are `parts`.
         """
         moving, n, (f, g) = InitializeAutoDiff(x).ravel(), len(x), parts
         if self._port_forces is None:
@@ -199,9 +197,7 @@ class NumericDynamics:
     ) -> tuple[Array, Array, Array]:
         """Returns a point's position p (3,), Jacobian J (3, nv) and bias dJ/dt v (3,).
 
-        Args:
-            frame: The name of the frame or body that it moves with.
-            offset: The point in that frame, shape (3,) [m].
+        The point is at the offset [m] in the frame or body of that name.
         """
         plant, context = self._plant, self._plant_context
         moving, world = plant.GetFrameByName(frame), plant.world_frame()
@@ -245,11 +241,6 @@ def constant_matrix(
     matrix_at: Callable[[Array], Array], names: Sequence[str], name: str
 ) -> Array:
     """Returns E, shape (n, q), from its values at a few seeded states.
-
-    Args:
-        matrix_at: E(x).
-        names: The names of the states.
-        name: The System's name in messages.
 
     Raises:
         ModelError: They differ.

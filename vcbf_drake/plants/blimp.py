@@ -236,12 +236,8 @@ class BlimpController(StateFeedback):
 
     With k_s = 0 and no caps this is the published law with signed surge and yaw damping
     (R39 - R41), which circles the target: sway has no force, and little drag. The lean
-    of the heading against the drift is ours. Within 5 cm of the target ψ_w = ψ.
-
-    Ports:
-        state (8): the blimp's state.
-        disturbance_estimate (3), optional: dhat [m/s^2]; 0 if not connected.
-        reference (3), output: surge force [N], heave force [N], yaw moment [N m].
+    of the heading against the drift is ours. Within 5 cm of the target ψ_w = ψ. Its
+    ports are those of `StateFeedback`.
 
     Args:
         target: The target position (x, y, z) [m].

@@ -143,12 +143,8 @@ class CarController(StateFeedback):
         a = -k_v (v - k_p |p_r - p| cos e_ψ) - m dhat
         ω = -k_ω e_ψ
 
-    e_ψ is taken as 0 within 5 cm of the target (R39).
-
-    Ports:
-        state (4): the car's state.
-        disturbance_estimate (1), optional: dhat [m/s^2]; 0 if not connected.
-        reference (2), output: force [N], turn rate [rad/s].
+    e_ψ is taken as 0 within 5 cm of the target (R39). Its ports are those of
+    `StateFeedback`.
 
     Args:
         target: The target position (x, y) [m].

@@ -14,7 +14,6 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import numpy as np
 from pydrake.geometry import Convex, Mesh
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import System
 
 from vcbf_drake.barriers import Barrier, StateInputLimit
@@ -26,7 +25,7 @@ from vcbf_drake.model.interface import (
     with_ports_held,
 )
 from vcbf_drake.plants.shapes import Part
-from vcbf_drake.plants.vehicle import Vehicle
+from vcbf_drake.plants.vehicle import Vehicle, channels_of
 from vcbf_drake.typed import check_fields, members_of, tag_of
 
 _SCALARS = (float, int, bool, str, types.NoneType)
@@ -44,7 +43,8 @@ def checked_plant(vehicle: Vehicle) -> System:
     plant = vehicle.make_plant()
     _require(isinstance(plant, System), "make_plant()", plant, "a Drake System")
     size = state_port_of(plant).size()
-    _check_names(plant)
+    with below("vehicle"):
+        channels_of(plant)
     rule = f"indices of the state, whole numbers from 0 to {size - 1}"
     turn, at = vehicle.heading, getattr(vehicle, "position", None)
     if turn is not None:
@@ -81,11 +81,7 @@ def check_returns(
 ) -> None:
     """Checks the results of a vehicle's other members at the start of a run.
 
-    Args:
-        vehicle: The vehicle.
-        state: The initial state, shape (n,).
-        target: The position to reach, shape (k,).
-        inputs: The least and the greatest inputs, shape (m,) each.
+    `inputs` are the least and the greatest inputs.
 
     Raises:
         InvalidValueError: One returns something else.
@@ -157,25 +153,6 @@ def _is_member(hint: Any) -> bool:
 def _is_index(value: Any, size: int) -> bool:
     is_whole = isinstance(value, Integral) and not isinstance(value, bool)
     return is_whole and 0 <= int(value) < size
-
-
-def _check_names(plant: Any) -> None:
-    """Checks that a plant's channels have one name and one unit each, or none."""
-    if isinstance(plant, MultibodyPlant):  # The plant has names of its own.
-        return
-    sizes = {
-        "state": state_port_of(plant).size(),
-        "input": find_input_port(plant).size(),
-    }
-    if plant.HasInputPort("disturbance"):
-        sizes["disturbance"] = plant.GetInputPort("disturbance").size()
-    for kind, size in sizes.items():
-        for what in ("names", "units"):
-            found = getattr(plant, f"{kind}_{what}", None) or ()
-            known = len(found) in (0, size) and all(isinstance(w, str) for w in found)
-            known = known and (what == "units" or len({*found}) == len(found))
-            rule = f"{size} {'different ' * (what == 'names')}texts, or none"
-            _require(known, f"make_plant().{kind}_{what}", found, rule)
 
 
 def _check_motion(vehicle: Vehicle, state: Array, inputs: Sequence[Array]) -> None:

@@ -216,15 +216,8 @@ def posture_at(
 ) -> Posture:
     """Returns a posture within the joints' ranges whose point is at the target.
 
-    A floating base keeps the file's pose.
-
-    Args:
-        plant: The robot.
-        frame: The name of the frame or body that carries the point.
-        point: The point in that frame, shape (3,) [m].
-        target: The position for the point, shape (3,) [m].
-        near: The positions near which a posture is chosen, shape (nq,).
-        at_rest: Whether the motors must be able to hold it.
+    It is chosen near the positions `near`, (nq,); a floating base keeps the file's
+    pose. With `at_rest` the motors must be able to hold it.
 
     Raises:
         InvalidValueError: There is no such posture.

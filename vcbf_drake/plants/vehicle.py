@@ -236,8 +236,16 @@ def _labels(channels: dict[str, str]) -> tuple[str, ...]:
 
 
 def _named(plant: Any, kind: str, letter: str, size: int) -> dict[str, str]:
-    names = getattr(plant, f"{kind}_names", None)
-    units = getattr(plant, f"{kind}_units", ())
+    """The names and units of one kind, one each or none."""
+    found = []
+    for what, alike in (("names", "different "), ("units", "")):
+        given = getattr(plant, f"{kind}_{what}", None) or ()
+        known = len(given) in (0, size) and all(isinstance(w, str) for w in given)
+        known = known and (not alike or len({*given}) == len(given))
+        rule = f"{size} {alike}texts, or none"
+        require(known, f"make_plant().{kind}_{what}", given, rule)
+        found.append(given)
+    names, units = found
     names = names or [f"{letter}{i}" for i in range(size)]
     return dict(zip_longest(names, units, fillvalue=""))
 
