@@ -84,7 +84,9 @@ def distance(polygon, place) -> float:
 def test_all_of_is_a_minimum_from_below_and_any_of_a_maximum(car, smoothing):
     discs = [SphereObstacle(c, 0.5) for c in ([0.0, 0.0], [2.0, 0.3], [-1.0, 2.0])]
     each = [disc.barrier(GAINS) for disc in discs]
-    h = np.array([[disc.clearance(p, 0.0) for disc in discs] for p in places()])
+    h = np.array(
+        [[np.linalg.norm(p - disc.center) - 0.5 for disc in discs] for p in places()]
+    )
     least = values(car, all_of(each, smoothing), places())
     most = values(car, any_of(each, smoothing), places())
     for exact, found in ((h.min(axis=1), least), (h.max(axis=1), most)):

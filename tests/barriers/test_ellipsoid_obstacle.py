@@ -80,7 +80,6 @@ def test_rows_are_derivatives() -> None:
     def h(x, t):
         offset = x[:2] - [2.0, 0.5] - velocity * t
         Q = R @ np.diag(a**-2) @ R.T
-        assert_allclose(obstacle.shape, Q)
         return 0.3 * (np.sqrt(offset @ Q @ offset) - 1.0) - 0.1
 
     start, u, d = [0.0, 0.1, 0.8, 0.3], [0.4, -0.6], [0.3]

@@ -33,15 +33,6 @@ def test_the_centre_stands(velocity) -> None:
     assert obstacle.center_at(np.arange(4.0)).shape == (4, 2)
 
 
-def test_clearance_is_to_the_surface_of_the_obstacle_itself() -> None:
-    obstacle = SphereObstacle([0.0, 0.0], 1.0, velocity=[1.0, 0.0], margin=0.5)
-    assert obstacle.clearance(np.array([3.0, 4.0]), 0.0) == pytest.approx(4.0)
-    assert obstacle.clearance(np.array([3.0, 4.0]), 3.0) == pytest.approx(3.0)
-    assert obstacle.clearance(np.array([0.5, 0.0]), 0.0) == pytest.approx(-0.5)
-    positions, times = np.array([[3.0, 4.0], [3.0, 4.0]]), np.array([0.0, 3.0])
-    assert_allclose(obstacle.clearance(positions, times), [4.0, 3.0])
-
-
 @pytest.mark.parametrize(
     ("form", "expected"), [("distance", 5.0 - 1.3), ("squared", 25.0 - 1.3**2)]
 )

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 import math
-from typing import Any
 
 import numpy as np
 
@@ -121,16 +120,15 @@ class BarrierSet:
             ValueError: x or obstacles has another shape.
         """
         point, functions = self._point(x, t), self.functions_at(t, obstacles)
-        numbers = np.array(self._numbers(point, functions), dtype=float)
-        numbers = numbers.reshape(self.size, self._width)
+        numbers = np.reshape(self._numbers(point, functions), (self.size, self._width))
         numbers.flags.writeable = False
-        m, e = self._num_inputs, self.num_entries
+        A, b, w, levels = self._split(numbers)
         return BarrierRows(
-            value=numbers[:, e],
+            value=levels[:, 0],
             chain=tuple([numbers[chain] for chain in self._chains]),
-            A=numbers[:, :m],
-            b=numbers[:, m],
-            w=numbers[:, m + 1 : e],
+            A=A,
+            b=b,
+            w=w,
             num_states=self._num_states,
             gradients=lambda rows: self._gradients(functions, point, numbers, rows),
             early=self.early,
@@ -144,6 +142,15 @@ class BarrierSet:
             _evaluate(each.row, (*point, *each.constants), self._width)
             for each in functions
         ]
+
+    def _split(self, numbers: Array) -> tuple[Array, Array, Array, Array]:
+        m, e = self._num_inputs, self.num_entries
+        return (
+            numbers[..., :m],
+            numbers[..., m],
+            numbers[..., m + 1 : e],
+            numbers[..., e:],
+        )
 
     def _gradients(
         self,
@@ -177,47 +184,33 @@ class BarrierSet:
         Raises:
             ValueError: x, t (T,) or obstacles (T, obstacles_size) has another shape.
         """
-        return self._along(x, t, obstacles, self._values).reshape(len(t), self.size)
+        found = [self._values(*each) for each in self._along(x, t, obstacles)]
+        return np.reshape(np.array(found, dtype=float), (len(t), self.size))
 
     def rows_along(
         self, x: Array, t: Array, obstacles: Array | None = None
     ) -> RowsAlong:
         """Returns every row along a trajectory; arguments as of `values_along`."""
-        shape = len(t), self.size, self._width
-        numbers = self._along(x, t, obstacles, self._numbers).reshape(shape)
-        m, e = self._num_inputs, self.num_entries
-        return RowsAlong(
-            value=numbers[:, :, e],
-            chain=numbers[:, :, e:],
-            A=numbers[:, :, :m],
-            b=numbers[:, :, m],
-            w=numbers[:, :, m + 1 : e],
-        )
+        found = [self._numbers(*each) for each in self._along(x, t, obstacles)]
+        numbers = np.array(found, dtype=float)
+        numbers = numbers.reshape(len(t), self.size, self._width)
+        A, b, w, levels = self._split(numbers)
+        return RowsAlong(levels[..., 0], levels, A, b, w)
 
     def _along(
-        self,
-        x: Array,
-        t: Array,
-        obstacles: Array | None,
-        numbers: Callable[[list[float], Sequence[RowFunctions]], list[Any]],
-    ) -> Array:
-        """Returns the values of the functions of all rows along a trajectory."""
-        x, t = np.asarray(x, dtype=float), np.asarray(t, dtype=float)
-        if t.ndim != 1 or x.shape != (len(t), self._num_states):
+        self, x: Array, t: Array, obstacles: Array | None
+    ) -> Iterator[tuple[list[float], list[RowFunctions]]]:
+        """Yields the points of a trajectory and all rows' functions there."""
+        if np.ndim(t) != 1 or np.shape(x) != (len(t), self._num_states):
             raise ValueError(
                 f"expected states of shape (T, {self._num_states}) and T times,"
-                f" got shapes {x.shape} and {t.shape}"
+                f" got shapes {np.shape(x)} and {np.shape(t)}"
             )
-        points: list[list[float]] = np.column_stack([x, t]).tolist()
-        perceived = [None] * len(points) if obstacles is None else obstacles
-        found = [
-            numbers(point, self.functions_at(point[-1], seen))
-            for point, seen in zip(points, perceived, strict=True)
-        ]
-        return np.array(found, dtype=float)
+        perceived = [None] * len(t) if obstacles is None else obstacles
+        for state, time, seen in zip(x, t, perceived, strict=True):
+            yield self._point(state, time), self.functions_at(float(time), seen)
 
     def _point(self, x: Array, t: float) -> list[float]:
-        """Returns [x; t] as plain floats."""
         x = np.asarray(x, dtype=float)
         if x.shape != (self._num_states,):
             raise ValueError(
@@ -228,7 +221,6 @@ class BarrierSet:
     def _values(
         self, point: list[float], functions: Sequence[RowFunctions]
     ) -> list[float]:
-        """Returns every h at one point [x; t]."""
         return [
             _evaluate(each.value, (*point, *each.parameters), 1)[0]
             for each in functions

@@ -166,10 +166,8 @@ def compiled_chain(
 ) -> ChainFunctions:
     """Returns the functions of a barrier's chain, for any constants.
 
-    Args:
-        formula: The barrier's.
-        moving: The x of `row` and `gradient`: the state, or the jets of its outputs.
-        of_h: The x of `value`.
+    The x of `row` and `gradient` is `moving`, the state or the jets of its outputs;
+    that of `value` is `of_h`.
 
     Raises:
         ModelError: The barrier has too few derivatives.
@@ -238,10 +236,9 @@ class Subsystem:
         n, m, q = len(x), len(g[0]), len(E[0])
         number = {node: i for i, node in enumerate(x)}
         states: set[int] = set()
-        found: list[Node | float] = [formula.h]
+        found = [formula.h]
         while found:
-            nodes = [each for each in found if isinstance(each, Node)]
-            new = {number[v] for v in variables_of(nodes) if v in number} - states
+            new = {number[v] for v in variables_of(found) if v in number} - states
             states |= new
             found = [each for i in new for each in (f[i], *g[i], *E[i])]
         chosen = sorted(states)
@@ -250,17 +247,15 @@ class Subsystem:
         enters = [
             j
             for j in range(m + q)
-            if any((*g[i], *E[i])[j] not in (ZERO, 0.0) for i in chosen)
+            if any((*g[i], *E[i])[j] is not ZERO for i in chosen)
         ]
         own = {x[i]: variable(f"x{k}") for k, i in enumerate(chosen)}
 
-        def renamed(nodes: Sequence[Node | float]) -> tuple[Any, ...]:
-            there = iter(substitute([v for v in nodes if isinstance(v, Node)], own))
-            return tuple(next(there) if isinstance(v, Node) else v for v in nodes)
+        def renamed(nodes: Sequence[Node]) -> tuple[Node, ...]:
+            return tuple(substitute(nodes, own))
 
-        columns = [[(*g[i], *E[i])[j] for j in enters] for i in chosen]
+        rows = [renamed([(*g[i], *E[i])[j] for j in enters]) for i in chosen]
         of_inputs = sum(j < m for j in enters)
-        rows = [renamed(row) for row in columns]
         dynamics = Dynamics(
             tuple(own.values()),
             renamed([f[i] for i in chosen]),

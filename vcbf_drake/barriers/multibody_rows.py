@@ -15,7 +15,7 @@ import numpy as np
 from vcbf_drake.barriers.chain import ChainFunctions, Formula, compiled_chain
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
-from vcbf_drake.model.control_affine import Dynamics
+from vcbf_drake.model.control_affine import Dynamics, rows_of
 from vcbf_drake.model.graph import (
     ZERO,
     Node,
@@ -83,11 +83,7 @@ def multibody_functions(
 ) -> ChainFunctions:
     """Returns a barrier's functions on a MultibodyPlant, its relative degree checked.
 
-    Args:
-        model: The plant.
-        formula: The barrier, a function of positions, velocities and points.
-        points: The nodes of the points in the formula.
-        constants: The values of the chain's constants.
+    The barrier is a formula of states and of the nodes of points.
 
     Raises:
         ModelError: h cannot be derived, or its relative degree is not r.
@@ -123,15 +119,11 @@ def _integrators(jet: Nodes, num_inputs: int, order: int) -> Dynamics:
     k, (z, dz, a) = len(jet), jet[:, :3].T
     b, c = jet[:, 3 : 3 + num_inputs], jet[:, 3 + num_inputs :]
     if order == 1:
-        return Dynamics(tuple(z), tuple(a), _rows(b), _rows(c))
+        return Dynamics(tuple(z), tuple(a), rows_of(b), rows_of(c))
     none = np.full((k, 1), ZERO)
     b = np.vstack([np.repeat(none, b.shape[1], axis=1), b])
     c = np.vstack([np.repeat(none, c.shape[1], axis=1), c])
-    return Dynamics((*z, *dz), (*dz, *a), _rows(b), _rows(c))
-
-
-def _rows(nodes: Nodes) -> tuple[tuple[Node, ...], ...]:
-    return tuple(map(tuple, nodes))
+    return Dynamics((*z, *dz), (*dz, *a), rows_of(b), rows_of(c))
 
 
 def _require_order(

@@ -110,15 +110,6 @@ class SphereObstacle(Obstacle):
         """The distance R = radius + margin to keep from the centre [m]."""
         return self.radius + self.margin
 
-    def clearance(self, position: Array, t: float | Array) -> float | Array:
-        """Returns the signed distance from the obstacle's own surface [m].
-
-        For positions (T, k) at T times there are T distances.
-        """
-        offset = np.asarray(position) - self.center_at(t)
-        distance: float | Array = np.linalg.norm(offset, axis=-1) - self.radius
-        return distance
-
     def centered(self) -> tuple[ShapeFunction, list[float]]:
         """Returns h(z, t, p) with p = (R,), and p."""
         squared = self.form == "squared"
@@ -166,11 +157,6 @@ class EllipsoidObstacle(Obstacle):
         size = len(self.center)
         check_parameter("ellipsoid: semi_axes", self.semi_axes, size=size)
         rotation_matrix(self.rotation, size, "ellipsoid")
-
-    @property
-    def shape(self) -> Array:
-        """The matrix Q, shape (k, k) [1/m^2]."""
-        return (self._axes / np.square(self.semi_axes)) @ self._axes.T
 
     def centered(self) -> tuple[ShapeFunction, list[float]]:
         """Returns h(z, t, p) with p = (scaled axes, min(a), margin), and p."""

@@ -47,13 +47,13 @@ class Dynamics(NamedTuple):
         x: The state's variables, n nodes.
         f: n nodes.
         g: n rows of m nodes.
-        E: n rows of q numbers, or nodes.
+        E: n rows of q nodes.
     """
 
     x: tuple[Node, ...]
     f: tuple[Node, ...]
     g: tuple[tuple[Node, ...], ...]
-    E: tuple[tuple[Node | float, ...], ...]
+    E: tuple[tuple[Node, ...], ...]
 
     def drift_rate(self, phi: Node, time: Node) -> Node:
         """Returns the Lie derivative along the extended drift [f; 1] (E2)."""
@@ -68,11 +68,16 @@ class Dynamics(NamedTuple):
         """Returns E' grad phi, shape (q,)."""
         return self._rates(phi, self.E)
 
-    def _rates(self, phi: Node, columns: Sequence[Sequence[Node | float]]) -> Nodes:
-        """Returns grad phi times the columns, summed over the states in phi."""
+    def _rates(self, phi: Node, columns: Sequence[Sequence[Node]]) -> Nodes:
+        """Grad phi times the columns, summed over the states in phi."""
         slopes = gradients([phi], self.x)[0]
         moves = [i for i, slope in enumerate(slopes) if slope is not ZERO] or [0]
         return slopes[moves] @ np.array([columns[i] for i in moves], dtype=object)
+
+
+def rows_of(nodes: Nodes) -> tuple[tuple[Node, ...], ...]:
+    """Returns a matrix of nodes as a tuple of its rows."""
+    return tuple(map(tuple, nodes))
 
 
 class ControlAffineModel:
@@ -139,8 +144,8 @@ class ControlAffineModel:
         x = tuple(variable(f"x{i}") for i in range(n))
         nodes = dict(zip(state, x, strict=True))
         f, g = read(drift, nodes), read(input_matrix, nodes)
-        E = tuple(map(tuple, disturbance_matrix.tolist()))
-        self.dynamics = Dynamics(x, tuple(f), tuple(map(tuple, g)), E)
+        E = read(disturbance_matrix, {})
+        self.dynamics = Dynamics(x, tuple(f), rows_of(g), rows_of(E))
         self._f_and_g = compile_nodes(x, [*f, *g.flat], f"{name}, f and g")
         u = np.array([variable(f"u{j}") for j in range(m)], dtype=object)
         self.compiled_rate = compile_nodes([*x, *u], f + g @ u, f"{name}, f + g u")

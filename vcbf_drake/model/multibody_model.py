@@ -13,7 +13,8 @@ from pydrake.systems.framework import Context, System
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
-from vcbf_drake.model.control_affine import ControlAffineModel, Dynamics
+from vcbf_drake.model.control_affine import ControlAffineModel, Dynamics, rows_of
+from vcbf_drake.model.formulas import read
 from vcbf_drake.model.graph import variable
 from vcbf_drake.model.interface import (
     Port,
@@ -72,8 +73,7 @@ class MultibodyModel(ControlAffineModel):
         self.speed_matrix = np.eye(len(names))[self.num_positions :]
         self.state = np.array([Variable(name) for name in names])
         x = tuple(variable(f"x{i}") for i in range(len(names)))
-        E_rows = tuple(map(tuple, E.tolist()))
-        self.dynamics = Dynamics(x, (), (), E_rows)  # f and g have no formulas.
+        self.dynamics = Dynamics(x, (), (), rows_of(read(E, {})))  # f, g: no formulas.
         self.compiled_rate = self._rate
         self._motion: Motion | None = None
         self._require_affine()

@@ -47,7 +47,7 @@ class NumericDynamics:
             Diagram with one.
         input_port: The port of u.
         disturbance_port: That of d; None without one.
-        context: Holds the parameters and other ports' values; None for the defaults.
+        context: As for `ControlAffineModel.from_system`.
         autodiff: Whether its numbers carry derivatives.
 
     Attributes:

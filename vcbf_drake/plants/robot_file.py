@@ -36,17 +36,7 @@ _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 @dataclass(frozen=True)
 class RobotFile:
-    """A robot's file, and the changes made to it.
-
-    Attributes:
-        file: The file, or its URL (``package://NAME/...``).
-        weld: The body to fix to the world; empty for none besides the file's.
-        actuators: The joints with a motor; empty for those of the file, or all joints
-            if it declares none.
-        fixed: The locked joints.
-        mass: Ratio of masses and inertias to those of the file.
-        drag: Ratio of joint dampings to those of the file.
-    """
+    """A robot's file, and the changes made to it, as in `MultibodyVehicle`."""
 
     file: str
     weld: str = ""
@@ -56,10 +46,7 @@ class RobotFile:
     drag: float = 1.0
 
     def plant(self, scene_graph: SceneGraph | None = None) -> MultibodyPlant:
-        """Returns the robot's continuous plant, finalised.
-
-        Args:
-            scene_graph: The scene graph of its geometry, if any.
+        """Returns the robot's continuous plant, finalised, with geometry if requested.
 
         Raises:
             InvalidValueError: There is no such file, body or joint, Drake does not read
