@@ -106,11 +106,7 @@ class Chain:
         return Chain(formula, tuple(levels), constants)
 
     def row(self) -> Nodes:
-        """Returns [A, b, w] of the last level's row (E5), (E9), shape (m + 1 + q,).
-
-        Raises:
-            ValueError: The last level has no derivative.
-        """
+        """Returns [A, b, w] of the last level's row (E5), (E9), shape (m + 1 + q,)."""
         dynamics, last = self.formula.dynamics, self.levels[-1]
         pull = self.constants[self.formula.order - 1] * last
         if self.formula.class_k is not None:
@@ -168,9 +164,6 @@ def compiled_chain(
 
     The x of `row` and `gradient` is `moving`, the state or the jets of its outputs;
     that of `value` is `of_h`.
-
-    Raises:
-        ModelError: The barrier has too few derivatives.
     """
     chain = Chain.of(formula)
     entries = chain.row()

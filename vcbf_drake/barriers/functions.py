@@ -57,9 +57,6 @@ class Symbols:
 
         An `arithmetic` function is evaluated in nodes. With `of_position` it takes that
         many coordinates of the position in place of x.
-
-        Raises:
-            ModelError: It raises.
         """
         x, time, p = self._x, Expression(self._time), as_expressions(self._p)
         by_indices = of_position is None or not callable(self._model.position)
@@ -109,11 +106,7 @@ def as_expressions(values: Any) -> Expressions:
 
 
 def class_k_formula(function: Callable[[Any], Any] | None) -> Node | None:
-    """Returns a barrier's class-K function as a formula of `LEVEL` (E10).
-
-    Raises:
-        ModelError: It does not accept symbols, or its values differ with them.
-    """
+    """Returns a barrier's class-K function as a formula of `LEVEL` (E10)."""
     if function is None:
         return None
     level = Variable("level")
@@ -137,11 +130,7 @@ def require_same_numbers(
     model: ControlAffineModel,
     compiled: Iterable[tuple[Barrier | StateInputLimit, RowFunctions]],
 ) -> None:
-    """Compares each compiled barrier with its ``function(x, t, p)``.
-
-    Raises:
-        ModelError: A barrier differs from its function; the message names it.
-    """
+    """Requires each compiled barrier to have the values of its ``function(x, t, p)``."""
     formulas, vectors = set(), set()
     for barrier, functions in compiled:
         # Closures of one code may differ in their cells, so each is looked at.

@@ -84,9 +84,6 @@ def multibody_functions(
     """Returns a barrier's functions on a MultibodyPlant, its relative degree checked.
 
     The barrier is a formula of states and of the nodes of points.
-
-    Raises:
-        ModelError: h cannot be derived, or its relative degree is not r.
     """
     states = {node: i for i, node in enumerate(model.dynamics.x)}
     used, order = variables_of([formula.h]), formula.order

@@ -320,11 +320,7 @@ class CapsuleObstacle(Obstacle):
 def rotation_matrix(
     rotation: Sequence[Sequence[float]] | Array | None, size: int, name: str
 ) -> Array:
-    """Returns R, whose columns are a shape's own axes, shape (k, k).
-
-    Raises:
-        ValueError: It has another shape, or its columns are not orthonormal.
-    """
+    """Returns R, whose columns are a shape's own axes, shape (k, k)."""
     if rotation is None:
         return np.eye(size)
     rule = f"{size} rows of {size} finite numbers each"

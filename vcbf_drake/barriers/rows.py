@@ -148,12 +148,7 @@ def no_row(model: ControlAffineModel) -> RowFunctions:
 
 
 def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctions:
-    """Returns a barrier's functions, its relative degree checked.
-
-    Raises:
-        ModelError: Its function cannot be derived or compiled, or the relative degree
-            is not r.
-    """
+    """Returns a barrier's functions, its relative degree checked."""
     parameters, constants = tuple(barrier.parameters.tolist()), barrier.constants
     r, early = barrier.relative_degree, tuple[int, ...]()
     symbols, written = _read(model, barrier)

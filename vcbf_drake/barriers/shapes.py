@@ -177,11 +177,7 @@ def _barrier(
 
 
 def position_function(position: Position, size: int, name: str) -> PositionFunction:
-    """Returns the position (k,) as a function of the symbolic state.
-
-    Raises:
-        ValueError: Not one index per dimension, or one of them twice.
-    """
+    """Returns the position (k,) as a function of the symbolic state."""
     if not callable(position):
         indices = list(position)
         if len(indices) != size or len(set(indices)) != size:

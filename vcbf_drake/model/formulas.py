@@ -181,9 +181,6 @@ def compile_nodes(
     Python's own float arithmetic raises there, ZeroDivisionError (1 / 0), ValueError
     (sqrt(-1)) or OverflowError (exp(1000)). Arguments must be ``float``, not
     ``numpy.float64``, which is slower and warns instead.
-
-    Raises:
-        ValueError: An output depends on a variable that is not an argument.
     """
     outputs = list(outputs)
     unknown = sorted(v.arguments[0] for v in variables_of(outputs) - set(arguments))

@@ -277,11 +277,7 @@ def variables_of(nodes: Iterable[Node]) -> set[Node]:
 
 
 def along(nodes: Iterable[Node], rates: Mapping[Node, Node]) -> list[Node]:
-    """Returns the derivatives of nodes whose variables have these rates, or none.
-
-    Raises:
-        ValueError: One of them has no derivative.
-    """
+    """Returns the derivatives of nodes whose variables have these rates, or none."""
     nodes = list(nodes)
     slope: dict[Node, Node] = {}
     for node in in_order(nodes):
@@ -301,11 +297,7 @@ def along(nodes: Iterable[Node], rates: Mapping[Node, Node]) -> list[Node]:
 
 
 def gradients(nodes: Iterable[Node], variables: Iterable[Node]) -> Nodes:
-    """Returns the derivatives of k nodes by n variables, shape (k, n).
-
-    Raises:
-        ValueError: One of them has no derivative.
-    """
+    """Returns the derivatives of k nodes by n variables, shape (k, n)."""
     nodes = list(nodes)
     # One robot among many occurs in few of the formulas: most columns are zero.
     known, none = variables_of(nodes), [ZERO] * len(nodes)

@@ -136,22 +136,14 @@ def find_input_port(
 
 
 def find_disturbance_port(system: System, choice: PortChoice = None) -> Port:
-    """Returns the port of d; None if none is chosen or named ``disturbance``.
-
-    Raises:
-        ModelError: There is no such port, or it carries no vector.
-    """
+    """Returns the port of d; None if none is chosen or named ``disturbance``."""
     if choice is None and not system.HasInputPort("disturbance"):
         return None
     return _chosen_port(system, "disturbance" if choice is None else choice)
 
 
 def state_port_of(plant: System) -> OutputPort:
-    """Returns the port ``state``, or the only output.
-
-    Raises:
-        ModelError: There is none of these.
-    """
+    """Returns the port ``state``, or the only output."""
     if plant.HasOutputPort("state"):
         return plant.GetOutputPort("state")
     ports = [plant.get_output_port(i) for i in range(plant.num_output_ports())]
@@ -223,11 +215,7 @@ def effort_limits_of(system: System, port: Port) -> Array:
 
 
 def default_context(system: System) -> Context:
-    """Returns the default context of a System whose state is continuous.
-
-    Raises:
-        ModelError: It has another state, or none.
-    """
+    """Returns the default context of a System whose state is continuous."""
     context = system.CreateDefaultContext()
     if context.num_discrete_state_groups() or context.num_abstract_states():
         raise ModelError(

@@ -55,12 +55,7 @@ class MultibodyModel(ControlAffineModel):
         disturbance_port: Port,
         context: Context | None,
     ) -> None:
-        """Checks the System at a few seeded states; arguments as `NumericDynamics`.
-
-        Raises:
-            ModelError: Its state is not continuous, it depends on time, is not affine
-                in u and d, or E is not constant or lacks rank.
-        """
+        """Checks the System at a few seeded states; arguments as `NumericDynamics`."""
         default_context(system)
         ports = input_port, disturbance_port
         self._numbers = NumericDynamics(system, *ports, context)
@@ -122,11 +117,7 @@ class MultibodyModel(ControlAffineModel):
         return self._motion
 
     def drift_and_input_matrix(self, x: Array) -> tuple[Array, Array]:
-        """Evaluates f(x), shape (n,), and g(x), shape (n, m), at once.
-
-        Raises:
-            ValueError: x has the wrong shape.
-        """
+        """Evaluates f(x), shape (n,), and g(x), shape (n, m), at once."""
         return self.at(self._checked(x)).parts
 
     def _rate(self, *arguments: float) -> list[float]:

@@ -52,9 +52,6 @@ class NumericDynamics:
 
     Attributes:
         plant: The MultibodyPlant as it was given; None where there is none.
-
-    Raises:
-        ModelError: It has no derivatives, or does not convert to AutoDiffXd.
     """
 
     def __init__(
@@ -219,11 +216,7 @@ class NumericDynamics:
 
 
 def _solve(M: Array, right: Array) -> Array:
-    """Solves M X = right for a mass matrix M.
-
-    Raises:
-        ArithmeticError: M is singular.
-    """
+    """Solves M X = right for a mass matrix M."""
     try:
         return np.asarray(np.linalg.solve(M, right), dtype=float)
     except np.linalg.LinAlgError as error:

@@ -54,11 +54,6 @@ def symbolic_dynamics(
     Returns:
         The state's variables in pydrake's terms, shape (n,); f, shape (n,), and g,
         shape (n, m), formulas of x0, x1, ...; and E, shape (n, q).
-
-    Raises:
-        ModelError: The System is not symbolic, has a state that is not continuous or
-            none at all, depends on time, is not affine in u and d, or E is not
-            constant.
     """
     name = name_of(system)
     symbolic = to_symbolic(system, name)
@@ -188,11 +183,7 @@ def _numbers(E: Nodes, x: Sequence[Node]) -> Callable[[Array], Array]:
 
 
 def to_symbolic(system: System, name: str) -> Any:
-    """Returns a System's symbolic twin, without effort limits.
-
-    Raises:
-        ModelError: It does not convert.
-    """
+    """Returns a System's symbolic twin, without effort limits."""
     try:
         symbolic = system.ToSymbolic()
     except RuntimeError as error:

@@ -34,11 +34,7 @@ _COLOR = re.compile("#[0-9a-fA-F]{6}")
 
 
 def checked_plant(vehicle: Vehicle) -> System:
-    """Returns a vehicle's plant after checks of parameters, channels and position.
-
-    Raises:
-        InvalidValueError: A check fails.
-    """
+    """Returns a vehicle's plant after checks of parameters, channels and position."""
     _check_parameters(vehicle)
     plant = vehicle.make_plant()
     _require(isinstance(plant, System), "make_plant()", plant, "a Drake System")
@@ -58,11 +54,7 @@ def checked_plant(vehicle: Vehicle) -> System:
 
 
 def num_coordinates(vehicle: Vehicle, state: Sequence[float]) -> int:
-    """Returns the number of coordinates of a vehicle's position at a state (n,).
-
-    Raises:
-        InvalidValueError: Its function does not return coordinates.
-    """
+    """Returns the number of coordinates of a vehicle's position at a state (n,)."""
     at = vehicle.position
     if not callable(at):
         return len(at)
@@ -82,9 +74,6 @@ def check_returns(
     """Checks the results of a vehicle's other members at the start of a run.
 
     `inputs` are the least and the greatest inputs.
-
-    Raises:
-        InvalidValueError: One returns something else.
     """
     _check_motion(vehicle, state, inputs)
     _check_controller(vehicle.make_controller(target), vehicle.make_plant())

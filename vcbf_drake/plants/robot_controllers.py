@@ -218,9 +218,6 @@ def posture_at(
 
     It is chosen near the positions `near`, (nq,); a floating base keeps the file's
     pose. With `at_rest` the motors must be able to hold it.
-
-    Raises:
-        InvalidValueError: There is no such posture.
     """
     kinematics = InverseKinematics(plant)
     q, program = kinematics.q(), kinematics.prog()
