@@ -130,7 +130,7 @@ def require_same_numbers(
     model: ControlAffineModel,
     compiled: Iterable[tuple[Barrier | StateInputLimit, RowFunctions]],
 ) -> None:
-    """Requires each compiled barrier to have the values of its ``function(x, t, p)``."""
+    """Requires that compiled barriers have the values of their functions."""
     formulas, vectors = set(), set()
     for barrier, functions in compiled:
         # Closures of one code may differ in their cells, so each is looked at.
