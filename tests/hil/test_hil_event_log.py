@@ -32,7 +32,7 @@ EVENTS = [
 def written(path, events=EVENTS):
     with EventLogWriter(path, force=True) as log:
         for event in events:
-            log(*event)
+            log.tap(*event)
     return path
 
 
@@ -73,7 +73,7 @@ def test_what_lcm_writes_is_read(tmp_path) -> None:
 def test_an_event_is_in_the_file_soon_and_before_the_log_is_closed(tmp_path) -> None:
     log = EventLogWriter(tmp_path / "a.log")
     for count, event in enumerate(EVENTS, start=1):
-        log(*event)
+        log.tap(*event)
         deadline = time.monotonic() + 30.0
         while (found := _events(tmp_path / "a.log")) != EVENTS[:count]:
             assert time.monotonic() < deadline, found
@@ -82,7 +82,7 @@ def test_an_event_is_in_the_file_soon_and_before_the_log_is_closed(tmp_path) -> 
 
 
 def _events(path: Path) -> list[Event]:
-    return read_event_log(path).events if path.stat().st_size else []
+    return read_event_log(path)[0] if path.stat().st_size else []
 
 
 def test_a_log_that_is_there_is_not_replaced(tmp_path) -> None:
@@ -92,14 +92,14 @@ def test_a_log_that_is_there_is_not_replaced(tmp_path) -> None:
     for content in contents:
         with EventLogWriter(path) as log:
             for event in content:
-                log(*event)
+                log.tap(*event)
     names = ["flight.log", "flight.log.01", "flight.log.02"]
     assert sorted(each.name for each in tmp_path.iterdir()) == names
-    assert [read_event_log(tmp_path / name).events for name in names] == contents
+    assert [read_event_log(tmp_path / name)[0] for name in names] == contents
     with EventLogWriter(path, force=True) as log:
-        log(*EVENTS[3])
+        log.tap(*EVENTS[3])
         assert log.path == path
-    assert read_event_log(path).events == [EVENTS[3]]
+    assert read_event_log(path)[0] == [EVENTS[3]]
 
 
 def test_a_disk_that_stalls_costs_log_and_not_flight(tmp_path) -> None:
@@ -109,7 +109,7 @@ def test_a_disk_that_stalls_costs_log_and_not_flight(tmp_path) -> None:
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     log = EventLogWriter(path, capacity=50, patience=0.05)
     for number in range(1000):
-        log(number, "A", bytes(4096))  # More than pipe and queue hold.
+        log.tap(number, "A", bytes(4096))  # More than pipe and queue hold.
     log.close()
     assert 800 < log.lost < 1000
     assert (
@@ -126,7 +126,7 @@ def test_a_disk_that_is_full_ends_the_log_in_one_line() -> None:
         pytest.skip("no /dev/full here")
     with EventLogWriter("/dev/full") as log:
         for event in EVENTS:
-            log(*event)
+            log.tap(*event)
     assert log.failure == (
         "/dev/full: No space left on device; the log ends after 0 events"
     )
@@ -195,8 +195,8 @@ def test_files_that_cannot_be_opened_are_named(tmp_path) -> None:
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 def test_a_full_disk_ends_the_log_and_nothing_else() -> None:
     with EventLogWriter("/dev/full") as log:
-        log(*EVENTS[0])
-        log(*EVENTS[1])
+        log.tap(*EVENTS[0])
+        log.tap(*EVENTS[1])
     assert log.failure == (
         "/dev/full: No space left on device; the log ends after 0 events"
     )
@@ -208,14 +208,14 @@ def test_a_writer_is_a_tap(tmp_path) -> None:
     bus, other = Bus(lcm, clock), Bus(lcm, clock)
     bus.subscribe("HEARD", lambda data, now: None)
     with EventLogWriter(tmp_path / "a.log") as log:
-        bus.taps.append(log)
+        bus.taps.append(log.tap)
         bus.publish("SAID", b"1")
         clock.now += 7
         other.publish("HEARD", b"2")
         other.publish("UNHEARD", b"3")
         bus.poll()
     start = clock.now - 7
-    assert read_event_log(tmp_path / "a.log").events == [
+    assert read_event_log(tmp_path / "a.log")[0] == [
         Event(start, "SAID", b"1"),
         Event(start + 7, "HEARD", b"2"),
     ]

@@ -60,9 +60,9 @@ def write(path, events, loaded=None):
     with EventLogWriter(path, force=True) as log:
         if loaded is not None:
             text = dump_scenario(loaded).encode()
-            log(events[0].utime, "VCBF_SCENARIO", text)
+            log.tap(events[0].utime, "VCBF_SCENARIO", text)
         for event in events:
-            log(*event)
+            log.tap(*event)
     return path
 
 
@@ -432,7 +432,7 @@ def test_both_sides_log_what_they_say_and_what_was_asked(
     found = CliRunner().invoke(app, arguments)
     assert found.exit_code == 0, found.output
     assert capfd.readouterr().err == f"log written to {path}\n"
-    events = read_event_log(path).events
+    events = read_event_log(path)[0]
     assert events[-1] == Event(bus.clock.utime(), "A", b"b")
     # The vehicle's first state is sent when it is made.
     assert ("VCBF_STATE" in {event.channel for event in events}) is (side == "plant")
@@ -467,7 +467,7 @@ def test_replay_log_writes_what_run_writes(tmp_path, monkeypatch) -> None:
     assert drawn == ["png", "replay.html"]
     assert json.loads((out / "summary.json").read_text())["outcome"] == "timeout"
     assert (out / "scenario.yaml").exists()
-    statuses = of(read_event_log(path).events, "VCBF_STATUS")
+    statuses = of(read_event_log(path)[0], "VCBF_STATUS")
     with np.load(out / "log.npz") as log:
         volumes = [vcbf_status.decode(data).volume for data in statuses]
         assert log["volume"].tolist() == volumes

@@ -11,8 +11,7 @@ import sys
 from typing import Any, NoReturn
 
 from vcbf_drake.cli.application import app
-from vcbf_drake.cli.hardware import controller, plant
-from vcbf_drake.cli.hardware_logs import replay_log
+from vcbf_drake.cli.hardware import controller, plant, replay_log
 from vcbf_drake.cli.simulations import (
     check,
     compare,

@@ -1,4 +1,4 @@
-"""The commands plant and controller: the two halves of a loop over LCM."""
+"""The commands plant, controller and replay-log: a loop over LCM, and its log."""
 
 from __future__ import annotations
 
@@ -18,12 +18,15 @@ from vcbf_drake.cli.options import (
     OverrideOption,
     ScenarioArgument,
     load,
+    out_option,
 )
+from vcbf_drake.cli.progress import progress
+from vcbf_drake.cli.simulations import report_results, write_pictures
 from vcbf_drake.environment import SIGNALS, end_at_once, handle
-from vcbf_drake.files import WriterThread, json_text
+from vcbf_drake.files import WriterThread, json_text, whole_directory
 
 if TYPE_CHECKING:
-    from vcbf_drake.hil import Bus, ControllerProcess, PlantProcess
+    from vcbf_drake.hil import Bus, ControllerProcess, LogReplay, PlantProcess
     from vcbf_drake.simulation.scenario import Scenario
 
 # Lines that may wait for a reader of stderr, and how long at the end [s].
@@ -61,6 +64,7 @@ _DelayOption = Annotated[
 _JitterOption = Annotated[
     float, typer.Option(min=0.0, help="Fault: the delay varies by as many seconds.")
 ]
+_SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the faults.")]
 _LogOption = Annotated[
     Path | None,
     typer.Option(
@@ -95,7 +99,6 @@ _TakeOverOption = Annotated[
     typer.Option("--take-over", help="Be followed although another controller speaks."),
 ]
 _JsonOption = Annotated[bool, typer.Option("--json", help="Print the report as JSON.")]
-_SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the faults.")]
 
 
 def plant(
@@ -186,8 +189,8 @@ def _load(
     if rate is not None:
         chosen.period = 1.0 / rate
     if duration is not None:
-        is_endless = math.isinf(duration)
-        chosen.duration = _MOST_TICKS * chosen.period if is_endless else duration
+        longest = _MOST_TICKS * chosen.period
+        chosen.duration = longest if math.isinf(duration) else duration
     validate(chosen)
     return chosen
 
@@ -268,9 +271,9 @@ def _run(
 
     for number in SIGNALS:
         handle(number, stop)
-    url, name = process.bus.lcm.get_lcm_url(), process.bus.name
-    called = f"as {name}" if name else "without a name"
-    tell(f"{side} of {scenario.name} on {url} {called}")
+    bus = process.bus
+    called = f"as {bus.name}" if bus.name else "without a name"
+    tell(f"{side} of {scenario.name} on {bus.lcm.get_lcm_url()} {called}")
     process.tell = lambda line: tell(f"{side}: {line}")
     if sys.stderr.isatty():
         process.progress = tell
@@ -282,7 +285,70 @@ def _run(
         else:
             print_hardware_report(side, report)
     except OSError:  # The terminal is gone: what is still to be flushed goes nowhere.
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, sys.stdout.fileno())
-        os.close(nowhere)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return EXIT_STATUSES[process.ending] + (signals[0] if signals else 0)
+
+
+def replay_log(
+    log: Annotated[
+        Path, typer.Argument(metavar="FILE", help="What --log wrote, or an LCM log.")
+    ],
+    scenario: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[SCENARIO]",
+            help="What was run.",
+            show_default="what the log says",
+        ),
+    ] = None,
+    override: OverrideOption = None,
+    name: Annotated[
+        str | None,
+        typer.Option(help="Of which vehicle.", show_default="the only one"),
+    ] = None,
+    out: Annotated[Path | None, out_option("out/FILE")] = None,
+    replay: Annotated[
+        bool, typer.Option("--replay/--no-replay", help="Write a Meshcat replay.")
+    ] = True,
+    figures: Annotated[
+        bool, typer.Option("--figures/--no-figures", help="Write the figures.")
+    ] = True,
+) -> None:
+    """Tell a run on hardware from its log: results, figures, a replay and a summary.
+
+    Observer, controller and filter run again on the logged states, the same every time.
+    The disturbance is what the states tell with hindsight.
+    """
+    from vcbf_drake.hil import EventLogError, replay_log
+    from vcbf_drake.viz.terminal import print_hardware_report
+
+    if override is not None and scenario is None:
+        raise typer.BadParameter("--override needs a SCENARIO")
+    chosen = None if scenario is None else load(scenario, override, None)
+    try:
+        found = replay_log(log, chosen, name)
+    except EventLogError as error:
+        raise typer.BadParameter(str(error)) from None
+    directory = out or Path("out") / log.stem
+    with progress() as begin:
+        with whole_directory(directory) as staging:
+            found.result.save(staging)
+        write_pictures([found.result], directory, begin, replay=replay, figures=figures)
+    if found.damage:
+        typer.echo(found.damage, err=True)
+    _hint_at_the_period(found)
+    report_results([found.result], directory)
+    print_hardware_report("controller", found.report)
+
+
+def _hint_at_the_period(found: LogReplay) -> None:
+    """Says so when the log's commands are not a control period apart."""
+    logged, period = found.report["period"], found.result.scenario.period
+    if logged is None or abs(logged - period) <= 0.1 * period:
+        return
+    override = f'--override "{{period: {logged:.6g}}}"'
+    typer.echo(
+        f"the log's commands are {1e3 * logged:.4g} ms apart, and the control period is"
+        f" {1e3 * period:.4g} ms: give the scenario, and {override}",
+        err=True,
+    )

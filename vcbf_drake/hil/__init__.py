@@ -26,7 +26,6 @@ from vcbf_drake.hil.controller_side import (
 )
 from vcbf_drake.hil.event_log import (
     Event,
-    EventLog,
     EventLogError,
     EventLogWriter,
     carries_scenario,
@@ -64,7 +63,6 @@ __all__ = [
     "CommandSender",
     "ControllerProcess",
     "Event",
-    "EventLog",
     "EventLogError",
     "EventLogWriter",
     "InProcess",

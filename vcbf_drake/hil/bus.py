@@ -67,9 +67,6 @@ class LinkFaults:
         jitter: Greatest deviation from that delay [s]; messages may then overtake each
             other.
         seed: The seed of the generator.
-
-    Raises:
-        InvalidValueError: A number is outside what is allowed.
     """
 
     drop: float = 0.0
@@ -171,11 +168,9 @@ class Bus:
         self.lcm.Publish(full, data + self._signature(full, data))
 
     def subscribe(self, channel: str, handler: Handler) -> None:
-        """Calls the handler with all bytes that arrive on the channel.
+        """Calls the handler with all bytes that arrive on a channel.
 
-        Args:
-            channel: Without the vehicle's name.
-            handler: Gets the bytes, without their signature.
+        The channel is given without the vehicle's name, the bytes without signature.
         """
         full = self.channel(channel)
         if full not in self._handlers:
@@ -189,11 +184,7 @@ class Bus:
         return self._deliver()
 
     def wait(self, until: float) -> int:
-        """Waits for a message and handles it, at the longest until a time [us].
-
-        Returns:
-            The number of messages that arrived.
-        """
+        """Waits for messages until a time [us] and returns how many were handled."""
         while True:
             next_due = self._arriving[0][0] if self._arriving else math.inf
             remaining = min(until, next_due) - self.clock.utime()
@@ -244,11 +235,7 @@ class Bus:
 
 
 def check_name(name: str) -> None:
-    """Checks that a vehicle's name is valid as the end of a channel's name.
-
-    Raises:
-        InvalidValueError: It is not valid.
-    """
+    """Checks that a vehicle's name is valid as the end of a channel's name."""
     if not re.fullmatch(rf"[A-Za-z0-9_-]{{0,{_LONGEST_NAME}}}", name):
         must = f"it must be at most {_LONGEST_NAME} letters, digits, _ and -"
         raise InvalidValueError("name", f"{name!r}; {must}")

@@ -101,27 +101,21 @@ class VehicleLink:
         Raises:
             ModelError: The vehicle is answered already.
         """
-        builder, settings = self._builder, self._settings
+        builder, settings, period = self._builder, self._settings, self._period
         if builder.HasSubsystemNamed("command_sender"):
             raise ModelError("VehicleLink.answer: one filter answers a vehicle")
+        bounds, inputs = safety.observer.bounds, safety.filter.input_set
         audit = builder.AddNamedSystem(
             "live_audit",
-            LiveAudit(
-                self._model,
-                safety.filter.input_set,
-                safety.observer.bounds,
-                self._period,
-                settings,
-                noise,
-            ),
+            LiveAudit(self._model, inputs, bounds, period, settings, noise),
         )
         sender: CommandSender = builder.AddNamedSystem(
             "command_sender",
             CommandSender(
                 self._bus,
                 safety.filter,
-                safety.observer.bounds.delta1,
-                self._period,
+                bounds.delta1,
+                period,
                 self.receiver,
                 settings,
                 watchdogs,
@@ -129,19 +123,21 @@ class VehicleLink:
         )
         ports = {
             "input": safety.hold.get_output_port(),
-            "reference": reference,
             "finding": audit.get_output_port(),
-            "state": self.state,
-            "applied_input": self.applied_input,
-            "stamp": self.receiver.GetOutputPort("stamp"),
+            "reference": reference,
         }
-        for name in ("slack", "volume", "barriers", "status", "feasible_set"):
-            ports[name] = safety.filter.GetOutputPort(name)
-        ports["estimate"] = safety.observer.GetOutputPort("estimate")
+        # All else is called there as it is here.
+        sources = (self.receiver, safety.observer, safety.filter)
         for system in (audit, sender):
-            for name, port in ports.items():
-                if system.HasInputPort(name):
-                    builder.Connect(port, system.GetInputPort(name))
+            for i in range(system.num_input_ports()):
+                port, name = (
+                    system.get_input_port(i),
+                    system.get_input_port(i).get_name(),
+                )
+                if name not in ports:
+                    owner = next(each for each in sources if each.HasOutputPort(name))
+                    ports[name] = owner.GetOutputPort(name)
+                builder.Connect(ports[name], port)
         return sender
 
 
@@ -170,13 +166,13 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
     model = scenario.make_model()
     bounds, settings = scenario.make_source().bounds, scenario.hardware
     link = VehicleLink(builder, bus, model, scenario.period, settings)
-    predictor = None
+    state, obstacles, states = link.state, None, link.receiver.inbox
     if settings.predict:
         predictor = builder.AddNamedSystem(
             "state_predictor",
             StatePredictor(model, scenario.period, settings.max_state_age),
         )
-    obstacles, states = None, link.receiver.inbox
+        state = predictor.get_output_port()
     if settings.obstacles == "perceived":
         seeing = builder.AddNamedSystem(
             "obstacle_receiver",
@@ -203,13 +199,20 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
         scenario,
         barriers(scenario, seen=obstacles is not None),
         model=model,
-        state=predictor.get_output_port() if predictor else link.state,
+        state=state,
         observer=observer,
         applied_input=link.applied_input,
         obstacles=obstacles,
     )
-    if predictor is not None:
-        _connect_predictor(builder, predictor, link.receiver, loop)
+    if settings.predict:
+        ports = {
+            "state": link.state,
+            "delays": link.receiver.GetOutputPort("delays"),
+            "held_input": loop.hold.get_output_port(),
+            "disturbance_estimate": loop.observer.GetOutputPort("disturbance_estimate"),
+        }
+        for name, port in ports.items():
+            builder.Connect(port, predictor.GetInputPort(name))
     link.answer(
         loop,
         controller.GetOutputPort("reference"),
@@ -222,31 +225,9 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
     return diagram
 
 
-def _connect_predictor(
-    builder: DiagramBuilder,
-    predictor: StatePredictor,
-    receiver: StateReceiver,
-    loop: AddedSafetyFilter,
-) -> None:
-    ports = {
-        "state": receiver.GetOutputPort("state"),
-        "delays": receiver.GetOutputPort("delays"),
-        "held_input": loop.hold.get_output_port(),
-        "disturbance_estimate": loop.observer.GetOutputPort("disturbance_estimate"),
-    }
-    for name, port in ports.items():
-        builder.Connect(port, predictor.GetInputPort(name))
-
-
 def controller_of(scenario: Scenario, bus: Bus) -> ControllerProcess:
-    """Returns the process that controls a scenario's vehicle.
-
-    Args:
-        scenario: A validated scenario.
-        bus: Carries the messages.
-    """
-    diagram = make_hardware_loop(scenario, bus)
-    return ControllerProcess(diagram, bus, scenario.duration)
+    """Returns the process that controls a validated scenario's vehicle."""
+    return ControllerProcess(make_hardware_loop(scenario, bus), bus, scenario.duration)
 
 
 class InProcess:

@@ -52,8 +52,8 @@ class Event(NamedTuple):
     data: bytes
 
 
-class EventLogWriter:
-    """Writes an event log; called with an event's parts, as a `Bus` calls its taps.
+class EventLogWriter(WriterThread[Event]):
+    """Writes an event log; its `tap` is one of a `Bus`.
 
     A thread of its own writes, from a queue that holds `capacity` events, and hands
     each to the system at once: a process that is killed loses no more than the queue. A
@@ -84,12 +84,7 @@ class EventLogWriter:
     ) -> None:
         self._error, self._count = "", 0
         self.path, self._file = _opened(Path(path), force)
-        self._thread = WriterThread(self._write, capacity, patience, self._file.close)
-
-    @property
-    def lost(self) -> int:
-        """The number of events lost because the queue was full."""
-        return self._thread.lost
+        super().__init__(self._append, capacity, patience, self._file.close)
 
     @property
     def failure(self) -> str:
@@ -101,21 +96,12 @@ class EventLogWriter:
             return f"{self.path}: the disk was too slow, {self.lost} events are missing"
         return ""
 
-    @property
-    def is_open(self) -> bool:
-        """Whether events wait to be written, or the log is not closed."""
-        return self._thread.is_open
-
-    def __call__(self, utime: int, channel: str, data: bytes) -> None:
+    def tap(self, utime: int, channel: str, data: bytes) -> None:
         """Appends an event, unless the log has failed or its queue is full."""
         if not self._error:
-            self._thread(Event(utime, channel, data))
+            self(Event(utime, channel, data))
 
-    def close(self) -> None:
-        """Writes waiting events within the time limit, and closes the file."""
-        self._thread.close()
-
-    def _write(self, event: Event) -> None:
+    def _append(self, event: Event) -> None:
         if self._error:
             return
         name = event.channel.encode()
@@ -149,20 +135,11 @@ def _opened(path: Path, force: bool) -> tuple[Path, FileIO]:
     raise AssertionError  # The numbers do not end.
 
 
-class EventLog(NamedTuple):
-    """The contents of an event log.
-
-    Attributes:
-        events: The events, in the order of the file.
-        damage: The damaged parts of the file, in one line; empty for none.
-    """
-
-    events: list[Event]
-    damage: str
-
-
-def read_event_log(path: str | Path) -> EventLog:
+def read_event_log(path: str | Path) -> tuple[list[Event], str]:
     """Reads an event log, and skips damaged parts.
+
+    Returns the events, in the order of the file, and in one line which parts of it are
+    damaged; empty for none.
 
     A log whose writer was killed ends amid an event, and disks fail: after bytes that
     are not an event, reading goes on at the next one. (LCM's own reader ends there, or
@@ -197,12 +174,11 @@ def read_event_log(path: str | Path) -> EventLog:
     if end < len(data):
         damaged.append((end, len(data) - end))
     if not damaged:
-        return EventLog(events, "")
-    damage = (
+        return events, ""
+    return events, (
         f"{path}: {sum(length for _, length in damaged)} of its {len(data)} bytes are"
         f" no whole events and are left out, the first at byte {damaged[0][0]}"
     )
-    return EventLog(events, damage)
 
 
 def _event_at(data: bytes, place: int) -> Event | None:
@@ -242,8 +218,8 @@ def start_log(
     """
     log = EventLogWriter(path, force=force)
     channel, text = bus.channel(SCENARIO_CHANNEL), dump_scenario(scenario)
-    log(bus.clock.utime(), channel, text.encode())
-    bus.taps.append(log)
+    log.tap(bus.clock.utime(), channel, text.encode())
+    bus.taps.append(log.tap)
     return log
 
 
@@ -262,15 +238,13 @@ def of_one_vehicle(
     """
     parts = [event.channel.partition("/") for event in events]
     names = sorted({end for base, _, end in parts if base == "VCBF_STATE"})
+    found = ", ".join(each or "one without a name" for each in names) or "none"
     if name is None and len(names) > 1:
-        found = ", ".join(each or "one without a name" for each in names)
-        raise EventLogError(
-            f"{path}: is of several vehicles: {found}; --name says which"
-        )
-    wanted = name if name is not None else (names or [""])[0]
+        words = f"is of several vehicles: {found}; --name says which"
+        raise EventLogError(f"{path}: {words}")
     if name is not None and name not in names:
-        found = ", ".join(each or "one without a name" for each in names) or "none"
         raise EventLogError(f"{path}: has no vehicle {name}; it has {found}")
+    wanted = name if name is not None else (names or [""])[0]
     return [
         event._replace(channel=base)
         for event, (base, _, end) in zip(events, parts, strict=True)

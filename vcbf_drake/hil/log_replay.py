@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 import struct
@@ -47,7 +47,6 @@ from vcbf_drake.simulation.summary import Ending, summarise
 _Key = tuple[int, int]  # Session and sequence of a message.
 _STATES, _COMMANDS, _STATUSES = "VCBF_STATE", "VCBF_COMMAND", "VCBF_STATUS"
 _OBSTACLES = "VCBF_OBSTACLES"
-_NO_STATE: _Key = (0, -1)  # Answered by a status before the first state.
 
 
 class LoggedController:
@@ -74,6 +73,7 @@ class LoggedController:
     def __init__(self, scenario: Scenario, events: Iterable[Event]) -> None:
         self.on_start: Callable[[ControllerProcess], None] = lambda controller: None
         self.controllers: list[ControllerProcess] = []
+        self.logged: dict[_Key, vcbf_command] = {}
         self.sent: dict[_Key, vcbf_command] = {}
         self.states: list[Any] = []
         self._scenario = scenario
@@ -84,36 +84,28 @@ class LoggedController:
             _STATUSES: _decoded_status,
         }
         self._log = [(event, self._decoded(event)) for event in events]
-        # The first answer to each state, and messages without a new state.
-        self._answers: dict[_Key, Any] = {}
-        self._repeats: set[_Key] = set()
-        strangers = self._strangers()
-        for state, message in self._sent_in_log():
-            if message.mode == CommandMode.END or message.session in strangers:
-                continue  # Somebody's decision, not the controller's.
-            is_first = self._answers.setdefault(state, message) is message
-            if not is_first or state == _NO_STATE:
-                self._repeats.add((message.session, message.utime))
-        self.logged = {
-            state: each
-            for state, each in self._answers.items()
-            if isinstance(each, vcbf_command)
-        }
+        # By places of the log: who acted then, and when.
+        self._acts = self._find_acts()
 
     def run(self) -> None:
         """Drives the controller through the whole log."""
-        first = min((each.session for each in self._answers.values()), default=None)
+        acts = [act for each in self._acts.values() for act in each]
+        first = min((session for session, _ in acts), default=None)
         self._start(self._log[0][0].utime if first is None else first)
-        for event, message in self._log:
+        for place, (event, _) in enumerate(self._log):
             if first is not None and event.utime < first:
                 continue  # There was no subscriber yet.
-            if event.channel == _STATES:
-                self._take_state(event)
-            elif event.channel == _OBSTACLES:
+            if event.channel in (_STATES, _OBSTACLES):
                 self._hear(event)
-            elif message is not None and message.session == self._bus.session:
-                if (message.session, message.utime) in self._repeats:
-                    self._act_at(message.utime)
+            for session, utime in self._acts.get(place, ()):
+                if session > self._bus.session:
+                    self._start(session)
+                    if event.channel == _STATES:
+                        self._hear(event)
+                if session == self._bus.session:
+                    self._act_at(utime)
+            if first is None and event.channel == _STATES:
+                self._act_at(event.utime)
 
     def report(self) -> dict[str, Any]:
         """Returns the `period` and the `commands` of a `LogReplay`'s report."""
@@ -144,30 +136,43 @@ class LoggedController:
     def _messages(self, kind: type) -> list[Any]:
         return [message for _, message in self._log if isinstance(message, kind)]
 
-    def _strangers(self) -> set[int]:
-        """The controllers, of several, whose commands the vehicle never took."""
+    def _find_acts(self) -> dict[int, list[tuple[int, int]]]:
+        """The sessions and times of controllers' acts, by the place that they follow.
+
+        The first answer to a state follows that state, wherever in the log it is: a
+        vehicle has its next one sent by then. All else, as commands that are held,
+        has its own place. Of a command with its status the first counts.
+        """
+        acts: dict[int, list[tuple[int, int]]] = {}
+        known: set[tuple[Any, ...]] = set()
+        # The controllers, of several, whose commands the vehicle never took.
         sessions = {command.session for command in self._messages(vcbf_command)}
         followed = {state.command_session for state in self._messages(vcbf_state)}
-        return sessions - followed if sessions & followed else set()
-
-    def _sent_in_log(self) -> Iterator[tuple[_Key, Any]]:
-        """Yields the controllers' messages, each after the state that it answers.
-
-        Commands come first, then statuses without one: those of a controller that the
-        vehicle did not follow, or that had no state yet.
-        """
-        commanded = set()
-        for command in self._messages(vcbf_command):
-            commanded.add((command.session, command.utime))
-            yield _answered(command), command
-        sessions: dict[int, int] = {}  # The vehicle's, by a state's sequence.
-        for _, message in self._log:
+        strangers = sessions - followed if sessions & followed else set()
+        vehicles: dict[int, int] = {}  # The vehicle's session, by a state's sequence.
+        unanswered = {
+            _key(message): place
+            for place, (_, message) in enumerate(self._log)
+            if isinstance(message, vcbf_state)
+        }
+        for place, (_, message) in enumerate(self._log):
             if isinstance(message, vcbf_state):
-                sessions[message.sequence] = message.session
-            elif isinstance(message, vcbf_status):
-                if (message.session, message.utime) not in commanded:
-                    sequence = message.state_sequence
-                    yield (sessions.get(sequence, 0), sequence), message
+                vehicles[message.sequence] = message.session
+                continue
+            if message is None or message.session in strangers:
+                continue
+            if message.mode == CommandMode.END:
+                continue  # Somebody's decision, not the controller's.
+            sequence = message.state_sequence
+            state = vehicles.get(sequence, 0), sequence
+            if isinstance(message, vcbf_command):
+                state = _answered(message)
+                self.logged.setdefault(state, message)
+            act = message.session, message.utime
+            if (act, state) not in known:
+                known.add((act, state))
+                acts.setdefault(unanswered.pop(state, place), []).append(act)
+        return acts
 
     def _start(self, session: int) -> None:
         self._clock = SimulatedClock(session)
@@ -179,26 +184,12 @@ class LoggedController:
         self.controllers.append(controller)
         self.on_start(controller)
 
-    def _take_state(self, event: Event) -> None:
-        before = self._inbox.newest
-        self._hear(event)
-        newest = self._inbox.newest
-        if newest is before:
-            return
-        self.states.append(newest)
-        answer = self._answers.get(_key(newest))
-        if answer is not None:
-            if answer.session > self._bus.session:
-                self._start(answer.session)
-                self._hear(event)
-            self._act_at(answer.utime)
-        elif not self._answers:
-            self._act_at(event.utime)
-
     def _hear(self, event: Event) -> None:
-        self._clock.now = event.utime
+        before, self._clock.now = self._inbox.newest, event.utime
         self._bus.lcm.Publish(event.channel, event.data)
         self._bus.poll()
+        if self._inbox.newest is not before:
+            self.states.append(self._inbox.newest)
 
     def _act_at(self, utime: int) -> None:
         self._clock.now = utime
@@ -302,17 +293,14 @@ def replay_log(
 
 
 class _Recorder:
-    """The values of a hardware loop's ports at every tick.
+    """The values of a hardware loop's ports at every tick, the times among them.
 
     The last of several ticks at one time is kept, as while a vehicle waits. When time
     goes back because a vehicle has restarted, all earlier ticks are dropped.
-
-    Attributes:
-        rows: The time of each tick [s], and the values of the ports.
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self.rows: list[tuple[float, dict[str, Array]]] = []
+        self.rows: list[dict[str, Any]] = []
         self._scenario = scenario
         self._assumptions: tuple[Assumption, ...] = ()
 
@@ -336,13 +324,13 @@ class _Recorder:
             self._scenario, self._diagram, context
         )
         now = context.get_time()
-        while self.rows and self.rows[-1][0] >= now:
+        while self.rows and self.rows[-1]["time"] >= now:
             self.rows.pop()
         row = {
             name: port.Eval(port.get_system().GetMyContextFromRoot(context)).copy()
             for name, port in self._ports.items()
         }
-        self.rows.append((now, row))
+        self.rows.append({"time": now, **row})
 
     def result(self, said: Sequence[Any]) -> Result:
         """Returns the run, as `simulate` does, as far as it is in the log.
@@ -375,28 +363,23 @@ class _Recorder:
         return Result(self._scenario, summary, log)
 
     def _log(self) -> dict[str, Array]:
-        """The arrays of a `Result`, one row a tick."""
-        log = {
-            name: np.array([row[name] for _, row in self.rows]) for name in self._ports
-        }
-        log["time"] = np.array([time for time, _ in self.rows])
-        applied = log.pop("applied_input")
-        log["disturbance"] = self._disturbances(log["time"], log["state"], applied)
-        return finish_log(log, self._filter)
-
-    def _disturbances(self, times: Array, states: Array, applied: Array) -> Array:
-        """The disturbance at the ticks with hindsight, (T, q).
+        """The arrays of a `Result`, one row a tick, with the disturbance in hindsight.
 
         A mean (E29) is what d is in the middle of its interval, but for its curvature.
         """
+        log = {
+            name: np.array([row[name] for row in self.rows]) for name in self.rows[0]
+        }
+        times, states, applied = log["time"], log["state"], log.pop("applied_input")
         means = [
             self._observer.mean_disturbance(
                 states[k - 1], states[k], applied[k], times[k] - times[k - 1]
             ).disturbance
             for k in range(1, len(times))
         ]
-        if not means:
-            return np.zeros((len(times), self._filter.model.num_disturbances))
-        middles = (times[1:] + times[:-1]) / 2
-        channels = np.transpose(means)
-        return np.transpose([np.interp(times, middles, mean) for mean in channels])
+        log["disturbance"] = np.zeros((len(times), self._filter.model.num_disturbances))
+        if means:
+            middles = (times[1:] + times[:-1]) / 2
+            channels = [np.interp(times, middles, mean) for mean in np.transpose(means)]
+            log["disturbance"] = np.transpose(channels)
+        return finish_log(log, self._filter)

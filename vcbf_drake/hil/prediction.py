@@ -66,17 +66,6 @@ def runge_kutta_step(
 class StatePredictor(LeafSystem):
     """Predicts the state over the delays of the link, both ways.
 
-    .. pydrake_system::
-
-        name: StatePredictor
-        input_ports:
-        - state
-        - delays
-        - held_input
-        - disturbance_estimate
-        output_ports:
-        - predicted_state
-
     | port | size | |
     | --- | --- | --- |
     | ``state`` | n | the measured state |

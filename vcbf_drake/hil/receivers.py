@@ -62,15 +62,6 @@ class StateStamp(NamedTuple):
 class StateReceiver(LeafSystem):
     """Takes the place of a plant: its outputs are the vehicle's last message.
 
-    .. pydrake_system::
-
-        name: StateReceiver
-        output_ports:
-        - state
-        - applied_input
-        - stamp
-        - delays
-
     | port | size | |
     | --- | --- | --- |
     | ``state`` | n | the newest measured state; zeros before the first |
@@ -87,8 +78,8 @@ class StateReceiver(LeafSystem):
         bus: The bus of the states.
         num_states: n.
         num_inputs: m.
-        settings: The settings, with the greatest age of a state and the silence of a
-            vehicle after which another one of its name is controlled in its place.
+        settings: The greatest age of a state, and the silence of a vehicle after which
+            another one of its name is controlled in its place.
 
     Attributes:
         inbox: The inbox of the states.
@@ -113,28 +104,23 @@ class StateReceiver(LeafSystem):
         )
         self.DeclarePerStepUnrestrictedUpdateEvent(self._take_over)
         self.DeclareForcedUnrestrictedUpdateEvent(self._take_over)
-        shown = {
-            "state": np.zeros(num_states),
-            "applied_input": np.zeros(num_inputs),
-            "stamp": np.full(len(StateStamp._fields), math.nan),
-            "delays": np.zeros(2),
-        }
-        self._shown = {k: self.DeclareDiscreteState(v) for k, v in shown.items()}
-        for name, index in self._shown.items():
-            self.DeclareStateOutputPort(name, index)
+        for name, initial in (
+            ("state", np.zeros(num_states)),
+            ("applied_input", np.zeros(num_inputs)),
+            ("stamp", np.full(len(StateStamp._fields), math.nan)),
+            ("delays", np.zeros(2)),
+        ):
+            self.DeclareStateOutputPort(name, self.DeclareDiscreteState(initial))
         self._integral = self.DeclareDiscreteState(num_inputs)
 
     def stamp(self, context: Context) -> StateStamp:
         """Returns the stamp of the state at the outputs; nan before the first."""
-        shown = context.get_discrete_state(self._shown["stamp"])
-        return StateStamp(*shown.CopyToVector().tolist())
+        return StateStamp(*self.GetOutputPort("stamp").Eval(context).tolist())
 
     def has_news(self, context: Context) -> bool:
         """Returns whether a newer message has arrived than that at the outputs."""
         shown, newest = self.stamp(context), self.inbox.newest
-        return newest is not None and (
-            (newest.session, newest.sequence) != (shown.session, shown.sequence)
-        )
+        return newest is not None and ((newest.session, newest.sequence) != shown[:2])
 
     @property
     def is_followed(self) -> bool:
@@ -201,11 +187,9 @@ class StateReceiver(LeafSystem):
         is_under_way = newest.mode in (VehicleMode.FOLLOWING, VehicleMode.FALLBACK)
         moves = is_under_way or (self.is_followed and newest.mode != VehicleMode.ENDED)
         which = newest.session, newest.sequence, newest.utime, newest.time, moves
-        values = newest.state, applied, which, self._delays()
-        held = state.get_mutable_discrete_state()
-        for index, value in zip(self._shown.values(), values, strict=True):
-            held.set_value(index, value)
-        held.set_value(self._integral, integral)
+        values = newest.state, applied, which, self._delays(), integral
+        for index, value in enumerate(values):
+            state.get_mutable_discrete_state().set_value(index, value)
         return EventStatus.Succeeded()
 
     def _delays(self) -> Array:
@@ -230,7 +214,7 @@ class ObstacleInbox(Inbox):
     Args:
         bus: The bus of the messages.
         vehicle: The states of that vehicle; messages of another one are refused.
-        settings: The settings, with the greatest age of a message.
+        settings: The greatest age of a message.
         take: Takes an accepted message; returns its fault, empty for none.
         are_needed: Whether the vehicle falls back while none come.
     """
@@ -244,17 +228,24 @@ class ObstacleInbox(Inbox):
         *,
         are_needed: bool,
     ) -> None:
-        self._bus, self._vehicle, self._take = bus, vehicle, take
-        self._are_needed, self._max_obstacle_age = are_needed, settings.max_obstacle_age
-        self._trouble = ""
+        self._bus, self._vehicle, self._are_needed = bus, vehicle, are_needed
+        self._max_obstacle_age, self._trouble = settings.max_obstacle_age, ""
+
+        def note_trouble(message: Any, now: int) -> None:
+            self._trouble = take(message)
+
+        def refusal(message: Any) -> Reason | None:
+            is_first = vehicle.newest is None or vehicle.has_same_sender(message)
+            return None if is_first else Reason.SESSION
+
         super().__init__(
             bus,
             obstacles_format(),
             settings.max_obstacle_age,
-            self._note_trouble,
+            note_trouble,
             silence=0.0,  # The states alone decide which sender is followed.
             max_clock_offset=settings.max_clock_offset,
-            refusal=self._refusal_of_a_stranger,
+            refusal=refusal,
         )
 
     def verdict(self) -> Verdict:
@@ -270,22 +261,9 @@ class ObstacleInbox(Inbox):
         words = filter(None, (trouble, self.complaint(now)))
         return Verdict(CommandMode.FALLBACK, "; ".join(words))
 
-    def _refusal_of_a_stranger(self, message: Any) -> Reason | None:
-        vehicle = self._vehicle
-        is_another = vehicle.newest is not None and not vehicle.has_same_sender(message)
-        return Reason.SESSION if is_another else None
-
-    def _note_trouble(self, message: Any, now: int) -> None:
-        self._trouble = self._take(message)
-
 
 def difference_from(scenario: Scenario, message: Any) -> str:
-    """Returns how a vehicle's obstacles differ from a scenario's; empty for equal.
-
-    Args:
-        scenario: The controller's scenario.
-        message: The vehicle's message; another number of obstacles is a difference too.
-    """
+    """Returns how a vehicle's obstacles differ from a scenario's; empty for equal."""
     spheres, dimensions = scenario.spheres, len(scenario.target)
     sizes = message.num_obstacles, message.num_coordinates
     if sizes != (len(spheres), len(spheres) * dimensions):
@@ -303,23 +281,18 @@ def difference_from(scenario: Scenario, message: Any) -> str:
 
 
 class ObstacleReceiver(LeafSystem):
-    """The obstacles that a vehicle perceives, for the filter's port ``obstacles``.
+    """The obstacles that a vehicle perceives, for the filter.
 
-    .. pydrake_system::
-
-        name: ObstacleReceiver
-        output_ports:
-        - obstacles
-
-    Their number may change. Between two messages each keeps its velocity. If there are
-    too many of them, none for `Hardware.max_obstacle_age`, or malformed ones, the port
-    keeps its last value, and the verdict requests the vehicle's fallback.
+    Its port ``obstacles`` is the filter's. Their number may change. Between two
+    messages each keeps its velocity. If there are too many of them, none for
+    `Hardware.max_obstacle_age`, or malformed ones, the port keeps its last value, and
+    the verdict requests the vehicle's fallback.
 
     Args:
         bus: The bus of the obstacles.
         spheres: The format of the port, with its capacity.
         vehicle: The states of the vehicle that perceives them.
-        settings: The settings, with their greatest age.
+        settings: Their greatest age.
 
     Attributes:
         inbox: The inbox of the obstacles; its verdict is a `Watchdog`.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import (
@@ -58,13 +58,6 @@ def fallback_input(
     ``zero`` is the input 0. ``brake`` reduces the speed v = S x by S (f + g u) =
     -brake_rate v, or its least-squares solution. For a vehicle without a speed
     (`ControlAffineModel.speed_matrix`) it is 0. Source: ours.
-
-    Args:
-        kind: "zero" or "brake".
-        model: The vehicle's f, g, E.
-        input_set: The input set of its actuators.
-        x: Its state, shape (n,).
-        brake_rate: The decay rate of the speed [1/s].
     """
     speed_of = model.speed_matrix
     if kind == "zero" or not len(speed_of):
@@ -74,23 +67,8 @@ def fallback_input(
     return input_set.project(u)
 
 
-class _Received(NamedTuple):
-    """A command and its time of arrival [us]."""
-
-    command: Any
-    at: int
-
-
 class VehicleEnd(LeafSystem):
     """A vehicle's end of the bus: receives commands, and sends states and obstacles.
-
-    .. pydrake_system::
-
-        name: VehicleEnd
-        input_ports:
-        - state
-        output_ports:
-        - input
 
     | port | size | |
     | --- | --- | --- |
@@ -129,7 +107,7 @@ class VehicleEnd(LeafSystem):
             bus,
             command_format(m),
             self._settings.command_timeout,
-            lambda command, now: self._waiting.append(_Received(command, now)),
+            lambda command, now: self._waiting.append((command, now)),
             max_clock_offset=self._settings.max_clock_offset,
             echo=lambda command: (command.state_utime, command.state_age),
             # An answer to another vehicle was not made for this one.
@@ -137,8 +115,9 @@ class VehicleEnd(LeafSystem):
                 None if command.state_session == bus.session else Reason.ADDRESS
             ),
         )
-        self._applied: _Received | None = None
-        self._waiting: deque[_Received] = deque(maxlen=_MOST_WAITING)
+        # Commands and their times of arrival [us]: the one that acts, those to come.
+        self._applied: tuple[Any, int] | None = None
+        self._waiting: deque[tuple[Any, int]] = deque(maxlen=_MOST_WAITING)
         self._passed_over = 0
         self.restart()
         self._state = self.DeclareVectorInputPort("state", n)
@@ -148,9 +127,9 @@ class VehicleEnd(LeafSystem):
         self._integral = self.DeclareDiscreteState(m + 1)
         self.DeclareStateOutputPort("input", self._input)
         self.DeclarePerStepUnrestrictedUpdateEvent(self._take_over)
-        sent = self._send_state, scenario.period
-        for send, period in (sent, (self._send_obstacles, _OBSTACLE_PERIOD)):
-            self.DeclarePeriodicPublishEvent(period, 0.0, send)
+        self.DeclarePeriodicPublishEvent(scenario.period, 0.0, self._send_state)
+        self.DeclarePeriodicPublishEvent(_OBSTACLE_PERIOD, 0.0, self._send_obstacles)
+        for send in (self._send_state, self._send_obstacles):
             self.DeclareForcedPublishEvent(send)
 
     def restart(self) -> None:
@@ -172,17 +151,21 @@ class VehicleEnd(LeafSystem):
     def _take_over(self, context: Context, state: State) -> EventStatus:
         self._bus.poll()
         now, waiting = self.utime(context.get_time()), self._waiting
-        while waiting and (waiting[0].at <= now or self._passed_over > 0):
+        while waiting and (waiting[0][1] <= now or self._passed_over > 0):
             self._applied = waiting.popleft()
             self._passed_over -= 1
         self._passed_over = len(waiting)
         if self._applied is None:
             return EventStatus.DidNothing()
-        mode, u = self._choose(self._applied, now, context)
+        command, received_at = self._applied
+        is_fresh = 1e-6 * (now - received_at) <= self._settings.command_timeout
+        if is_fresh and command.mode in (CommandMode.APPLY, CommandMode.HOLD):
+            mode, u = VehicleMode.FOLLOWING, self._input_set.project(command.input)
+        else:
+            mode, u = VehicleMode.FALLBACK, self._fallback(self._state.Eval(context))
+        integral = [*self._integral_now(context), context.get_time()]
         held = state.get_mutable_discrete_state()
-        held.set_value(
-            self._integral, [*self._integral_now(context), context.get_time()]
-        )
+        held.set_value(self._integral, integral)
         held.set_value(self._input, u)
         held.set_value(self._mode, [mode])
         return EventStatus.Succeeded()
@@ -193,22 +176,9 @@ class VehicleEnd(LeafSystem):
         applied = context.get_discrete_state(self._input).CopyToVector()
         return np.asarray(integral + applied * (context.get_time() - since))
 
-    def _choose(
-        self, received: _Received, now: int, context: Context
-    ) -> tuple[VehicleMode, Array]:
-        """The mode at the time `now` [us], and the input."""
-        command, received_at = received
-        age = 1e-6 * (now - received_at)
-        applies = command.mode in (CommandMode.APPLY, CommandMode.HOLD)
-        if applies and age <= self._settings.command_timeout:
-            return VehicleMode.FOLLOWING, self._input_set.project(command.input)
-        return VehicleMode.FALLBACK, fallback_input(
-            self._settings.fallback,
-            self._model,
-            self._input_set,
-            self._state.Eval(context),
-            self._settings.brake_rate,
-        )
+    def _fallback(self, x: Array) -> Array:
+        kind, rate = self._settings.fallback, self._settings.brake_rate
+        return fallback_input(kind, self._model, self._input_set, x, rate)
 
     def _send_state(self, context: Context) -> None:
         message, command, clock = vcbf_state(), self.inbox.newest, self._bus.clock
