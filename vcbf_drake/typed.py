@@ -149,16 +149,14 @@ def check_type(path: str | Path, value: Any, hint: Any) -> None:
             for check in getattr(each, "__metadata__", ()):
                 check(path, value)
             return
-    items = [*filter(None, map(item_type, members))]
-    if not (items and _is_list(value)):
-        require(False, path, value, in_words(hint))
+    is_list = _is_list(value)
+    is_nested = is_list and len(value) > 0 and _is_list(value[0])
+    item = item_of(members, is_nested)
+    require(is_list and item is not None, path, value, in_words(hint))
     for each in members:
         sizes = get_args(each)
         if get_origin(each) is tuple and Ellipsis not in sizes:
             require(len(value) == len(sizes), path, value, f"{len(sizes)} values")
-    is_nested = len(value) > 0 and _is_list(value[0])
-    deeper = [each for each in items if item_type(members_of(each)[0]) is not None]
-    item = deeper[0] if is_nested and deeper else items[0]
     for index, each in enumerate(value):
         check_type((*path, index), each, item)
 
@@ -203,6 +201,13 @@ def tagged_types(hint: Any) -> dict[str, Any]:
     found = [each for each in allowed_types(hint) if is_dataclass(each)]
     own = [each for each in found if each.__module__.startswith("vcbf_drake.")]
     return {tag_of(each): each for each in (*found, *own)}
+
+
+def item_of(members: Iterable[Any], is_nested: bool) -> Any:
+    """Returns the type of a list's items: lists, where they are nested and may be."""
+    items = [each for each in map(item_type, members) if each is not None]
+    lists = [each for each in items if item_type(members_of(each)[0]) is not None]
+    return next(iter(lists if is_nested and lists else items), None)
 
 
 def item_type(hint: Any) -> Any:

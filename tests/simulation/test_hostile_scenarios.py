@@ -36,10 +36,10 @@ def complaint(text, overrides=None):
     [
         ("s: " + "[" * 10_000, "nested too deeply"),
         ("s: " + "{a: " * 3000 + "1" + "}" * 3000, "nested too deeply"),
-        ("s: &a [*a]", "a sequence; it must be a Scenario"),
+        ("s: &a [*a]", "a sequence; it must be a mapping"),
         ("s: &a {obstacles: [*a]}", "obstacles.0..name: unknown key"),
         ("s: &a {<<: *a}", "vehicle: missing"),
-        (LAUGHS, "a sequence; it must be a Scenario"),
+        (LAUGHS, "a sequence; it must be a mapping"),
         (MERGED_LAUGHS, "x: unknown key"),
         ('s: !!python/object/apply:os.system ["exit"]', "a sequence; it must be"),
         ("s: !!python/name:os.system {duration: x}", "'x'; it must be a number"),

@@ -292,6 +292,12 @@ def test_dump_takes_arrays(tmp_path: Path) -> None:
     assert load_scenario(path).initial_state == [0.0, 0.0, 0.1 + 0.2, 0.0]
 
 
+def test_dump_takes_a_matrix_of_weights(tmp_path: Path) -> None:
+    scenario = load_scenario("car-avoidance", "{input_weights: [[2, 1], [1, 3]]}")
+    assert scenario.input_weights == [[2.0, 1.0], [1.0, 3.0]]
+    check_round_trip(scenario, tmp_path)
+
+
 def test_a_period_at_which_every_watchdog_would_bite_is_refused() -> None:
     message = refusal("car-avoidance", "{period: 0.1, hardware: {predict: true}}")
     rule = "hardware.command_timeout: 0.1; it must be above the control period, 0.1 s"
@@ -429,7 +435,8 @@ REFUSED = [
         "obstacles.center",
         "center; it must be an entry of the list, 0 to 0",
     ),
-    ("{observer: [1]}", "observer", "a sequence; it must be an ObserverSettings"),
+    ("{observer: [1]}", "observer", "a sequence; it must be a mapping"),
+    ("{obstacles: [3]}", "obstacles[0]", "3; it must be a mapping"),
     ("{target: [1, [2], 3]}", "target[1]", "a sequence; it must be a number"),
     ("{period: 1, period: 2}", "period", "given twice"),
     # Numbers.
@@ -609,7 +616,7 @@ def test_missing_file_suggests_shipped_names() -> None:
         (b"", "nothing; it must be a mapping"),
         (b"- 1\n", "a sequence; it must be a mapping"),
         (b"_only: {}\n", "holds no scenario"),
-        (b"one:\n", "None; it must be a Scenario"),
+        (b"one:\n", "nothing; it must be a mapping"),
         (b"\xff\xfe\xfa", "not a UTF-8 text file"),
         (b"one: {}\n---\ntwo: {}\n", "not YAML"),
         (b"one: \x07\n", "not YAML"),

@@ -132,8 +132,8 @@ class FilterSettings:
             until the next tick (E88), where some input permits it.
         violation_weights: Weight of the violation of each barrier at infeasible ticks,
             (N,); empty for 1 each.
-        input_weights: W of the cost (u - u_ref)'W (u - u_ref): its diagonal, (m,), in
-            Python also a matrix; empty for the norm of the normalised inputs. 1 each
+        input_weights: W of the cost (u - u_ref)'W (u - u_ref): its diagonal, (m,), or
+            the matrix, (m, m); empty for the norm of the normalised inputs. 1 each
             gives the published |u - u_ref|^2 in the inputs' own units.
         soft_penalties: Penalty of the squared slack of each soft barrier row, (N,):
             infinity for the hard ones; empty if all are hard. A control Lyapunov

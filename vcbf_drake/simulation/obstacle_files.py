@@ -11,7 +11,7 @@ import json
 import logging
 import math
 from pathlib import Path
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
@@ -23,8 +23,15 @@ from vcbf_drake.files import IS_FILE, read_text
 from vcbf_drake.typed import Checked, NotNegative, Positive
 
 _LOG = logging.getLogger("vcbf_drake")
-_SPACE, _PLANE = ("x", "y", "z"), ("x", "y")
-_Row: TypeAlias = dict[str, float]
+_AXES = ("x", "y", "z")
+# Where GeoJSON has polygons, by the type of what holds them.
+_INNER = {
+    "FeatureCollection": "features",
+    "GeometryCollection": "geometries",
+    "Feature": "geometry",
+    "Polygon": "coordinates",
+    "MultiPolygon": "coordinates",
+}
 
 
 @dataclass
@@ -50,10 +57,10 @@ class SpheresFile(Checked):
         Raises:
             InvalidValueError: The file is not as it must be; one line says where.
         """
-        needed, velocities = ("x", "y", "radius"), [f"velocity_{a}" for a in _SPACE]
+        needed, velocities = ("x", "y", "radius"), [f"velocity_{a}" for a in _AXES]
         found = []
         for line, row in _table(self.file, needed, ("z", "margin", *velocities)):
-            axes = [axis for axis in _SPACE if axis in row]
+            axes = [axis for axis in _AXES if axis in row]
             velocity = [row.get(f"velocity_{axis}", 0.0) for axis in axes]
             try:
                 found.append(
@@ -144,10 +151,14 @@ def _text(file: str) -> str:
 
 def _table(
     file: str, needed: Sequence[str], optional: Sequence[str] = ()
-) -> Iterator[tuple[int, _Row]]:
+) -> Iterator[tuple[int, dict[str, float]]]:
     """Yields the rows of a CSV file with the numbers of their lines."""
-    reader = csv.reader(io.StringIO(_text(file)), skipinitialspace=True)
-    names = [name.strip() for name in next(reader, [])]
+    lines = io.StringIO(_text(file))
+    reader = csv.DictReader(
+        lines, restkey="no column", restval="", skipinitialspace=True
+    )
+    names = [name.strip() for name in reader.fieldnames or ()]
+    reader.fieldnames = names
     known = [*needed, *optional]
     fits = set(needed) <= set(names) <= set(known) and len(set(names)) == len(names)
     if not fits:
@@ -155,26 +166,20 @@ def _table(
         given = ", ".join(names)[:80] or "nothing"
         must = f"it must name {', '.join(needed)}{may}"
         raise _wrong(file, f"line 1: {given}; {must}")
-    for values in reader:
-        if not values:
-            continue
-        line = reader.line_num
-        if len(values) != len(names):
-            problem = f"{len(values)} values for {len(names)} columns"
-            raise _wrong(file, f"line {line}: {problem}")
+    for texts in reader:
         row = {}
-        for name, value in zip(names, values, strict=True):
-            with suppress(ValueError):
-                row[name] = float(value)
+        for name, text in texts.items():
+            with suppress(ValueError, TypeError):
+                row[name] = float(text)
             if not math.isfinite(row.get(name, math.nan)):
-                problem = f"{name}: {value[:40]!r}; it must be a finite number"
-                raise _wrong(file, f"line {line}: {problem}")
-        yield line, row
+                problem = f"{name}: {str(text)[:40]!r}; it must be a finite number"
+                raise _wrong(file, f"line {reader.line_num}: {problem}")
+        yield reader.line_num, row
 
 
 def _csv_rings(file: str) -> list[tuple[str, Array]]:
     rings: dict[float, list[list[float]]] = {}
-    for _, row in _table(file, ("polygon", *_PLANE)):
+    for _, row in _table(file, ("polygon", "x", "y")):
         rings.setdefault(row["polygon"], []).append([row["x"], row["y"]])
     return [(f"polygon {key:g}", np.array(each)) for key, each in rings.items()]
 
@@ -182,29 +187,20 @@ def _csv_rings(file: str) -> list[tuple[str, Array]]:
 def _geojson_rings(file: str, part: Any, at: str) -> Iterator[tuple[str, Array]]:
     """Yields the outer rings of all polygons, with where they are in the file."""
     kind = part.get("type") if isinstance(part, dict) else None
+    inner = _INNER.get(str(kind))
     where = at or "the file"
-    inner = {
-        "FeatureCollection": "features",
-        "GeometryCollection": "geometries",
-        "Feature": "geometry",
-        "Polygon": "coordinates",
-        "MultiPolygon": "coordinates",
-    }.get(str(kind))
     if inner is None or inner not in part:
-        shown = f"{kind!r}"[:40]
         rule = "it must be a Polygon, a MultiPolygon, or what holds such"
-        raise _wrong(file, f"{where} is of type {shown}; {rule}")
-    content = part[inner]
-    if kind == "Feature":
-        yield from _geojson_rings(file, content, f"{at}.geometry".removeprefix("."))
-        return
-    items = [content] if kind == "Polygon" else content
-    if not isinstance(items, list):
-        raise _wrong(file, f"{where}: its {inner} must be a list")
-    for i, item in enumerate(items):
-        place = f"{at}.{inner}[{i}]".removeprefix(".")
+        raise _wrong(file, f"{where} is of type {kind!r:.40}; {rule}")
+    content, place = part[inner], f"{at}.{inner}".removeprefix(".")
+    items = {place: content}
+    if kind not in ("Feature", "Polygon"):
+        if not isinstance(content, list):
+            raise _wrong(file, f"{where}: its {inner} must be a list")
+        items = {f"{place}[{i}]": each for i, each in enumerate(content)}
+    for place, item in items.items():
         if inner == "coordinates":
-            yield where if kind == "Polygon" else place, _outer(file, item, place)
+            yield place, _outer(file, item, place)
         else:
             yield from _geojson_rings(file, item, place)
 

@@ -36,6 +36,7 @@ from vcbf_drake.typed import (
     check_type,
     field_types,
     in_words,
+    item_of,
     item_type,
     tag_of,
     tagged_types,
@@ -156,22 +157,26 @@ def build(node: Node, hint: Any, path: KeyPath = ()) -> Any:
     Raises:
         InvalidValueError: It holds something else.
     """
-    classes, kind = tagged_types(hint), allowed_types(hint)[0]
+    classes, kinds = tagged_types(hint), allowed_types(hint)
     tag = node.tag if node.tag.startswith("!") else ""
     if tag not in classes and (tag or inspect.isabstract(hint)):
         problem = f"unknown tag {tag}" if tag else "its tag is missing"
         raise InvalidValueError(path, f"{problem}; {did_you_mean(tag, classes)}")
     if classes and isinstance(node, yaml.MappingNode):
         return _build_object(node, classes, tag, path)
-    item = item_type(kind)
-    if item is not None and isinstance(node, yaml.SequenceNode):
+    if isinstance(node, yaml.ScalarNode) and not all(map(is_dataclass, kinds)):
+        value = _scalar(node, kinds[0], path)
+        check_type(path, value, hint)
+        return value
+    is_list = isinstance(node, yaml.SequenceNode)
+    is_nested = is_list and any(each.id == "sequence" for each in node.value)
+    item = item_of(kinds, is_nested)
+    if is_list and item is not None:
         made = [build(each, item, (*path, i)) for i, each in enumerate(node.value)]
-        return tuple(made) if get_origin(kind) is tuple else made
-    if isinstance(node, yaml.CollectionNode):
-        raise InvalidValueError(path, f"a {node.id}; it must be {in_words(hint)}")
-    value = _scalar(node, kind, path)
-    check_type(path, value, hint)
-    return value
+        return tuple(made) if get_origin(kinds[0]) is tuple else made
+    found = node.value if node.id == "scalar" else f"a {node.id}"
+    rule = "a mapping" if classes else in_words(hint)
+    raise InvalidValueError(path, f"{found or 'nothing'}; it must be {rule}")
 
 
 def _build_object(
