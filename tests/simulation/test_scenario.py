@@ -308,7 +308,7 @@ def test_one_scenario_of_several(tmp_path: Path) -> None:
     path = tmp_path / "two.yaml"
     path.write_text(f"one: {{}}\ntwo: {SMALL[:-1]}, period: 0.05}}\n")
     assert load_scenario(path, scenario_name="two").period == 0.05
-    assert "scenario_name (--scenario-name) None: allowed: one, two" in refusal(path)
+    assert "scenario_name (--scenario-name) is None; allowed: one, two" in refusal(path)
     assert "did you mean two?" in refusal(path, scenario_name="tow")
 
 
@@ -621,7 +621,7 @@ def test_missing_file_suggests_shipped_names() -> None:
         (b"one: {}\n---\ntwo: {}\n", "not YAML"),
         (b"one: \x07\n", "not YAML"),
         (b"one: *nowhere\n", "not YAML"),
-        (b"? [1]\n: 2\n", "a sequence: given twice, or no word"),
+        (b"? [1]\n: 2\n", "a sequence; a key must be a word"),
         (b"one: {<<: 3}\n", "expected a mapping or list of mappings for merging, but"),
     ],
 )

@@ -193,7 +193,7 @@ def _select(root: Node, source: str, name: str | None) -> Node:
     if chosen not in entries:
         problem = f"holds {len(entries) or 'no'} scenarios; scenario_name"
         hint = did_you_mean(name or "", entries)
-        raise ScenarioError(f"{source}: {problem} (--scenario-name) {name}: {hint}")
+        raise ScenarioError(f"{source}: {problem} (--scenario-name) is {name}; {hint}")
     key, node = entries[chosen]
     if isinstance(node, yaml.MappingNode):
         node.value.insert(0, (yaml.ScalarNode("", "name", key.start_mark), key))

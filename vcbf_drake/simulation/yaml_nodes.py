@@ -17,7 +17,6 @@ from pathlib import Path
 import re
 from typing import Any, TypeAlias, get_origin
 
-import numpy as np
 from pydrake.common.yaml import yaml_dump
 import yaml
 from yaml.constructor import SafeConstructor
@@ -46,6 +45,7 @@ Node: TypeAlias = Any  # A yaml.Node; PyYAML has no type stubs.
 _OVERRIDE = "override"
 # The notations of an angle: 90deg, 90°, pi/2.
 _ANGLE = re.compile(r"\d *(deg|°)|\bpi\b|\brad\b", re.IGNORECASE)
+_RADIANS = "a number, in radians: 1.5708 for 90 degrees"
 # No quantity is as large, in SI units; a product of a few such numbers is still finite.
 _LARGEST = 1e15
 
@@ -62,11 +62,12 @@ class _Loader(yaml.SafeLoader):
         node = super().compose_mapping_node(anchor)
         words: list[str] = []
         for key, _ in node.value:
-            word = key.value if isinstance(key, yaml.ScalarNode) else ""
-            if not word or word in words:
-                problem = f"{word or f'a {key.id}'}: given twice, or no word"
-                raise ScenarioError(f"{_where(key.start_mark)}: {problem}")
-            words.append(word)
+            place = _where(key.start_mark)
+            if not isinstance(key, yaml.ScalarNode):
+                raise ScenarioError(f"{place}: a {key.id}; a key must be a word")
+            if key.value in words:
+                raise ScenarioError(f"{place}: {key.value:.40}: given twice")
+            words.append(key.value)
         self.flatten_mapping(node)
         node.value = [*entries_of(node).values()]
         return node
@@ -174,7 +175,7 @@ def build(node: Node, hint: Any, path: KeyPath = ()) -> Any:
     if is_list and item is not None:
         made = [build(each, item, (*path, i)) for i, each in enumerate(node.value)]
         return tuple(made) if get_origin(kinds[0]) is tuple else made
-    found = node.value if node.id == "scalar" else f"a {node.id}"
+    found = f"{node.value:.40}" if node.id == "scalar" else f"a {node.id}"
     rule = "a mapping" if classes else in_words(hint)
     raise InvalidValueError(path, f"{found or 'nothing'}; it must be {rule}")
 
@@ -215,9 +216,7 @@ def _scalar(node: Node, kind: Any, path: KeyPath) -> Any:
             value = float(value)  # YAML 1.1 takes 1e-3 for text.
     if isinstance(value, str):
         is_angle = kind is float and _ANGLE.search(value) is not None
-        require(
-            not is_angle, path, value, "a number, in radians: 1.5708 for 90 degrees"
-        )
+        require(not is_angle, path, value, _RADIANS)
     elif value is not None:
         is_huge = _LARGEST < abs(value) < math.inf
         require(not is_huge, path, value, f"at most {_LARGEST:g} in size")
@@ -236,4 +235,4 @@ def plain(value: Any, hint: Any) -> Any:
     if isinstance(value, list | tuple):
         item = item_type(allowed_types(hint)[0])
         return [plain(each, item) for each in value]
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+    return value.tolist() if hasattr(value, "tolist") else value  # Of an array.
