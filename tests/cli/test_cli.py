@@ -22,7 +22,7 @@ from vcbf_drake.safety.assumptions import Assumption
 from vcbf_drake.safety.settings import METHODS
 from vcbf_drake.simulation.fleet import Fleet
 from vcbf_drake.simulation.loading import load_scenario, shipped_scenarios
-from vcbf_drake.simulation.log import LogFiles
+from vcbf_drake.simulation.result import LogFiles
 import vcbf_drake.simulation.run as run_module
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.schema import scenario_schema

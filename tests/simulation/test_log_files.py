@@ -15,7 +15,7 @@ import pytest
 
 from vcbf_drake import load_scenario, simulate
 from vcbf_drake.simulation import load_result, read_log_files
-from vcbf_drake.simulation.log import LogFiles
+from vcbf_drake.simulation.result import LogFiles
 
 CAR = load_scenario("car-avoidance", overrides="{duration: 1.5}")
 LONG = load_scenario("car-avoidance", overrides="{duration: 30.0}")

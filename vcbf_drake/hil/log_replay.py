@@ -36,10 +36,9 @@ from vcbf_drake.hil.formats import (
 from vcbf_drake.hil.inbox import Inbox
 from vcbf_drake.hil.messages import vcbf_command, vcbf_state, vcbf_status
 from vcbf_drake.safety import Assumption, SafetyFilter
-from vcbf_drake.simulation.collision_monitor import TOUCH
-from vcbf_drake.simulation.log import finish_log
-from vcbf_drake.simulation.loop import COLLISION_MONITOR, logged_ports
-from vcbf_drake.simulation.result import Result, step_cpu_time
+from vcbf_drake.simulation.collision_monitor import COLLISION_MONITOR, TOUCH
+from vcbf_drake.simulation.loop import logged_ports
+from vcbf_drake.simulation.result import Result, finish_log, step_cpu_time
 from vcbf_drake.simulation.run import loop_assumptions
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.summary import Ending, summarise

@@ -19,8 +19,11 @@ from vcbf_drake.errors import naming_user_code
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.formats import Reason, VehicleMode
 from vcbf_drake.hil.vehicle_side import VehicleEnd, make_vehicle
-from vcbf_drake.simulation.collision_monitor import CollisionMonitor
-from vcbf_drake.simulation.loop import COLLISION_MONITOR, LOG_PREFIX
+from vcbf_drake.simulation.collision_monitor import (
+    COLLISION_MONITOR,
+    CollisionMonitor,
+)
+from vcbf_drake.simulation.loop import LOG_PREFIX
 from vcbf_drake.simulation.run import make_simulator
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.summary import arrival

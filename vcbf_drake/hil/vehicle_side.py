@@ -33,9 +33,9 @@ from vcbf_drake.hil.messages import vcbf_obstacles, vcbf_state
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.model.interface import state_port_of
 from vcbf_drake.safety import InputSet
+from vcbf_drake.simulation.collision_monitor import add_collision_monitor
 from vcbf_drake.simulation.loop import (
     LOG_PREFIX,
-    add_collision_monitor,
     add_simulated_plant,
 )
 from vcbf_drake.simulation.obstacles import barriers

@@ -8,11 +8,10 @@ from vcbf_drake.simulation.loading import (
     load_scenario,
     shipped_scenarios,
 )
-from vcbf_drake.simulation.log import read_log_files
 from vcbf_drake.simulation.loop import make_loop
 from vcbf_drake.simulation.obstacle_files import PolygonMap, SpheresFile
 from vcbf_drake.simulation.obstacles import BodyPoint, barriers
-from vcbf_drake.simulation.result import Result, load_result, step_cpu_time
+from vcbf_drake.simulation.result import Result, load_result, read_log_files
 from vcbf_drake.simulation.run import (
     check_assumptions,
     simulate,
@@ -56,6 +55,5 @@ __all__ = [
     "shipped_scenarios",
     "simulate",
     "simulate_fleet",
-    "step_cpu_time",
     "validate",
 ]

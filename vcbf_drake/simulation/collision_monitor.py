@@ -8,9 +8,11 @@ from typing import Any
 from pydrake.common.value import Value
 from pydrake.systems.framework import (
     Context,
+    DiagramBuilder,
     EventStatus,
     InputPort,
     LeafSystem,
+    OutputPort,
     PublishEvent,
     ValueProducer,
     WitnessFunction,
@@ -18,10 +20,12 @@ from pydrake.systems.framework import (
 )
 
 from vcbf_drake.barriers import BarrierSet
+from vcbf_drake.model.interface import state_port_of
 
 # A barrier nearer to 0 than this is touched, not crossed, in its unit. A robot may rest
 # at a limit for long; rounding and an integrator's steps know its h no better.
 TOUCH = 1e-7
+COLLISION_MONITOR = "collision_monitor"
 
 
 class CollisionMonitor(LeafSystem):
@@ -87,3 +91,19 @@ class CollisionMonitor(LeafSystem):
 
     def DoGetWitnessFunctions(self, context: Context) -> list[WitnessFunction]:  # noqa: D102
         return self._witnesses
+
+
+def add_collision_monitor(
+    builder: DiagramBuilder,
+    plant: LeafSystem,
+    barrier_set: BarrierSet,
+    seen: OutputPort | None = None,
+) -> None:
+    """Adds the monitor that ends a simulation when a barrier becomes negative."""
+    state = state_port_of(plant)
+    monitor = builder.AddNamedSystem(
+        COLLISION_MONITOR, CollisionMonitor(barrier_set, state.size())
+    )
+    builder.Connect(state, monitor.GetInputPort("state"))
+    if seen is not None and monitor.HasInputPort("obstacles"):
+        builder.Connect(seen, monitor.GetInputPort("obstacles"))

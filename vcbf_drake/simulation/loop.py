@@ -33,7 +33,7 @@ from vcbf_drake.errors import below
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.model.interface import find_input_port, state_port_of
 from vcbf_drake.safety import SafetyFilter
-from vcbf_drake.simulation.collision_monitor import CollisionMonitor
+from vcbf_drake.simulation.collision_monitor import add_collision_monitor
 from vcbf_drake.simulation.faults import (
     faulty_actuator,
     lose_answers,
@@ -49,7 +49,6 @@ from vcbf_drake.simulation.sensors import ObstaclesInSight, Sensor
 from vcbf_drake.typed import typed
 
 LOG_PREFIX = "log_"
-COLLISION_MONITOR = "collision_monitor"
 
 
 @typed
@@ -253,22 +252,6 @@ def _measured_state(
     builder.AddNamedSystem("sensor", sensor)
     builder.Connect(state, sensor.get_input_port())
     return sensor.get_output_port()
-
-
-def add_collision_monitor(
-    builder: DiagramBuilder,
-    plant: LeafSystem,
-    barrier_set: BarrierSet,
-    seen: OutputPort | None = None,
-) -> None:
-    """Adds the monitor that ends a simulation when a barrier becomes negative."""
-    state = state_port_of(plant)
-    monitor = builder.AddNamedSystem(
-        COLLISION_MONITOR, CollisionMonitor(barrier_set, state.size())
-    )
-    builder.Connect(state, monitor.GetInputPort("state"))
-    if seen is not None and monitor.HasInputPort("obstacles"):
-        builder.Connect(seen, monitor.GetInputPort("obstacles"))
 
 
 def logged_ports(

@@ -25,7 +25,7 @@ from vcbf_drake.safety import (
     SafetyFilter,
     assumptions,
 )
-from vcbf_drake.simulation.collision_monitor import TOUCH
+from vcbf_drake.simulation.collision_monitor import COLLISION_MONITOR, TOUCH
 from vcbf_drake.simulation.faults import fault_assumptions
 from vcbf_drake.simulation.fleet import (
     Fleet,
@@ -35,9 +35,8 @@ from vcbf_drake.simulation.fleet import (
     others_assumption,
 )
 from vcbf_drake.simulation.loading import load_scenario
-from vcbf_drake.simulation.log import RunLog
-from vcbf_drake.simulation.loop import COLLISION_MONITOR, measurement_noise
-from vcbf_drake.simulation.result import Result, step_cpu_time
+from vcbf_drake.simulation.loop import measurement_noise
+from vcbf_drake.simulation.result import Result, RunLog, step_cpu_time
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.summary import Ending, judge
 from vcbf_drake.typed import typed

@@ -26,9 +26,9 @@ from vcbf_drake.simulation.audit import (
     authority,
     reasons_against,
 )
+from vcbf_drake.simulation.collision_monitor import COLLISION_MONITOR
 from vcbf_drake.simulation.faults import fault_assumptions
 from vcbf_drake.simulation.fleet import OTHERS, others_finding
-from vcbf_drake.simulation.loop import COLLISION_MONITOR
 from vcbf_drake.simulation.scenario import Scenario
 
 
