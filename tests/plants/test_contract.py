@@ -159,6 +159,9 @@ def test_what_a_member_returns_instead_is_named(
 def test_parameters_are_those_that_a_file_can_hold() -> None:
     assert refusal(Trolley(gain="1")) == "vehicle.gain: '1'; it must be a number"  # type: ignore[arg-type]
 
+    message = "vehicle.sides: (0.4,); it must be 2 values"
+    assert refusal(Trolley(sides=(0.4,))) == message  # type: ignore[arg-type]
+
     class Undecorated(Vehicle):
         position = (0, 1)
         make_plant, make_controller = Trolley.make_plant, Trolley.make_controller  # type: ignore[assignment]

@@ -88,15 +88,10 @@ def load_fleet(
     overrides: str | Mapping[str, Any] | None = None,
     scenario_name: str | None = None,
 ) -> Fleet:
-    """Loads one scenario of one or several vehicles.
+    """Loads one scenario of one or several vehicles, as `load_scenario` does.
 
     The key ``vehicles`` of the latter is a list of scenarios, each with the entries
     beside it as its own, but for those that it gives itself.
-
-    Args:
-        name_or_path: See `load_scenario`.
-        overrides: See `load_scenario`.
-        scenario_name: See `load_scenario`.
 
     Raises:
         ScenarioError: See `load_scenario`.
