@@ -159,7 +159,19 @@ def hostile_inputs(world, rng):
     return chosen
 
 
-@pytest.mark.parametrize("kind", [random_car, random_blimp])
+def random_car_that_must_turn(rng):
+    """A car that no straight stop keeps clear of what is ahead."""
+    while True:
+        car, x = random_car(rng)
+        straight, *turns = car.gate.manoeuvres
+        car.gate.manoeuvres = (straight,)
+        must_turn = not car.decide(x, 0.0, np.zeros(2)).is_certified
+        car.gate.manoeuvres = (straight, *turns)
+        if must_turn and abs(x[2]) > 0.3:
+            return car, x
+
+
+@pytest.mark.parametrize("kind", [random_car, random_car_that_must_turn, random_blimp])
 @pytest.mark.parametrize("seed", range(12))
 def test_from_a_certified_start_it_never_runs_out_of_inputs(kind, seed):
     rng = np.random.default_rng([17, seed])
@@ -205,12 +217,12 @@ def car_rate_of_2_kg(x, u, d):
     return car_rate(x, u, d, 2.0)
 
 
-def car_before_a_disc(distance, speed, delta=0.1, force=1.0):
+def car_before_a_disc(distance, speed, delta=0.1, force=1.0, rate=1.0):
     return World(
         Car(CarParameters(2.0)),
         car_rate_of_2_kg,
         [((distance + 0.5, 0.0), 0.5)],
-        [force, 1.0],
+        [force, rate],
         delta,
         0.02,
     ), np.array([0.0, 0.0, speed, 0.0])
@@ -219,9 +231,25 @@ def car_before_a_disc(distance, speed, delta=0.1, force=1.0):
 @pytest.mark.parametrize(("spare", "certified"), [(0.01, True), (-0.01, False)])
 def test_a_car_is_certified_where_its_weakest_brakes_stop_it_in_time(spare, certified):
     # v^2 / (2 B) with B = 1 N / 2 kg - 0.1 m/s^2.
-    world, x = car_before_a_disc(0.8**2 / (2.0 * 0.4) + spare, 0.8)
+    world, x = car_before_a_disc(0.8**2 / (2.0 * 0.4) + spare, 0.8, rate=0.0)
     decision = world.decide(x, 0.0, np.array([-1.0, 0.0]))
     assert decision.is_certified is certified
+
+
+@pytest.mark.parametrize(("rate", "certified"), [(1.0, True), (0.1, False)])
+def test_a_car_that_cannot_stop_in_time_is_certified_where_it_can_steer_past(
+    rate, certified
+):
+    """At 0.8 m/s it stops after 0.8 m, in the disc; half of it is beside its line."""
+    world = World(Car(), car_rate_of_2_kg, [((1.1, 0.35), 0.5)], [1.0, rate], 0.1, 0.02)
+    x = np.array([0.0, 0.0, 0.8, 0.0])
+    assert world.decide(x, 0.0, np.zeros(2)).is_certified is certified
+    limit = StateInputLimit(lambda x, t, p: ([0.0, 1.0], 0.05))
+    disc = SphereObstacle((1.1, 0.35), 0.5).barrier([4.0, 3.0])
+    world.barriers = BarrierSet(world.model, [disc, limit])
+    world.gate = BackupGate(world.model, world.barriers, world.inputs, 0.02, 0.1)
+    # A law that turns might break a limit that depends on the state.
+    assert not world.decide(x, 0.0, np.zeros(2)).is_certified
 
 
 def test_an_input_gives_way_only_as_far_as_it_must():
@@ -230,6 +258,7 @@ def test_an_input_gives_way_only_as_far_as_it_must():
     assert far.is_certified and far.backup == 0.0
     assert far.input.tolist() == [1.0, 0.7]
     world, x = car_before_a_disc(0.5**2 / 0.8 + 0.0035, 0.5)
+    world.gate.manoeuvres = world.gate.manoeuvres[:1]  # It must stop straight ahead.
     near = world.decide(x, 0.0, np.array([1.0, 0.7]))
     assert near.is_certified and 0.0 < near.backup <= 1.0
     assert near.input[1] == pytest.approx(0.7)  # The brakes alone are enough.
@@ -445,7 +474,7 @@ def test_a_plant_without_a_manoeuvre_is_told_so():
 def test_a_soft_barrier_stops_no_plan():
     """A ball that a car may touch, behind one that it may not."""
     soft, hard = ((1.2, 0.0), 0.4), ((3.0, 0.0), 0.5)
-    world = World(Car(), car_rate, [soft, hard], [1.0, 1.0], 0.1, 0.02)
+    world = World(Car(), car_rate, [soft, hard], [1.0, 0.0], 0.1, 0.02)
     is_hard = np.array([False, True])
     world.gate = BackupGate(
         world.model, world.barriers, world.inputs, world.period, world.delta, is_hard
@@ -456,5 +485,5 @@ def test_a_soft_barrier_stops_no_plan():
     assert found.is_certified and found.backup == 0.0
     # From 1.5 m/s it would take 2.8 m, into the hard one.
     assert not world.decide(np.array([0.0, 0.0, 1.5, 0.0]), 0.0, u).is_certified
-    both = World(Car(), car_rate, [soft, hard], [1.0, 1.0], 0.1, 0.02)
+    both = World(Car(), car_rate, [soft, hard], [1.0, 0.0], 0.1, 0.02)
     assert not both.decide(x, 0.0, u).is_certified

@@ -15,11 +15,12 @@ from vcbf_drake.plants.car_stop import CarStop
 TOLERANCE = 1e-9
 
 
-def car(rng):
+def car(rng, turns_to=None):
     T, mass = float(rng.choice([0.01, 0.02, 0.1])), 2.0
     limits = np.array([rng.uniform(0.4, 1.2), rng.uniform(0.3, 1.2)])
     delta = rng.uniform(0.0, 0.8) * limits[0] / mass
-    (manoeuvre,) = Car(CarParameters(mass)).make_manoeuvres(-limits, limits, delta, T)
+    found = Car(CarParameters(mass)).make_manoeuvres(-limits, limits, delta, T)
+    manoeuvre = found[0 if turns_to is None else 1 + turns_to]
     x = np.array([*rng.uniform(-3, 3, 2), rng.uniform(-1, 1), rng.uniform(-3, 3)])
     if rng.random() < 0.3:
         x[2] *= 0.01  # Next to rest, where it is corrected.
@@ -29,6 +30,14 @@ def car(rng):
         return [v * np.cos(psi), v * np.sin(psi), u[0] / mass + d, u[1]]
 
     return manoeuvre, x, limits, T, rate, lambda: delta * rng.choice([-1.0, 1.0])
+
+
+def turning_car(rng):
+    """A stop after a turn, from a state and by an input that it has plans for."""
+    turns_to = int(rng.integers(16))
+    manoeuvre, x, *others = car(rng, turns_to)
+    x[3] = 2.0 * np.pi * turns_to / 16 + rng.uniform(-1.2, 1.2)
+    return manoeuvre, x, *others
 
 
 def blimp(rng):
@@ -88,7 +97,7 @@ def cells(plan):
     return np.array([plan.box(i, i + 1) for i in range(plan.num_cells)])
 
 
-@pytest.mark.parametrize("kind", [car, blimp])
+@pytest.mark.parametrize("kind", [car, turning_car, blimp])
 @pytest.mark.parametrize("seed", range(16))
 def test_a_plan_covers_what_comes_and_nests_what_is_planned_next(kind, seed):
     rng = np.random.default_rng([120, seed])
@@ -119,7 +128,7 @@ def test_a_plan_covers_what_comes_and_nests_what_is_planned_next(kind, seed):
         plan, before = following, after
 
 
-@pytest.mark.parametrize("kind", [car, blimp])
+@pytest.mark.parametrize("kind", [car, turning_car, blimp])
 def test_a_wider_span_has_a_wider_box(kind):
     rng = np.random.default_rng(7)
     for _ in range(20):
@@ -147,7 +156,7 @@ def test_a_car_at_rest_stays_within_its_cells_whatever_pushes_it():
 def test_a_car_that_may_stop_on_the_end_of_a_cell_stays_within_its_plan():
     """All numbers are exact: the weakest brakes stop it at 2.5, the end of a cell."""
     limits, push, T = np.array([1.5, 1.0]), 0.5, 0.5
-    (stop,) = Car(CarParameters(1.0)).make_manoeuvres(-limits, limits, push, T)
+    stop, *_ = Car(CarParameters(1.0)).make_manoeuvres(-limits, limits, push, T)
     assert stop.cell == 2.5
     x = np.array([2.375, 0.0, 0.5, 0.0])
     u = stop.input(x)

@@ -37,7 +37,8 @@ class BackupGate:
     filter that starts with one keeps one for all time (Theorem 5).
 
     Attributes:
-        manoeuvres: The plant's, the first to be preferred.
+        manoeuvres: The plant's; the least detour is preferred, and of equal ones the
+            first.
     """
 
     def __init__(
@@ -64,21 +65,23 @@ class BackupGate:
             ModelError: The plant has no manoeuvre that is safe under these limits, or a
                 barrier has no enclosure on intervals; or the limits are no box.
         """
-        self.manoeuvres = tuple(
-            manoeuvres_of(model, input_set, period, disturbance_bound)
-        )
+        found = manoeuvres_of(model, input_set, period, disturbance_bound)
         RowEnclosures.at(barrier_set, 0.0, np.zeros(barrier_set.obstacles_size))
         self._barriers, self._input_set = barrier_set, input_set
         everything = np.ones(barrier_set.size, dtype=bool)
         self._is_hard = everything if is_hard is None else is_hard
+        is_limited = not np.all(np.array(barrier_set.degrees)[self._is_hard])
+        self.manoeuvres = tuple(
+            each for each in found if each.obeys_limits or not is_limited
+        )
         self._disturbance_bound = disturbance_bound
 
     def decide(self, tick: Tick, decision: FilterDecision) -> FilterDecision:
         """Returns a decision with a certified plan; where there is none, one without.
 
-        The input gives way to a manoeuvre's by as little as a certified plan takes:
-        only its `first` inputs, while one `aside` may go to a limit; where that is not
-        enough, all.
+        An input passes with a plan of any manoeuvre. Another one gives way to the input
+        of the first manoeuvre that has a plan, by as little as it takes: only the
+        `first` inputs, while one `aside` may go to a limit; if that is not enough, all.
 
         Args:
             tick: The tick of the decision.
@@ -96,7 +99,7 @@ class BackupGate:
         u = decision.input
         ways = [
             (each, backup)
-            for each in self.manoeuvres
+            for each in sorted(self.manoeuvres, key=lambda m: m.detour(tick.state))
             if (backup := _input_of(each, tick.state, self._input_set)) is not None
         ]
         laws = [(each, backup) for each, backup in ways if check.allows(backup)]
@@ -129,8 +132,8 @@ def _input_of(manoeuvre: Manoeuvre, state: Array, input_set: InputSet) -> Array 
             f" ({input_set.num_inputs},), got {u.shape}"
         )
     inside = input_set.project(u)
-    is_inside = np.allclose(u, inside, rtol=_TOLERANCE, atol=_TOLERANCE)
-    return inside if is_inside else None
+    excess = np.abs(u - inside)
+    return inside if np.all(excess <= _TOLERANCE * (1.0 + np.abs(inside))) else None
 
 
 class _Check:
@@ -166,8 +169,8 @@ class _Check:
             plan = manoeuvre.plan(tick.state, tick.time, u)
         except (ArithmeticError, ValueError):  # Beyond what floats hold.
             return False
-        cells = self._cells_before_safety(plan)
-        if cells is None:
+        cells = self._cells_before_safety(plan) if plan else None
+        if plan is None or cells is None:
             return False
         for i, each in enumerate(self._functions):
             if not _is_clear(each, plan, 0, cells):
@@ -298,6 +301,8 @@ def _is_clear_in_turn(function: RowFunctions, box: Box) -> bool:
     The instants that part them are so chosen that those for a later start lack none.
     """
     *states, (start, end) = box
+    if _value(function, [*states, (start, start)]).low < 0.0:
+        return False
     parted = {
         step * (math.floor(start / step) + i)
         for step in _WHILES

@@ -43,6 +43,8 @@ class Manoeuvre(ABC):
 
     Attributes:
         horizon: The time for which method backup follows the law [s]; 0 without a law.
+        obeys_limits: Whether the law satisfies limits of the input that depend on the
+            state, as one of a car's steering; if not, it is used only without them.
         first: The indices of the inputs that give way first where a plan is not safe:
             the others keep the filter's values, if that suffices.
         aside: The indices of other inputs that may go to a limit, so that the first
@@ -52,6 +54,7 @@ class Manoeuvre(ABC):
     first: tuple[int, ...]
     aside: tuple[int, ...] = ()
     horizon = 0.0
+    obeys_limits = True
 
     @abstractmethod
     def input(self, state: Array) -> Array:
@@ -62,14 +65,24 @@ class Manoeuvre(ABC):
         """
 
     @abstractmethod
-    def plan(self, state: Array, time: float, u: Array) -> Plan:
+    def plan(self, state: Array, time: float, u: Array) -> Plan | None:
         """Returns the plan of an input, held for a period, and the manoeuvre after it.
+
+        None where the manoeuvre does not lead to safety from there.
 
         Args:
             state: x at a tick, shape (n,).
             time: The time of that tick [s].
             u: The input, shape (m,).
         """
+
+    def detour(self, state: Array) -> float:
+        """Returns how far it leads from the way at a state: the least comes first.
+
+        Args:
+            state: x at a tick, shape (n,).
+        """
+        return 0.0
 
     def law(self, x: Expressions) -> Sequence[Any]:
         """Returns a smooth form of the law, for method backup: m expressions.

@@ -19,7 +19,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 from vcbf_drake.barriers import Barrier, StateInputLimit, ackermann_limit
 from vcbf_drake.checks import Array
 from vcbf_drake.model.manoeuvre import Manoeuvre
-from vcbf_drake.plants.car_stop import CarStop
+from vcbf_drake.plants.car_stop import car_stops
 from vcbf_drake.plants.controllers import (
     NEAR,
     StateFeedback,
@@ -98,11 +98,8 @@ def Car_(T: type) -> type:
         def make_manoeuvres(
             self, lower: Array, upper: Array, delta: float, period: float
         ) -> list[Manoeuvre]:
-            """Returns the car's backup manoeuvre, if the brakes are stronger than d."""
-            mass = self._parameters.mass
-            if not CarStop.is_possible(lower, upper, mass, delta):
-                return []
-            return [CarStop(mass, lower, upper, delta, period)]
+            """Returns the car's stops, if the brakes are stronger than d."""
+            return car_stops(self._parameters.mass, lower, upper, delta, period)
 
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
             _, _, v, psi = context.get_continuous_state_vector().CopyToVector().tolist()
