@@ -19,6 +19,7 @@ from vcbf_drake.barriers import (
     PolygonObstacle,
     SphereObstacle,
 )
+from vcbf_drake.plants.shapes import bounding_box, surface
 from vcbf_drake.simulation import simulate
 from vcbf_drake.viz import write_figures, write_replay
 from vcbf_drake.viz.scene_graph import rgba
@@ -37,7 +38,7 @@ def area(corners):
 
 
 def test_outlines_have_the_true_size(scenario):
-    found = [hull(each.body.surface[:, :2]) for each in solids_of(scenario, 0.2)]
+    found = [hull(surface(each.body)[:, :2]) for each in solids_of(scenario, 0.2)]
     length, disc = np.hypot(4.0, 0.5), np.pi * 0.4**2
     true = [np.pi * 0.5 * 0.3, 2 * 0.2 * length + np.pi * 0.2**2, 4 * 0.4 * 0.2]
     np.testing.assert_allclose(list(map(area, found)), [disc, disc, *true], rtol=0.01)
@@ -77,7 +78,7 @@ def test_the_margin_is_drawn_where_the_barrier_ends(obstacle):
         return found.Evaluate() if isinstance(found, Expression) else float(found)
 
     drawn = list(solids(obstacle, 0.2))
-    corners = [each.keep_out.surface[:, :size] for each in drawn]
+    corners = [each.surface[:, :size] for each in drawn]
     corners = np.vstack([each[ConvexHull(each).vertices] for each in corners])
     heights = np.array([value(point) for point in corners])
     assert heights.max() < 1e-6
@@ -87,7 +88,7 @@ def test_the_margin_is_drawn_where_the_barrier_ends(obstacle):
     else:
         rounding = 2.0 * getattr(obstacle, "smoothing", 0.0)
         assert heights.min() > -rounding - 1e-6
-    bare = np.vstack([each.body.surface for each in drawn])[:, :size]
+    bare = np.vstack([surface(each.body) for each in drawn])[:, :size]
     assert max(map(value, bare)) < -MARGIN + 1e-6
 
 
@@ -155,7 +156,7 @@ def test_an_obstacle_on_waypoints_is_drawn_where_it_is():
         shape, [0.0, 5.0, 10.0], [[4.0, -2.0], [4.0, -1.0], [5.0, 0.0]]
     )
     (solid,) = solids(moving, 0.1)
-    low, high = solid.body.surface.min(axis=0), solid.body.surface.max(axis=0)
+    low, high = bounding_box([solid.body])
     np.testing.assert_allclose([low[:2], high[:2]], [[3.6, -2.2], [4.4, -1.8]])
     np.testing.assert_allclose(solid.body.pose.translation()[:2], [4.0, -2.0])
     for time, offset in ((0.0, [0.0, 0.0]), (5.0, [0.0, 1.0]), (99.0, [1.0, 2.0])):

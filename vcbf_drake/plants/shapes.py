@@ -11,12 +11,15 @@ import json
 import numpy as np
 from pydrake.common import MemoryFile
 from pydrake.geometry import (
-    GeometryInstance,
-    IllustrationProperties,
+    Box,
+    Capsule,
+    Convex,
+    Cylinder,
+    Ellipsoid,
     InMemoryMesh,
     Mesh,
-    SceneGraph,
     Shape,
+    Sphere,
 )
 from pydrake.math import RigidTransform
 
@@ -66,28 +69,34 @@ def of_body(parts: Iterable[Part], body: str = "") -> list[Part]:
     return [part for part in parts if part.body == body]
 
 
-def bounding_box(parts: Iterable[Part]) -> tuple[Array, Array]:
-    """Returns the corners of a box around parts in the body frame, shape (3,) each [m].
+def surface(part: Part) -> Array:
+    """Returns points whose hull a part nearly is, in its body frame, shape (k, 3) [m].
 
-    Unbounded shapes, such as a `HalfSpace`, are left out.
+    There are none of an unbounded shape, such as a `HalfSpace`.
     """
-    scene_graph = SceneGraph()
-    source, inspector = scene_graph.RegisterSource(), scene_graph.model_inspector()
-    corners = []
-    for part in parts:
-        instance = GeometryInstance(part.pose, part.shape, part.name)
-        instance.set_illustration_properties(IllustrationProperties())
-        geometry = scene_graph.RegisterAnchoredGeometry(source, instance)
-        hull = inspector.GetConvexHull(geometry)  # For meshes only.
-        box = inspector.GetObbInGeometryFrame(geometry)
-        if hull is not None:
-            inside = np.transpose([hull.vertex(i) for i in range(hull.num_vertices())])
-            corners.append((part.pose @ inside).T)
-        elif box is not None:
-            signs = np.array(list(product((-1.0, 1.0), repeat=3)))
-            inside = box.pose() @ (signs * box.half_width()).T
-            corners.append((part.pose @ inside).T)
-    points = np.vstack(corners or [np.zeros((1, 3))])
+    shape, points = part.shape, np.empty((0, 3))
+    if isinstance(shape, Sphere):
+        points = shape.radius() * _BALL
+    elif isinstance(shape, Ellipsoid):
+        points = np.array([shape.a(), shape.b(), shape.c()]) * _BALL
+    elif isinstance(shape, Capsule):
+        end = np.array([0.0, 0.0, 0.5 * shape.length()])
+        points = np.vstack([shape.radius() * _BALL + e for e in (-end, end)])
+    elif isinstance(shape, Cylinder):
+        end = np.array([0.0, 0.0, 0.5 * shape.length()])
+        points = np.vstack([shape.radius() * CIRCLE + e for e in (-end, end)])
+    elif isinstance(shape, Box):
+        points = 0.5 * shape.size() * np.array([*product((-1.0, 1.0), repeat=3)])
+    elif isinstance(shape, Convex | Mesh):
+        hull = shape.GetConvexHull()
+        points = np.array([hull.vertex(k) for k in range(hull.num_vertices())])
+    return np.asarray((part.pose @ points.T).T)
+
+
+def bounding_box(parts: Iterable[Part]) -> tuple[Array, Array]:
+    """Returns the corners of the box around parts in the body frame, (3,) each [m]."""
+    points = np.vstack([np.empty((0, 3)), *map(surface, parts)])
+    points = points if len(points) else np.zeros((1, 3))
     return points.min(axis=0), points.max(axis=0)
 
 
@@ -97,3 +106,17 @@ def _linear(color: str) -> list[float]:
     dark, bright = channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4
     linear: list[float] = np.where(channels <= 0.04045, dark, bright).round(5).tolist()
     return linear
+
+
+def _ball() -> Array:
+    """Points all over the unit sphere, its equator and meridians among them."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 33)
+    rise = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 17)
+    turns, rises = (each.ravel() for each in np.meshgrid(turn, rise))
+    around = [np.cos(turns) * np.cos(rises), np.sin(turns) * np.cos(rises)]
+    return np.column_stack([*around, np.sin(rises)])
+
+
+_BALL = _ball()
+_ANGLE = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+CIRCLE = np.column_stack([np.cos(_ANGLE), np.sin(_ANGLE), 0.0 * _ANGLE])

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vcbf_drake.checks import Array
+from vcbf_drake.plants.shapes import surface
 from vcbf_drake.viz.feasible_set import feasible_set_figure, telling_times
 from vcbf_drake.viz.runs import Run, label_runs
 from vcbf_drake.viz.series_figures import (
@@ -164,7 +165,7 @@ def draw_space(axes: Axes, runs: Sequence[Run]) -> None:
     flat = view[:2] * [1.0, 1.0, 0.0]
     lift = view[:2, 2] * low[2]
     for solid in solids_of(runs[-1].scenario):
-        shadow = hull(solid.body.surface @ flat.T + lift)
+        shadow = hull(surface(solid.body) @ flat.T + lift)
         axes.fill(*shadow.T, fc=SHADOW, lw=0, zorder=1.5)
     for run in runs:
         axes.plot(*(run.path @ flat.T + lift).T, color=SHADOW, lw=1.4, zorder=1.5)
@@ -246,7 +247,7 @@ def _draw_projected(axes: Axes, runs: Sequence[Run], view: Array) -> None:
 def path_extent(runs: Sequence[Run]) -> tuple[Array, Array]:
     """The corners of the space that holds paths and obstacles, shape (3,) each [m]."""
     found = [each for run in runs for each in (run.target, run.path)]
-    found += [solid.whole.surface for solid in solids_of(runs[-1].scenario)]
+    found += [solid.surface for solid in solids_of(runs[-1].scenario)]
     points = np.vstack(found)
     low, high = points.min(axis=0), points.max(axis=0)
     room = 0.03 * float((high - low).max())
@@ -255,7 +256,7 @@ def path_extent(runs: Sequence[Run]) -> tuple[Array, Array]:
 
 def _draw_solid(axes: Axes, solid: Solid, view: Array, end: float) -> None:
     """An obstacle with its margin, and where it is in the end if it moves."""
-    body, whole = (hull(p.surface @ view.T) for p in (solid.body, solid.whole))
+    body, whole = (hull(p @ view.T) for p in (surface(solid.body), solid.surface))
     if solid.moves:
         middle = 0.5 * (body.min(axis=0) + body.max(axis=0))
         times = solid.key_times(end)

@@ -159,10 +159,10 @@ class ObstacleGeometry(PosedGeometry):
         bodies: dict[str, list[Part]] = {}
         for number, obstacle in enumerate(obstacles):
             to_frame = RigidTransform(-place_at(obstacle, 0.0))
-            pieces = [each.body for each in solids(obstacle, PILLAR_HEIGHT)]
+            parts = [each.body for each in solids(obstacle, PILLAR_HEIGHT)]
             bodies[f"{name}_{number}"] = [
                 Part(f"body_{i}" if i else "body", p.shape, color, to_frame @ p.pose)
-                for i, p in enumerate(pieces)
+                for i, p in enumerate(parts)
             ]
         super().__init__(scene_graph, bodies)
         self._obstacles = tuple(obstacles)

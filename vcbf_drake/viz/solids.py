@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import product
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -24,6 +23,8 @@ from vcbf_drake.barriers import (
 )
 from vcbf_drake.barriers.obstacles import Obstacle
 from vcbf_drake.checks import Array
+from vcbf_drake.plants.shapes import CIRCLE, Part, surface
+from vcbf_drake.viz.style import OBSTACLE, SHELL
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.scenario import Scenario
@@ -37,26 +38,6 @@ _KEEP_OUT_HEIGHT = 0.4  # Of the obstacle's, in the plane, so that this stands o
 
 
 @dataclass(frozen=True)
-class Piece:
-    """A convex body.
-
-    Attributes:
-        shape: One of Drake's shapes.
-        pose: The pose at time 0.
-        surface: Points whose hull it is, shape (k, 3) [m].
-    """
-
-    shape: Shape
-    pose: RigidTransform
-    surface: Array
-
-    def moved(self, offset: RigidTransform) -> Piece:
-        """The same body elsewhere."""
-        surface = (offset @ self.surface.T).T
-        return Piece(self.shape, offset @ self.pose, surface)
-
-
-@dataclass(frozen=True)
 class Solid:
     """A convex obstacle; in the plane it stands on z = 0.
 
@@ -66,8 +47,8 @@ class Solid:
         obstacle: The obstacle that it is a solid of, and moves with.
     """
 
-    body: Piece
-    keep_out: Piece | None
+    body: Part
+    keep_out: Part | None
     obstacle: Thing | MovingObstacle
 
     @property
@@ -77,9 +58,9 @@ class Solid:
         return on_a_path or bool(self.offset_at(1.0).any())
 
     @property
-    def whole(self) -> Piece:
-        """The obstacle with its margin, if it has one."""
-        return self.keep_out or self.body
+    def surface(self) -> Array:
+        """Points whose hull it is at time 0, with its margin, shape (k, 3) [m]."""
+        return surface(self.keep_out or self.body)
 
     def offset_at(self, time: float) -> Array:
         """The displacement at a time [s], shape (3,) [m]."""
@@ -154,16 +135,18 @@ def solids(obstacle: object, height: float) -> Iterator[Solid]:
     if isinstance(obstacle, MovingObstacle):
         start = RigidTransform(place_at(obstacle, 0.0))
         for each in solids(obstacle.shape, height):
-            keep_out = each.keep_out and each.keep_out.moved(start)
-            yield Solid(each.body.moved(start), keep_out, obstacle)
+            body, shell = each.body, each.keep_out
+            shell = shell and replace(shell, pose=start @ shell.pose)
+            yield Solid(replace(body, pose=start @ body.pose), shell, obstacle)
     if not isinstance(obstacle, Thing):
         return
-    bodies = _pieces(obstacle, 0.0, height)
-    keep_outs: Sequence[Piece | None] = [None] * len(bodies)
-    if obstacle.margin > 0.0:
-        keep_outs = _pieces(obstacle, obstacle.margin, _KEEP_OUT_HEIGHT * height)
-    for body, keep_out in zip(bodies, keep_outs, strict=True):
-        yield Solid(body, keep_out, obstacle)
+    bodies = _parts("body", OBSTACLE, obstacle, 0.0, height)
+    shells: Sequence[Part | None] = [None] * len(bodies)
+    if margin := obstacle.margin:
+        low = _KEEP_OUT_HEIGHT * height
+        shells = _parts("keep_out", SHELL + "33", obstacle, margin, low)
+    for body, shell in zip(bodies, shells, strict=True):
+        yield Solid(body, shell, obstacle)
 
 
 def place_at(obstacle: object, time: float) -> Array:
@@ -217,72 +200,63 @@ def in_space(point: ArrayLike) -> Array:
     return np.concatenate([numbers, missing], axis=-1)
 
 
-def _pieces(obstacle: Thing, margin: float, height: float) -> list[Piece]:
+def _parts(
+    name: str, color: str, obstacle: Thing, margin: float, height: float
+) -> list[Part]:
     """An obstacle and what is nearer to it than a margin."""
+    return [
+        Part(name, shape, color, pose)
+        for shape, pose in _placed_shapes(obstacle, margin, height)
+    ]
+
+
+def _placed_shapes(
+    obstacle: Thing, margin: float, height: float
+) -> list[tuple[Shape, RigidTransform]]:
+    """The shapes that make up an obstacle grown by a margin, with their poses."""
     if isinstance(obstacle, PolygonObstacle):
         return [_pillar(piece, margin, height) for piece in obstacle.pieces]
-    plane = obstacle.dimensions == 2
-    lift = [0.0, 0.0, 0.5 * height if plane else 0.0]
-    place = in_space(obstacle.center_at(0.0))
+    plane, place = obstacle.dimensions == 2, in_space(obstacle.center_at(0.0))
+    lifted = place + np.array([0.0, 0.0, 0.5 * height if plane else 0.0])
     if isinstance(obstacle, SphereObstacle):
         radius = obstacle.radius + margin
-        pose = RigidTransform(place + lift)
-        if not plane:
-            return [Piece(Sphere(radius), pose, place + radius * _BALL)]
-        disc = place + radius * _CIRCLE
-        surface = np.vstack([disc, disc + np.array([0.0, 0.0, height])])
-        return [Piece(Cylinder(radius, height), pose, surface)]
+        ball = Cylinder(radius, height) if plane else Sphere(radius)
+        return [(ball, RigidTransform(lifted))]
     if isinstance(obstacle, CapsuleObstacle):
-        along, radius = in_space(np.subtract(obstacle.end, obstacle.start)), margin
-        radius += obstacle.radius
-        pose = RigidTransform(RotationMatrix.MakeFromOneVector(along, 2), place)
-        ends = [place + half * along + radius * _BALL for half in (-0.5, 0.5)]
-        shape = Capsule(radius, float(np.linalg.norm(along)))
-        return [Piece(shape, pose, np.vstack(ends))]
+        along = in_space(np.subtract(obstacle.end, obstacle.start))
+        turn = RotationMatrix.MakeFromOneVector(along, 2)
+        capsule = Capsule(obstacle.radius + margin, float(np.linalg.norm(along)))
+        return [(capsule, RigidTransform(turn, place))]
     matrix = np.eye(3)
     if obstacle.rotation is not None and len(obstacle.rotation):
         size = len(obstacle.rotation)
         matrix[:size, :size] = obstacle.rotation
-    pose = RigidTransform(RotationMatrix(matrix), place + lift)
+    pose = RigidTransform(RotationMatrix(matrix), lifted)
     tall = [0.5 * height] if plane else []
     if isinstance(obstacle, EllipsoidObstacle):
         grown = 1.0 + margin / min(obstacle.semi_axes)
         half = np.array([*np.multiply(obstacle.semi_axes, grown), *tall])
-        return [Piece(Ellipsoid(*half), pose, (pose @ (half * _BALL).T).T)]
-    half = np.array([*obstacle.half_widths, *tall])
-    corners = (pose @ (half * np.array([*product((-1.0, 1.0), repeat=3)])).T).T
+        return [(Ellipsoid(*half), pose)]
+    box = Box(*(2.0 * np.array([*obstacle.half_widths, *tall])))
     if margin == 0.0:
-        return [Piece(Box(*(2.0 * half)), pose, corners)]
+        return [(box, pose)]
+    corners = surface(Part("", box, pose=pose))
     if plane:
         return [_pillar(hull(corners[:, :2]), margin, height)]
-    return [_convex(corners, margin)]
+    ball = surface(Part("", Sphere(margin)))
+    return [_convex((corners[:, None] + ball).reshape(-1, 3))]
 
 
-def _pillar(corners: Array, margin: float, height: float) -> Piece:
+def _pillar(
+    corners: Array, margin: float, height: float
+) -> tuple[Shape, RigidTransform]:
     """A pillar on z = 0 over a convex polygon, shape (c, 2), grown by a margin."""
-    rounded = (corners[:, None] + margin * _CIRCLE[:, :2]).reshape(-1, 2)
+    rounded = (corners[:, None] + margin * CIRCLE[:, :2]).reshape(-1, 2)
     foot = in_space(hull(rounded) if margin > 0.0 else corners)
-    return _convex(np.vstack([foot, foot + np.array([0.0, 0.0, height])]), 0.0)
+    return _convex(np.vstack([foot, foot + np.array([0.0, 0.0, height])]))
 
 
-def _convex(corners: Array, margin: float) -> Piece:
-    """The hull of points, shape (k, 3), grown by a margin."""
+def _convex(corners: Array) -> tuple[Shape, RigidTransform]:
+    """The hull of points, shape (k, 3)."""
     middle = corners.mean(axis=0)
-    if margin > 0.0:
-        corners = (corners[:, None] + margin * _BALL).reshape(-1, 3)
-    shape = Convex((corners - middle).T, "obstacle")
-    return Piece(shape, RigidTransform(middle), corners)
-
-
-def _ball() -> Array:
-    """Points all over the unit sphere, its equator and meridians among them."""
-    turn = np.linspace(0.0, 2.0 * np.pi, 33)
-    rise = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 17)
-    turns, rises = (each.ravel() for each in np.meshgrid(turn, rise))
-    around = [np.cos(turns) * np.cos(rises), np.sin(turns) * np.cos(rises)]
-    return np.column_stack([*around, np.sin(rises)])
-
-
-_BALL = _ball()
-_ANGLE = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-_CIRCLE = np.column_stack([np.cos(_ANGLE), np.sin(_ANGLE), 0.0 * _ANGLE])
+    return Convex((corners - middle).T, "obstacle"), RigidTransform(middle)

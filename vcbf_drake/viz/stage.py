@@ -14,7 +14,7 @@ from vcbf_drake.checks import Array
 from vcbf_drake.plants.shapes import Part, bounding_box, of_body
 from vcbf_drake.viz.runs import Run, label_runs
 from vcbf_drake.viz.solids import Solid, in_space, solids_of, walls_of
-from vcbf_drake.viz.style import OBSTACLE, SHELL
+from vcbf_drake.viz.style import SHELL
 
 if TYPE_CHECKING:
     from vcbf_drake.simulation.result import Result
@@ -154,7 +154,7 @@ def set_stage(results: Sequence[Result]) -> Stage:
     _, top = bounding_box(of_body(run.vehicle.geometry("#000000")))
     rise = np.array([0.0, 0.0, float(top[2]) / fraction])
     floor = [[x, y, low[2]] for x in (low[0], high[0]) for y in (low[1], high[1])]
-    tops = [each.whole.surface[each.whole.surface[:, 2].argmax()] for each in solids]
+    tops = [max(each.surface, key=lambda point: point[2]) for each in solids]
     seen = [*reached, *(path[::5] + rise for path in paths), floor]
     angle = np.arctan2(*(run.target - start)[1::-1]) - np.deg2rad(90.0 + 22.0)
     steep = np.tan(np.deg2rad(38.0 if run.is_flat else 24.0))
@@ -188,7 +188,7 @@ def _fraction(length: float, solids: Sequence[Solid]) -> int:
     The barriers guard a point. Where the obstacles are smaller than the vehicle that
     carries it, its true size would hide them, and it is drawn smaller.
     """
-    widths = [np.ptp(solid.whole.surface[:, :2], axis=0).min() for solid in solids]
+    widths = [np.ptp(solid.surface[:, :2], axis=0).min() for solid in solids]
     least = 0.5 * float(min(widths, default=np.inf))
     return max(1, int(np.ceil(0.5 * length / (0.75 * least) - 1e-6)))
 
@@ -222,10 +222,7 @@ def _obstacles(solids: Sequence[Solid], duration: float) -> list[Moving]:
     """The obstacles, and around each the distance that has to be kept."""
     bodies = []
     for index, solid in enumerate(solids):
-        parts = [Part("body", solid.body.shape, OBSTACLE, solid.body.pose)]
-        if solid.keep_out is not None:
-            shell = solid.keep_out
-            parts.append(Part("keep_out", shell.shape, SHELL + "33", shell.pose))
+        parts = [each for each in (solid.body, solid.keep_out) if each is not None]
         times = solid.key_times(duration)
         poses = [RigidTransform(solid.offset_at(time)) for time in times]
         bodies.append(Moving(f"obstacles/{index}", parts, times, poses))
@@ -260,7 +257,8 @@ def _extent(
     """The corners of the box around everything, with a floor below it."""
     found = [reached, *(run.target for run in runs), *paths]
     for solid, body in zip(solids, obstacles, strict=True):
-        found += [solid.whole.surface + pose.translation() for pose in body.poses]
+        points = solid.surface
+        found += [points + pose.translation() for pose in body.poses]
     points = np.vstack(found)
     low, high = points.min(axis=0), points.max(axis=0)
     border = 0.06 * float(np.linalg.norm(high - low))

@@ -184,7 +184,7 @@ def _draw_edges(meshcat: Meshcat, stage: Stage) -> None:
     thin, up = 0.0015 * stage.view.span, np.array([0.0, 0.0, 1.0])
     for index, solid in enumerate(stage.solids):
         if stage.run.is_flat and solid.keep_out is not None:
-            edge = in_space(hull(solid.keep_out.surface[:, :2]))
+            edge = in_space(hull(solid.surface[:, :2]))
             vertices, faces = tube(np.vstack([edge, edge[:1]]) + thin * up, up, thin)
             path = f"obstacles/{index}/edge"
             meshcat.SetTriangleMesh(path, vertices.T, faces.T, rgba(SHELL))
