@@ -146,7 +146,8 @@ def test_a_log_is_replayed_without_a_simulation(
     tmp_path: Path, time_step: float, name: str
 ) -> None:
     diagram, plant, log = fallen(time_step, name)
-    path = write_diagram_replay(diagram, tmp_path / "arm.html", log=log)
+    whose = plant if name == "my arm" else None
+    path = write_diagram_replay(diagram, tmp_path / "arm.html", log=log, plant=whose)
     (run,) = page_data(path.read_text(encoding="utf-8"))["runs"]
     assert len(run["path"]) == 31 and run["time"][-1] == pytest.approx(1.0)
     angle = np.interp(run["time"], log.sample_times(), log.data()[0])
@@ -169,12 +170,15 @@ def test_a_log_of_everything_has_its_plots(tmp_path: Path) -> None:
 
 
 def test_a_log_that_is_of_nobody_says_so(tmp_path: Path) -> None:
-    diagram, _, log = fallen(0.0, "my arm")
     path = tmp_path / "page.html"
+    diagram, _, log = fallen(0.0, "my arm")
+    with pytest.raises(ValueError, match="plant: None; it must be the system whose"):
+        write_diagram_replay(diagram, path, log=log)
+    diagram, _, log = fallen(0.0, "plant")
     for wrong, words in (
         ({"log": {"state": log.data().T}}, "log: it has no time"),
         ({"log": {"time": [0.0], "state": [[1.0], [2.0]]}}, "1 times, 2 states"),
-        ({"log": {"time": [0.0], "state": [[1.0]]}}, "such a state: none"),
+        ({"log": {"time": [0.0], "state": [[1.0]]}}, "a state of 4 numbers"),
         ({"log": {"time": [0.0], "state": [[np.nan]]}}, r"log\.state\[0\]: nan"),
         ({"log": {"time": [np.inf], "state": [[1.0]]}}, r"log\.time\[0\]: inf"),
         ({"log": {"time": [1.0, 0.0], "state": [[1.0], [2.0]]}}, "do not go back"),

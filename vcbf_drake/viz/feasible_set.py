@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -232,10 +232,11 @@ def feasible_set_figure(runs: Sequence[Run], times: Sequence[float]) -> Figure:
                 axes.set_xlabel(names[0])
         panels[row, 0].set_ylabel(names[1])
         panels[row, 0].annotate(run.label, (0.03, 0.95), **_CORNER, color=run.color)
+    found = [zip(*a.get_legend_handles_labels(), strict=True) for a in panels.flat]
+    entries = {label: handle for each in found for handle, label in each}
     style = dict(fontsize=7, columnspacing=1.2, handlelength=2.0)
-    figure.legend(
-        handles=_legend_handles(), loc="outside lower center", ncols=6, **style
-    )
+    place = "outside lower center"
+    figure.legend(entries.values(), entries, loc=place, ncols=6, **style)
     return figure
 
 
@@ -246,9 +247,10 @@ def draw_feasible_set(axes: Axes, chosen: FeasibleSet, color: str) -> None:
     view = np.stack([low - room, high + room])
     axes.set(xlim=view[:, 0], ylim=view[:, 1])
     axes.grid(False)
-    limits: Style = dict(fill=False, ec=MUTED, lw=0.9, ls=(0, (4, 2)), zorder=2)
+    limits: Style = dict(color=MUTED, lw=0.9, ls=(0, (4, 2)), zorder=2)
     (x0, y0), (x1, y1) = low, high
-    axes.fill([x0, x1, x1, x0], [y0, y0, y1, y1], **limits)
+    box = [x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0]
+    axes.plot(*box, **limits, label="input limits")
     conflict = [] if chosen.has_choice else chosen.conflict
     for row in range(chosen.limits, len(chosen.b)):
         _draw_forbidden(axes, chosen, row, view, row in conflict)
@@ -270,7 +272,8 @@ def draw_feasible_set(axes: Axes, chosen: FeasibleSet, color: str) -> None:
             turn = np.linspace(0.0, 2.0 * np.pi, 121)
             circle = np.stack([np.cos(turn), np.sin(turn)])
             ring = chosen.center[:2, None] + shadow(chosen.shape) @ circle
-            axes.plot(*ring, color=color, lw=1.0, ls=(0, (2, 1.2)), zorder=3)
+            style = dict(color=color, lw=1.0, ls=(0, (2, 1.2)), zorder=3)
+            axes.plot(*ring, **style, label="largest ellipsoid")
             axes.plot(*chosen.center[:2], "+", color=color, ms=6, zorder=3)
     _draw_choice(axes, chosen, view, color)
 
@@ -300,10 +303,11 @@ def _draw_forbidden(
     corners = polytope_vertices(-normal[None], np.array([-bound]), *view)
     if len(corners) < 3:
         return
-    style: Style = dict(ec=FORBIDDEN, hatch="///", lw=0.8, zorder=1.5)
+    style: Style = dict(ec=FORBIDDEN, hatch="///", zorder=1.5)
+    style["label"] = "forbidden by a barrier"
     if conflicting:
-        style |= dict(ec=ALARM, hatch="////", zorder=2.5)
-    axes.fill(*hull(corners).T, fc="none", **style)
+        style = dict(ec=ALARM, hatch="////", zorder=2.5, label="in conflict")
+    axes.fill(*hull(corners).T, fc="none", lw=0.8, **style)
 
 
 def _draw_choice(axes: Axes, chosen: FeasibleSet, view: Array, color: str) -> None:
@@ -312,27 +316,13 @@ def _draw_choice(axes: Axes, chosen: FeasibleSet, view: Array, color: str) -> No
     reference = np.clip(chosen.reference[:2], *inner)
     inside = bool(np.all(reference == chosen.reference[:2]))
     style: Style = dict(mfc="white", mec=INK, ms=6, mew=1.2, zorder=5)
-    axes.plot(*reference, "o" if inside else "s", **style)
+    axes.plot(*reference, "o" if inside else "s", **style, label="reference")
     if chosen.has_choice:
         if np.isfinite(reference).all():
             arrow = dict(arrowstyle="-", color=INK, lw=0.7, shrinkA=3, shrinkB=3)
             axes.annotate("", chosen.input[:2], reference, arrowprops=arrow, zorder=4)
-        axes.plot(*chosen.input[:2], "o", mfc=color, mec="white", ms=7, zorder=5)
-
-
-def _legend_handles() -> list[Any]:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    dot: Style = dict(ls="none", marker="o")
-    return [
-        Line2D([], [], color=MUTED, lw=0.9, ls=(0, (4, 2)), label="input limits"),
-        Patch(fc="none", ec=FORBIDDEN, hatch="////", label="forbidden by a barrier"),
-        Patch(fc="none", ec=ALARM, hatch="////", label="in conflict"),
-        Line2D([], [], color=INK, lw=1.0, ls=(0, (2, 1.2)), label="largest ellipsoid"),
-        Line2D([], [], **dot, mfc="white", mec=INK, label="reference"),
-        Line2D([], [], **dot, mfc=INK, mec="white", label="chosen input"),
-    ]
+        style = dict(mfc=color, mec="white", ms=7, zorder=5, label="chosen input")
+        axes.plot(*chosen.input[:2], "o", **style)
 
 
 _PAPER = dict(boxstyle="round,pad=0.2", fc="white", ec="none", alpha=0.9)

@@ -67,8 +67,7 @@ def write_diagram_replay(
             it, or arrays such as ``numpy.load("log.npz")`` has: ``time`` (T,) and
             ``state`` (T, n), and for the plots those of a `Result`'s log. Between two
             ticks the state is interpolated.
-        plant: Whose state the log has. The system called ``plant`` if None, or the only
-            one with as many states.
+        plant: Whose state the log has; the system called ``plant`` if None.
 
     Returns:
         The path.
@@ -228,40 +227,21 @@ def _replayed(
 ) -> Iterator[float]:
     """Puts a log's state into the context at every frame; yields as `_simulated`."""
     time, state = log["time"], log["state"]
-    holder = _holder(diagram, context, state.shape[1], plant)
+    named = (each for each in _systems(diagram) if each.get_name() == "plant")
+    holder = plant or next(named, None)
+    if holder is None:
+        raise ValueError("plant: None; it must be the system whose state the log has")
     own = holder.GetMyMutableContextFromRoot(context)
-    is_continuous = own.num_continuous_states() == state.shape[1]
+    is_continuous = own.num_continuous_states() > 0
     put = own.SetContinuousState if is_continuous else own.SetDiscreteState
+    size = own.num_continuous_states() or own.get_discrete_state_vector().size()
+    rule = f"a state of {size} numbers a row, as the plant has"
+    require(state.shape[1] == size, ("log", "state"), state[0], rule)
     for since in _times(max(float(time[-1] - time[0]), 1e-3)):
         at = time[0] + since
         context.SetTime(at)
         put(np.array([np.interp(at, time, each) for each in state.T]))
         yield since
-
-
-def _holder(
-    diagram: Diagram, context: Context, size: int, plant: System | None
-) -> System:
-    """The system with a state of a given size: the plant given, or the only one."""
-
-    def holds(system: System) -> bool:
-        own = system.GetMyContextFromRoot(context)
-        groups = own.num_discrete_state_groups()
-        discrete = own.get_discrete_state_vector().size() if groups == 1 else -1
-        return size in (own.num_continuous_states(), discrete)
-
-    if plant is not None:
-        found = [plant] if holds(plant) else []
-    else:
-        found = [each for each in _systems(diagram) if holds(each)]
-        found = [each for each in found if each.get_name() == "plant"] or found
-    if len(found) != 1:
-        names = ", ".join(each.get_name() for each in found) or "none"
-        raise ValueError(
-            f"log: its state has {size} numbers; systems with such a state: {names}."
-            " plant= says whose it is"
-        )
-    return found[0]
 
 
 def filter_values(safety_filter: SafetyFilter, root: Context) -> dict[str, Any]:
