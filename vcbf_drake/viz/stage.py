@@ -90,7 +90,7 @@ class Moving:
     def reached(self) -> Array:
         """The corners of boxes that hold it, at some of the frames, (k, 3) [m]."""
         box = np.array([*product(*zip(*bounding_box(self.parts), strict=True))])
-        some = self.poses[:: max(len(self.poses) // 20, 1)]
+        some = [*self.poses[:: max(len(self.poses) // 20, 1)], self.poses[-1]]
         return np.vstack([(pose @ box.T).T for pose in some])
 
 
@@ -141,7 +141,7 @@ def set_stage(results: Sequence[Result]) -> Stage:
     span = max(0.5, float(np.linalg.norm(run.target - start)))
     solids = solids_of(run.scenario, 0.04 * span)
     fraction = _fraction(run.vehicle.length, solids)
-    paths, bodies, reached = list[Array](), list[Moving](), [np.empty((0, 3))]
+    paths, bodies, reached = list[Array](), list[Moving](), list[Array]()
     for index, each in enumerate(runs):
         states = _at_frames(each, time)
         paths.append(in_space(each.vehicle.positions(states)))
@@ -150,7 +150,9 @@ def set_stage(results: Sequence[Result]) -> Stage:
         if len(own) > 1:  # Of one body, the position and its height are all.
             reached += [body.reached for body in own]
     obstacles = _obstacles(solids, float(time[-1]))
-    low, high = _extent(runs, paths, solids, obstacles, np.vstack(reached))
+    around = [*(each.target for each in runs), *(each.reached for each in obstacles)]
+    everything = np.vstack([*reached, *paths, *around])
+    low, high = _extent(everything, run.is_flat, stands=bool(reached))
     _, top = bounding_box(of_body(run.vehicle.geometry("#000000")))
     rise = np.array([0.0, 0.0, float(top[2]) / fraction])
     floor = [[x, y, low[2]] for x in (low[0], high[0]) for y in (low[1], high[1])]
@@ -247,24 +249,13 @@ def _walls(scenario: Scenario, view: View) -> list[Moving]:
     return bodies
 
 
-def _extent(
-    runs: Sequence[Run],
-    paths: Sequence[Array],
-    solids: Sequence[Solid],
-    obstacles: Sequence[Moving],
-    reached: Array,
-) -> tuple[Array, Array]:
-    """The corners of the box around everything, with a floor below it."""
-    found = [reached, *(run.target for run in runs), *paths]
-    for solid, body in zip(solids, obstacles, strict=True):
-        points = solid.surface
-        found += [points + pose.translation() for pose in body.poses]
-    points = np.vstack(found)
+def _extent(points: Array, is_flat: bool, stands: bool) -> tuple[Array, Array]:
+    """The corners of the box around points, shape (k, 3), with a floor below it."""
     low, high = points.min(axis=0), points.max(axis=0)
     border = 0.06 * float(np.linalg.norm(high - low))
-    if runs[-1].is_flat:
+    if is_flat:
         low[2], high[2] = 0.0, 0.0
-    elif not len(reached):  # Bodies on joints stand on something.
+    elif not stands:  # Bodies on joints do.
         low[2] -= border
     # A floor much narrower than it is long would look like a plank.
     narrow = 0.5 * np.maximum(0.36 * (high - low)[1::-1] - (high - low)[:2], 0.0)
