@@ -90,13 +90,9 @@ class Symbols:
             raise ModelError(
                 "function(x, t, p) must return symbolic expressions or numbers"
             ) from None
-        except KeyError as error:
-            raise ModelError(
-                "function(x, t, p) cannot be compiled: not among its arguments:"
-                f" {error.args[0]}"
-            ) from None
-        except NotImplementedError as error:
-            raise ModelError(f"function(x, t, p) cannot be compiled: {error}") from None
+        except (KeyError, NotImplementedError) as error:
+            problem = f"function(x, t, p) cannot be compiled: {error.args[0]}"
+            raise ModelError(problem) from None
 
 
 def as_expressions(values: Any) -> Expressions:

@@ -113,22 +113,21 @@ class RowFunctions:
     """The row of one barrier or limit as functions of plain floats.
 
     Attributes:
-        row: ``row(*x, t, *constants)`` returns a flat list: the entries [A, b, w]
-            (m + 1 + q), then for a barrier phi^0, ..., phi^(r-1).
-        gradient: ``gradient(*x, t, *constants)`` returns the entries' derivatives by
-            [x; t] in C order.
-        constants: The arguments after x and t: decay rates and the like, then
+        row: As in `ChainFunctions`, like `gradient` and `value`; a limit has no levels
+            after its entries, and no value, [].
+        gradient: Likewise.
+        value: Likewise.
+        constants: The arguments of a row after x and t: decay rates and the like, then
             parameters.
-        value: ``value(*x, t, *parameters)`` returns [h]; [] for a limit.
-        parameters: The arguments of `value` after x and t.
+        parameters: The arguments of a value after x and t.
         relative_degree: r; 0 for a limit.
         early_levels: Which derivatives of h below the r-th an input enters (E8a).
     """
 
     row: CompiledFunction
     gradient: CompiledFunction
-    constants: tuple[float, ...]
     value: CompiledFunction
+    constants: tuple[float, ...]
     parameters: tuple[float, ...]
     relative_degree: int
     early_levels: tuple[int, ...] = ()
@@ -143,8 +142,7 @@ class RowFunctions:
 def no_row(model: ControlAffineModel) -> RowFunctions:
     """Returns the functions of a row that every input satisfies, 0 u <= 1."""
     always = tuple(number(value) for value in (*np.zeros(model.num_inputs), 1.0))
-    row, gradient, value = _compile_limit(always, model.dynamics, ())
-    return RowFunctions(row, gradient, (), value, (), 0)
+    return RowFunctions(*_compile_limit(always, model.dynamics, ()), (), (), 0)
 
 
 def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctions:
@@ -159,8 +157,7 @@ def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctio
         early = early_levels(model, Chain.of(formula), barrier, part)
         x = formula.dynamics.x
         functions = part.placed(compiled_chain(formula, x, x), r)
-    row, gradient, value = functions
-    return RowFunctions(row, gradient, constants, value, parameters, r, early)
+    return RowFunctions(*functions, constants, parameters, r, early)
 
 
 def early_functions(model: ControlAffineModel, limit: EarlyInputLimit) -> RowFunctions:
@@ -172,7 +169,7 @@ def early_functions(model: ControlAffineModel, limit: EarlyInputLimit) -> RowFun
     compiled = _compile_limit(entries, dynamics, chain.constants)
     row, gradient, _ = part.placed(compiled, 0)
     parameters = tuple(barrier.parameters.tolist())
-    return RowFunctions(row, gradient, barrier.constants, _no_value, parameters, 0)
+    return RowFunctions(row, gradient, _no_value, barrier.constants, parameters, 0)
 
 
 def barrier_formula(model: ControlAffineModel, barrier: Barrier) -> Formula:
@@ -220,8 +217,7 @@ def limit_functions(model: ControlAffineModel, limit: StateInputLimit) -> RowFun
         raise ModelError(
             f"function(x, t, p) cannot be differentiated: {error}"
         ) from None
-    row, gradient, value = compiled
-    return RowFunctions(row, gradient, parameters, value, parameters, 0)
+    return RowFunctions(*compiled, parameters, parameters, 0)
 
 
 @lru_cache(maxsize=64)

@@ -49,8 +49,7 @@ class LinearDisturbanceObserver(DisturbanceObserver):
             rate: l, the rate at which the estimate follows [1/s].
             noise: Standard deviation of the measured disturbed channels [m/s].
             longest_interval: The longest time between measurements that is bridged, and
-                that the bound is for, also with shorter ones [s]. By default every time
-                is bridged, and the bound is for the period.
+                that the bound is for, also with shorter ones [s].
         """
         interval = max(period, longest_interval or 0.0)
         floor = bounds.delta2 * interval / (2.0 * math.tanh(rate * interval / 2.0))

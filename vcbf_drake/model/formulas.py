@@ -59,7 +59,7 @@ def read(values: Any, variables: Mapping[Variable, Node]) -> Nodes:
     """Returns expressions, variables and numbers as nodes, of the same shape.
 
     Raises:
-        KeyError: A variable is not known; it has the name.
+        KeyError: A variable is not known.
         TypeError: A value is none of these.
         NotImplementedError: An expression has no counterpart here.
     """
@@ -78,7 +78,7 @@ def _node(value: Any, known: Mapping[int, Node]) -> Node:
         return value
     if isinstance(value, Variable):
         if value.get_id() not in known:
-            raise KeyError(value.get_name())
+            raise KeyError(f"not among its arguments: {value.get_name()}")
         return known[value.get_id()]
     if not isinstance(value, Expression | Formula):
         return number(float(value))

@@ -19,6 +19,7 @@ from vcbf_drake.barriers import Barrier, StateInputLimit, StateLimit
 from vcbf_drake.checks import Array, check_finite, check_parameter, require_choice
 from vcbf_drake.errors import below
 from vcbf_drake.files import IS_FILE
+from vcbf_drake.model.interface import unit_quaternions
 from vcbf_drake.model.position import Position, frames_of, point_position
 from vcbf_drake.plants.robot_controllers import (
     InverseDynamics,
@@ -28,7 +29,7 @@ from vcbf_drake.plants.robot_controllers import (
 )
 from vcbf_drake.plants.robot_file import RobotFile, bodies_of, joints_of
 from vcbf_drake.plants.shapes import Part
-from vcbf_drake.plants.vehicle import Vehicle, channels_of
+from vcbf_drake.plants.vehicle import Vehicle
 from vcbf_drake.typed import NotNegative, Positive, check_fields
 
 _BALL = 0.02  # The radius of the ball that marks the point in pictures [m].
@@ -119,9 +120,7 @@ class MultibodyVehicle(Vehicle):
     def moved(self, state: Array, offset: Array) -> Array:
         """Returns a state whose position is off by an offset; see `Vehicle`."""
         found = super().moved(state, offset)
-        for i in channels_of(self._plant).quaternions:
-            found[i : i + 4] /= np.linalg.norm(found[i : i + 4])
-        return found
+        return unit_quaternions(found, self._plant.GetStateNames())
 
     def body_position(self, point: Sequence[float], frame: str = "") -> Position:
         """Returns the position of a point of one of its frames; see `Vehicle`."""
