@@ -88,9 +88,6 @@ def ackermann_limit(
         turn_rate_input: The index of the turn rate omega [rad/s].
         num_inputs: The number of inputs of the model.
         name: Its name in error messages and logs.
-
-    Raises:
-        ValueError: A number is not positive and finite, or there is no such input.
     """
     check_parameter(f"limit '{name}': curvature", curvature)
     check_parameter(f"limit '{name}': smoothing_speed", smoothing_speed)
@@ -157,9 +154,6 @@ class StateLimit:
         Args:
             gains: K of (E4) in place of the limit's own.
             name: Its name in error messages and logs; "low" or "high" is added.
-
-        Raises:
-            ValueError: Bad gains, or the state is a name.
         """
         rule = "an index; a scenario alone knows names"
         require(isinstance(self.state, int), "state limit: state", self.state, rule)

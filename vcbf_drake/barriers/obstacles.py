@@ -180,10 +180,9 @@ class BoxObstacle(Obstacle):
     """A box, or in the plane a rectangle, that moves at a constant velocity.
 
     With z = R' (p - c(t)), the position along the box's own axes, the half-widths a
-    and how far s(z_i) the position is beyond each of them, rounded over the length e::
+    and how far s(z_i) the position is beyond each of them (`smooth_excess`)::
 
-        h = |s| - gap - margin                                            [m]
-        s(z_i) = (sqrt((z_i - a_i)^2 + e^2) + sqrt((z_i + a_i)^2 + e^2)) / 2 - a_i
+        h = |s| - gap - margin    [m]
 
     h is smooth everywhere and conservative: it never exceeds the exact distance to the
     box less the margin, and is less by at most the gap, sqrt(k) e / 2 for a box much
@@ -245,11 +244,10 @@ class CapsuleObstacle(Obstacle):
     """All points within a radius of a segment that moves at a constant velocity.
 
     With the segment's middle c(t) and half-length a, the position z along the segment
-    and y across it, both from c(t), and how far s(z) the position is beyond the ends,
-    rounded over the length e::
+    and y across it, both from c(t), and how far s(z) the position is beyond the ends
+    (`smooth_excess`)::
 
-        h = sqrt(|y|^2 + s(z)^2) - gap - radius - margin                  [m]
-        s(z) = (sqrt((z - a)^2 + e^2) + sqrt((z + a)^2 + e^2)) / 2 - a
+        h = sqrt(|y|^2 + s(z)^2) - gap - radius - margin    [m]
 
     h is smooth everywhere and conservative: it never exceeds the exact signed distance
     to the capsule less the margin, and is less by at most the gap, e / 2 for a capsule

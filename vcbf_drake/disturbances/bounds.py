@@ -25,9 +25,6 @@ class DisturbanceBounds(Checked):
         delta1: Bound of |d| [m/s^2].
         delta2: Bound of |d'| [m/s^3].
         delta3: Bound of |d''| [m/s^4].
-
-    Raises:
-        ValueError: A bound is negative or not finite.
     """
 
     delta1: NotNegative

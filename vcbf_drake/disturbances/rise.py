@@ -46,9 +46,6 @@ class ObserverSettings(Checked):
             the saturated step is linear [m/s].
         linear_rate: Rate of the first-order observer of method wang-xu-dob-cbf-qp
             [1/s].
-
-    Raises:
-        InvalidValueError: A field is outside what is allowed.
     """
 
     alpha: Positive = 5.0

@@ -38,9 +38,6 @@ class RiseGains(Checked):
         alpha: Feedback of the state's error [1/s].
         beta: Size of the switching term [m/s^3].
         gamma: Feedback of the disturbance's error [1/s].
-
-    Raises:
-        ValueError: A gain is not finite and positive.
     """
 
     alpha: Positive = 5.0

@@ -226,26 +226,14 @@ class BlimpControllerParameters(Checked):
 class BlimpController(StateFeedback):
     """Steers the blimp to a target and stops it there (E81).
 
-    With v_w = min(k_x, cap / e_d) (p_t - p) the desired horizontal velocity, v the
-    actual one, v_n its component across the line of sight to the target, and ψ_w the
-    direction of v_w - k_s v_n::
-
-        f_x = k_v (v_w - v) . (cos ψ, sin ψ) - m_x (dhat_x cos ψ + dhat_y sin ψ)
-        f_z = -k_w (dz/dt + k_z e_z)         - m_z dhat_z
-        τ   = -k_ψ wrap(ψ - ψ_w)             - k_r r
-
     With k_s = 0 and no caps this is the published law with signed surge and yaw damping
     (R39 - R41), which circles the target: sway has no force, and little drag. The lean
-    of the heading against the drift is ours. Within 5 cm of the target ψ_w = ψ. Its
-    ports are those of `StateFeedback`.
+    of the heading against the drift is ours. Its ports are those of `StateFeedback`.
 
     Args:
         target: The target position (x, y, z) [m].
         parameters: Gains and caps; the defaults if None.
         plant_parameters: The blimp's parameters; the defaults if None.
-
-    Raises:
-        ValueError: A number is not finite, or out of range.
     """
 
     @typed

@@ -135,21 +135,13 @@ class CarControllerParameters(Checked):
 class CarController(StateFeedback):
     """Drives the car to a target and stops it there (E82).
 
-    With p_r - p and e_ψ the offset and the heading error to the target::
-
-        a = -k_v (v - k_p |p_r - p| cos e_ψ) - m dhat
-        ω = -k_ω e_ψ
-
-    e_ψ is taken as 0 within 5 cm of the target (R39). Its ports are those of
-    `StateFeedback`.
+    The heading error is taken as 0 within 5 cm of the target (R39). Its ports are those
+    of `StateFeedback`.
 
     Args:
         target: The target position (x, y) [m].
         parameters: Gains; the defaults if None.
         plant_parameters: The car's parameters; the defaults if None.
-
-    Raises:
-        ValueError: A number is not finite, or out of range.
     """
 
     @typed

@@ -46,12 +46,7 @@ class RobotFile:
     drag: float = 1.0
 
     def plant(self, scene_graph: SceneGraph | None = None) -> MultibodyPlant:
-        """Returns the robot's continuous plant, finalised, with geometry if requested.
-
-        Raises:
-            InvalidValueError: There is no such file, body or joint, Drake does not read
-                it, or a part that moves has no mass.
-        """
+        """Returns the robot's continuous plant, with its geometry for a scene graph."""
         plant = MultibodyPlant(0.0)
         if scene_graph is not None:
             plant.RegisterAsSourceForSceneGraph(scene_graph)
