@@ -79,26 +79,22 @@ def symbolic_dynamics(
         raise ModelError(
             f"{name}: its dynamics do not evaluate on symbols: {explained(error)}"
         ) from None
-    named = dict(x=x, r=rate, u=u, d=d)
-    nodes = {
-        key: np.array([variable(f"{key}{i}") for i in range(len(each))], dtype=object)
-        for key, each in named.items()
-    }
     known = {time: variable("t")}
-    known |= {
-        v: n for key in named for v, n in zip(named[key], nodes[key], strict=True)
-    }
+    for key, symbols in dict(x=x, r=rate, u=u, d=d).items():
+        known |= {v: variable(f"{key}{i}") for i, v in enumerate(symbols)}
+    nodes, w = read(x, known), read([*u, *d], known)
     try:
         residual_nodes = read(residual, known)
     except NotImplementedError as error:
         raise ModelError(f"{name}: its dynamics cannot be compiled: {error}") from None
-    force, mass_matrix = _force_and_mass(residual_nodes, nodes["r"])
-    _require_time_invariant(force, mass_matrix, state_names, name)
-    m, w = len(u), np.concatenate([nodes["u"], nodes["d"]])
-    parts = _affine_parts(force, nodes["x"], w, state_names, name)
-    parts = _solve(mass_matrix, parts)
-    E = _numbers(parts[:, 1 + m :], [*nodes["x"]])
-    return x, parts[:, 0], parts[:, 1 : 1 + m], constant_matrix(E, state_names, name)
+    force, mass_matrix = _force_and_mass(residual_nodes, read(rate, known))
+    for state, row in zip(state_names, np.c_[force, mass_matrix], strict=True):
+        if variable("t") in variables_of(row):
+            raise ModelError(f"{name}: the derivative of {state} depends on time")
+    parts = _solve(mass_matrix, _affine_parts(force, nodes, w, state_names, name))
+    f, g, E = np.split(parts, [1, 1 + len(u)], axis=1)
+    E_at = _numbers(E, [*nodes])
+    return x, f[:, 0], g, constant_matrix(E_at, state_names, name)
 
 
 def _force_and_mass(residual: Nodes, rate: Nodes) -> tuple[Nodes, Nodes]:
@@ -217,14 +213,6 @@ def _residual(system: System, context: Context, rate: Expressions) -> Expression
             raise
         residual = calc()
     return np.asarray(residual, dtype=object)
-
-
-def _require_time_invariant(
-    force: Nodes, mass_matrix: Nodes, state_names: tuple[str, ...], name: str
-) -> None:
-    for state, *row in zip(state_names, force, *mass_matrix.T, strict=True):
-        if variable("t") in variables_of(row):
-            raise ModelError(f"{name}: the derivative of {state} depends on time")
 
 
 def give_mass(system: Any, context: Any) -> bool:
