@@ -123,18 +123,10 @@ class DisturbanceObserver(LeafSystem):
         noise: float = 0.0,
         longest_interval: float | None = None,
     ) -> None:
-        """Initialises the parts that all observers share; see the attributes.
+        """Initialises the parts that all observers share.
 
-        Args:
-            model: Gives f, g and E.
-            period: Time between measurements [s].
-            bounds: delta1, delta2 and delta3 of the disturbance (E16).
-            memory_size: The number of numbers that it remembers, all 0 at the start.
-            error_bound: The bound of its error.
-            basis: The basis of that.
-            estimate_gain: The gain from the unknown error to the estimate's rate [1/s].
-            noise: Standard deviation of the measured disturbed channels.
-            longest_interval: The longest time between measurements that is bridged [s].
+        An observer remembers `memory_size` numbers, all 0 at the start; for the other
+        arguments see the attributes and `RiseObserver`.
         """
         super().__init__()
         self.bounds = bounds

@@ -119,19 +119,15 @@ def find_input_port(
     if choice is not None:
         port = _chosen_port(system, choice)
         if port is disturbance:
-            raise ModelError(
-                f"{name_of(system)}: the port '{port.get_name()}' cannot be both the"
-                " input and the disturbance"
-            )
+            problem = f"the port '{port.get_name()}' cannot be both the input and the"
+            raise ModelError(f"{name_of(system)}: {problem} disturbance")
         return port
     ports = [port for port in vector_ports(system) if port is not disturbance]
     named = [p for p in ports if p.get_name() in ("input", "actuation")]
     if len(named or ports) != 1:
-        raise InvalidValueError(
-            (),
-            f"{name_of(system)}: say which port is the input, by input_port, or as the"
-            f" plant: plant.GetInputPort(name); {_list_ports(system)}",
-        )
+        problem = "say which port is the input, by input_port, or as the plant:"
+        problem = f"{problem} plant.GetInputPort(name)"
+        raise InvalidValueError((), _with_ports(system, problem))
     return (named or ports)[0]
 
 
@@ -163,25 +159,19 @@ def vector_ports(system: System) -> list[Port]:
 def _chosen_port(system: System, choice: PortChoice) -> Port:
     if isinstance(choice, InputPort):
         if choice.get_system() is not system:
-            raise ModelError(
-                f"{name_of(system)}: the port '{choice.get_name()}' belongs to another"
-                f" system; {_list_ports(system)}"
-            )
+            problem = f"the port '{choice.get_name()}' belongs to another system"
+            raise ModelError(_with_ports(system, problem))
         port = choice
     elif isinstance(choice, str) and system.HasInputPort(choice):
         port = system.GetInputPort(choice)
     elif isinstance(choice, Integral) and 0 <= int(choice) < system.num_input_ports():
         port = system.get_input_port(int(choice))
     else:
-        raise ModelError(
-            f"{name_of(system)}: there is no input port {choice!r};"
-            f" {_list_ports(system)}"
-        )
+        problem = f"there is no input port {choice!r}"
+        raise ModelError(_with_ports(system, problem))
     if not _is_vector(port):
-        raise ModelError(
-            f"{name_of(system)}: the port '{port.get_name()}' carries no vector;"
-            f" {_list_ports(system)}"
-        )
+        problem = f"the port '{port.get_name()}' carries no vector"
+        raise ModelError(_with_ports(system, problem))
     return port
 
 
@@ -189,9 +179,11 @@ def _is_vector(port: Port) -> bool:
     return bool(port.get_data_type() == PortDataType.kVectorValued and port.size() > 0)
 
 
-def _list_ports(system: System) -> str:
+def _with_ports(system: System, problem: str) -> str:
+    """A message that ends with the ports that there are."""
     ports = [f"{p.get_name()} ({p.size()})" for p in vector_ports(system)]
-    return "its vector input ports are " + (", ".join(ports) or "none")
+    there = ", ".join(ports) or "none"
+    return f"{name_of(system)}: {problem}; its vector input ports are {there}"
 
 
 def actuators_of(system: System) -> list[Any]:

@@ -41,14 +41,8 @@ class NumericDynamics:
 
     Where the System is the plant itself, its ports are generalised forces and it is
     evaluated by its manipulator equation, which needs no SceneGraph and has no contact.
-
-    Args:
-        system: The System; for kinematics and sensitivities a MultibodyPlant, or a
-            Diagram with one.
-        input_port: The port of u.
-        disturbance_port: That of d; None without one.
-        context: As for `ControlAffineModel.from_system`.
-        autodiff: Whether its numbers carry derivatives.
+    Ports and context are those of `ControlAffineModel.from_system`; with `autodiff` the
+    numbers carry derivatives.
 
     Attributes:
         plant: The MultibodyPlant as it was given; None where there is none.

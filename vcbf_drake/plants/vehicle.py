@@ -82,7 +82,20 @@ class Vehicle(ABC):
         require(not frame, "frame", frame, rule)
         if not len(point):
             return self.position
-        return _PointOfBody(self.position, tuple(point), self.heading)
+        at, turn = self.position, self.heading
+
+        def position(x: Any) -> Any:
+            place = at(x) if callable(at) else x[list(at)]
+            rule = f"{len(place)} numbers"
+            require(len(point) == len(place), "point", [*point], rule)
+            offset = [*point]
+            if turn is not None:
+                ahead, left, *up = point
+                c, s = cos(x[turn]), sin(x[turn])
+                offset = [c * ahead - s * left, s * ahead + c * left, *up]
+            return np.array([p + o for p, o in zip(place, offset, strict=True)])
+
+        return position
 
     def altered(self, mass: float, drag: float) -> Vehicle:
         """Returns the true vehicle, where it differs from the modelled one.
@@ -150,27 +163,6 @@ class Vehicle(ABC):
             return np.array([self.position(x) for x in states], dtype=float)
         found: Array = states[:, list(self.position)]
         return found
-
-
-@dataclass(frozen=True)
-class _PointOfBody:
-    """The position of a body's point at a state (n,), in numbers or expressions."""
-
-    position: Position
-    point: tuple[float, ...]
-    heading: int | None
-
-    def __call__(self, x: Any) -> Any:
-        at = self.position
-        place = at(x) if callable(at) else x[list(at)]
-        rule = f"{len(place)} numbers"
-        require(len(self.point) == len(place), "point", [*self.point], rule)
-        offset = [*self.point]
-        if self.heading is not None:
-            ahead, left, *up = self.point
-            c, s = cos(x[self.heading]), sin(x[self.heading])
-            offset = [c * ahead - s * left, s * ahead + c * left, *up]
-        return np.array([p + o for p, o in zip(place, offset, strict=True)])
 
 
 @dataclass(frozen=True)
