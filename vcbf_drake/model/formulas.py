@@ -26,6 +26,7 @@ from vcbf_drake.model.graph import (
     Node,
     Nodes,
     apply,
+    in_order,
     number,
     variables_of,
 )
@@ -210,7 +211,7 @@ def function_of(
 
 def _code(arguments: Sequence[Node], outputs: Sequence[Node]) -> str:
     """The function's source code, with a name for every repeated subexpression."""
-    order = _depth_first(outputs)
+    order = in_order(outputs)
     uses = Counter(parent for node in order for parent in node.parents)
     uses.update(outputs)
     text = {node: f"a{i}" for i, node in enumerate(arguments)}
@@ -228,20 +229,6 @@ def _code(arguments: Sequence[Node], outputs: Sequence[Node]) -> str:
     head = f"def function({', '.join(f'a{i}' for i in range(len(arguments)))}):\n"
     values = ", ".join(text[node] for node in outputs)
     return f"{head}{''.join(lines)}    return [{values}]\n"
-
-
-def _depth_first(outputs: Sequence[Node]) -> list[Node]:
-    """All nodes, arguments first, in an order that depends on the formula alone."""
-    order: dict[Node, None] = {}
-    stack = list(reversed(outputs))
-    while stack:
-        node = stack[-1]
-        new = [p for p in node.parents if p not in order]
-        if new and node not in order:
-            stack += reversed(new)
-        else:
-            order[stack.pop()] = None
-    return list(order)
 
 
 def _text(node: Node, text: Mapping[Node, str]) -> str:
