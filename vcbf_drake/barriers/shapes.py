@@ -324,23 +324,18 @@ class Geofence(Shape):
         if not np.isfinite([lower, upper]).any():
             raise ValueError("geofence: at least one side must be finite")
 
-    @property
-    def half_spaces(self) -> dict[str, HalfSpace]:
-        """Its sides "x low", "x high", "y low" and so on, without the open ones."""
+    def parts(self) -> Mapping[str, HalfSpace]:
+        """Returns its sides "x low", "x high", "y low", ..., without the open ones."""
         axes = np.eye(len(self.lower))
         sides = {}
         for letter, axis, low, high in zip(
             _AXES[: len(axes)], axes, self.lower, self.upper, strict=True
         ):
             if np.isfinite(low):
-                sides[f"{letter} low"] = HalfSpace(axis, low, self.margin)
+                sides[f" ({letter} low)"] = HalfSpace(axis, low, self.margin)
             if np.isfinite(high):
-                sides[f"{letter} high"] = HalfSpace(-axis, -high, self.margin)
+                sides[f" ({letter} high)"] = HalfSpace(-axis, -high, self.margin)
         return sides
-
-    def parts(self) -> Mapping[str, HalfSpace]:
-        """Returns its sides."""
-        return {f" ({side})": each for side, each in self.half_spaces.items()}
 
 
 @dataclass(frozen=True)

@@ -165,7 +165,7 @@ def walls_of(scenario: Scenario) -> list[Wall]:
         if isinstance(each, HalfSpace):
             sides.append(each)
         elif isinstance(each, Geofence):
-            sides += each.half_spaces.values()
+            sides += each.parts().values()
     walls = []
     for each in sides:
         normal, length = in_space(each.normal), float(np.linalg.norm(each.normal))
