@@ -52,6 +52,8 @@ Share: TypeAlias = Annotated[float, check_share]
 
 # The types of fields as they were declared, by their class.
 _declared: dict[type, dict[str, Any]] = {}
+# Those of the Python file used last come before others of their tags.
+classes_in_use: list[Any] = []
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -196,11 +198,13 @@ def allowed_types(hint: Any) -> list[Any]:
 def tagged_types(hint: Any) -> dict[str, Any]:
     """Returns the dataclasses that a hint allows, by their tags.
 
-    For one tag it is the package's own class, or the one defined last.
+    For one tag it is the package's own class, or that of the Python file used last, or
+    the one defined last.
     """
     found = [each for each in allowed_types(hint) if is_dataclass(each)]
+    used = [each for each in found if each in classes_in_use]
     own = [each for each in found if each.__module__.startswith("vcbf_drake.")]
-    return {tag_of(each): each for each in (*found, *own)}
+    return {tag_of(each): each for each in (*found, *used, *own)}
 
 
 def item_of(members: Iterable[Any], is_nested: bool) -> Any:

@@ -211,6 +211,17 @@ def test_a_multibody_plant_knows_its_channels() -> None:
     assert channels.input_labels[0].endswith(" [N m]")
 
 
+def test_two_files_may_define_a_vehicle_of_one_name(tmp_path: Path) -> None:
+    paths = [tmp_path / folder / "robot.py" for folder in ("one", "other")]
+    for path in paths:
+        path.parent.mkdir()
+        path.write_text(OWN.read_text())
+    for path in (*paths, *paths):
+        loaded = load_scenario(path, {"duration": 1.0})
+        law = type(loaded.vehicle).make_controller
+        assert law.__code__.co_filename == str(path)
+
+
 def test_a_law_that_raises_is_named_with_time_and_line(tmp_path: Path) -> None:
     text = OWN.read_text().replace(
         "lambda x: target - x[:2] - x[2:]", "lambda x: LAWS[int(x[0] > 0.2)](x, target)"

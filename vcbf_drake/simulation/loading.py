@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import is_dataclass
 from functools import cache, partial
 import importlib.util
 from pathlib import Path
@@ -30,7 +31,7 @@ from vcbf_drake.simulation.yaml_nodes import (
     merged,
     plain,
 )
-from vcbf_drake.typed import field_types, typed
+from vcbf_drake.typed import classes_in_use, field_types, typed
 
 VEHICLES = "vehicles"
 _FILES = sorted(Path(__file__).parent.glob("scenarios/*.yaml"))
@@ -133,7 +134,9 @@ def function_of(path: Path, name: str) -> Any:
         ScenarioError: The file cannot be run, or has no such function.
     """
     with _naming_place(path):
-        function = getattr(_module_of(path.resolve()), name, None)
+        names = vars(_module_of(path.resolve()))
+        classes_in_use[:] = filter(is_dataclass, names.values())
+        function = names.get(name)
         require(callable(function), f"{name}()", function, "a function of this file")
     return function
 
