@@ -59,9 +59,9 @@ def _event_logs() -> list[bytes]:
     for number in range(3):
         with tempfile.TemporaryDirectory() as folder:
             with EventLogWriter(Path(folder, "log")) as log:
-                log(1_000, "VCBF_SCENARIO", b"a: {duration: 1}")
+                log.tap(1_000, "VCBF_SCENARIO", b"a: {duration: 1}")
                 for each in range(number):
-                    log(2_000 + each, "VCBF_STATE", bytes(10 * each))
+                    log.tap(2_000 + each, "VCBF_STATE", bytes(10 * each))
             logs.append(Path(folder, "log").read_bytes())
     return logs
 
