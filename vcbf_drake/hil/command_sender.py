@@ -49,14 +49,7 @@ class CommandSender(LeafSystem):
     applied. An infeasible tick with the policy ``stop`` also requests the vehicle's
     fallback, and so does, with `Hardware.audit` ``fallback``, a finding of the audit.
 
-    Args:
-        bus: The bus.
-        safety_filter: The filter whose ports are connected.
-        delta1: The declared bound of the disturbance (E16, bounds of the disturbance).
-        period: The control period [s].
-        receiver: The receiver of states, which knows their age.
-        settings: The response to a finding of the audit.
-        watchdogs: Further watchdogs, which precede that of the state's age.
+    `VehicleLink.answer` makes and connects it.
 
     Attributes:
         ending: Whether the controller is about to end.
@@ -149,8 +142,11 @@ class CommandSender(LeafSystem):
         # The verdict's reason, then other senders, and what else is wrong.
         reasons = [verdict.reason, self._receiver.notice() if is_ticking else ""]
         if verdict.mode is CommandMode.APPLY:
-            reasons += [trouble, *(f"refuted: {finding}" for finding in findings)]
-        elif verdict.mode is CommandMode.FALLBACK:
+            reasons.append(trouble)
+        if verdict.mode is not CommandMode.END:
+            refuted = (f"refuted: {finding}" for finding in findings)
+            reasons += [each for each in refuted if each != verdict.reason]
+        if verdict.mode is CommandMode.FALLBACK:
             reasons.append(self._receiver.inbox.complaint(self._bus.clock.utime()))
         status.reason = "; ".join(filter(None, reasons))
         self._bus.send("VCBF_STATUS", status)
@@ -244,12 +240,9 @@ def _finite(value: float) -> float:
 def command_message(
     u: Sequence[float] | Array, mode: CommandMode, state: StateStamp | vcbf_state
 ) -> vcbf_command:
-    """Returns the command to apply an input, or zeros with a mode that applies none.
+    """Returns the command to apply an input (m,), zeros where the mode applies none.
 
-    Args:
-        u: The input, shape (m,).
-        mode: The requested mode of the vehicle.
-        state: The answered state: its stamp, or its message.
+    It answers a state, given by its stamp or its message.
     """
     message = vcbf_command()
     message.state_session = int(state.session)

@@ -284,6 +284,7 @@ class ControllerProcess(HardwareProcess):
             kind = re.sub(r"satisfies [^;]*|\d+", "", reason)
             self._tell_change("trouble", kind, f"{when}{reason or 'all is well again'}")
         else:
+            kind += "".join(status.findings)
             self._tell_change("mode", kind, f"{when}{mode}, {reason}")
         if status.refused_intervals:
             line = f"{when}the state jumped, by more than any declared disturbance does"

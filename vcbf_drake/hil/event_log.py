@@ -39,13 +39,7 @@ class EventLogError(VcbfError):
 
 
 class Event(NamedTuple):
-    """A message and its time on the bus.
-
-    Attributes:
-        utime: The time [us].
-        channel: The name of its channel.
-        data: Its bytes.
-    """
+    """The time of a message on the bus [us], its channel, and its bytes."""
 
     utime: int
     channel: str
@@ -156,7 +150,7 @@ def read_event_log(path: str | Path) -> tuple[list[Event], str]:
     except OSError as error:
         raise EventLogError(f"{path}: {error.strerror}") from None
     events: list[Event] = []
-    damaged: list[tuple[int, int]] = []  # Where there are no events, and how long.
+    damaged: list[range] = []  # Where there are no events.
     end, place = 0, data.find(_SYNC)
     while place >= 0:
         event = _event_at(data, place)
@@ -164,7 +158,7 @@ def read_event_log(path: str | Path) -> tuple[list[Event], str]:
             place = data.find(_SYNC, place + 1)
             continue
         if place > end:
-            damaged.append((end, place - end))
+            damaged.append(range(end, place))
         events.append(event)
         end = place + _HEADER.size + len(event.channel) + len(event.data)
         place = data.find(_SYNC, end)
@@ -172,12 +166,12 @@ def read_event_log(path: str | Path) -> tuple[list[Event], str]:
         words = f"no event in its {len(data)} bytes" if data else "it is empty"
         raise EventLogError(f"{path}: not an LCM log: {words}")
     if end < len(data):
-        damaged.append((end, len(data) - end))
+        damaged.append(range(end, len(data)))
     if not damaged:
         return events, ""
     return events, (
-        f"{path}: {sum(length for _, length in damaged)} of its {len(data)} bytes are"
-        f" no whole events and are left out, the first at byte {damaged[0][0]}"
+        f"{path}: {sum(map(len, damaged))} of its {len(data)} bytes are no whole events"
+        f" and are left out, the first at byte {damaged[0].start}"
     )
 
 
@@ -207,14 +201,8 @@ def start_log(
 ) -> EventLogWriter:
     """Logs a scenario, and from now on all messages that a bus sends and receives.
 
-    Args:
-        bus: The bus of a vehicle's or a controller's process, before that is made.
-        scenario: The scenario of the run.
-        path: The file; see `EventLogWriter`.
-        force: Whether to replace an existing file.
-
-    Raises:
-        EventLogError: The file cannot be written.
+    The bus is that of a vehicle's or a controller's process, before that is made. For
+    the file see `EventLogWriter`.
     """
     log = EventLogWriter(path, force=force)
     channel, text = bus.channel(SCENARIO_CHANNEL), dump_scenario(scenario)

@@ -64,7 +64,6 @@ class LoggedController:
     Attributes:
         controllers: The controllers, one after the other.
         logged: The log's commands by the state that they answer: session, sequence.
-        sent: The commands of the replay, likewise.
         states: The accepted states.
         on_start: Called with every controller before it is driven.
     """
@@ -73,7 +72,6 @@ class LoggedController:
         self.on_start: Callable[[ControllerProcess], None] = lambda controller: None
         self.controllers: list[ControllerProcess] = []
         self.logged: dict[_Key, vcbf_command] = {}
-        self.sent: dict[_Key, vcbf_command] = {}
         self.states: list[Any] = []
         self._scenario = scenario
         n, m = len(scenario.initial_state), len(scenario.input_set.lower)
@@ -85,6 +83,8 @@ class LoggedController:
         self._log = [(event, self._decoded(event)) for event in events]
         # By places of the log: who acted then, and when.
         self._acts = self._find_acts()
+        # The commands that did not come out again yet, and how others differ.
+        self._awaited, self._differences = dict(self.logged), list[float]()
 
     def run(self) -> None:
         """Drives the controller through the whole log."""
@@ -112,17 +112,12 @@ class LoggedController:
         answered = [s for s in states if not self.logged or _key(s) in self.logged]
         gaps = np.diff([state.time for state in answered])
         gaps = gaps[gaps > 0.0]
-        differences = [
-            _difference(command, self.sent[state])
-            for state, command in self.logged.items()
-            if state in self.sent
-        ]
         return {
             "period": float(np.median(gaps)) if len(gaps) else None,
             "commands": {
                 "logged": len(self.logged),
-                "same": differences.count(0.0),
-                "largest_difference": max(differences, default=0.0),
+                "same": self._differences.count(0.0),
+                "largest_difference": max(self._differences, default=0.0),
             },
         }
 
@@ -197,7 +192,9 @@ class LoggedController:
     def _take_command(self, utime: int, channel: str, data: bytes) -> None:
         if channel == _COMMANDS:
             command = vcbf_command.decode(data)
-            self.sent.setdefault(_answered(command), command)
+            logged = self._awaited.pop(_answered(command), None)
+            if logged is not None:
+                self._differences.append(_difference(logged, command))
 
 
 def _decoded_status(data: bytes) -> vcbf_status | None:

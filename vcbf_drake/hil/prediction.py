@@ -156,17 +156,7 @@ class _Memory(NamedTuple):
 class LiveAudit(LeafSystem):
     """Compares the measurements with the filter's hypotheses at every tick.
 
-    .. pydrake_system::
-
-        name: LiveAudit
-        input_ports:
-        - state
-        - applied_input
-        - stamp
-        - estimate
-        output_ports:
-        - finding
-
+    Its input ports are ``state``, ``applied_input``, ``stamp`` and ``estimate``.
     Refuted are the model, the bounds or the measurement, whichever it may be, by
 
     * abs(dhat) > delta1 + its error bound: no disturbance that is declared can be so

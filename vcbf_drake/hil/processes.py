@@ -53,13 +53,10 @@ EXIT_STATUSES = {
 
 
 def say_farewell(send: Callable[[], None]) -> None:
-    """Repeats a last message for half a second, so that at least one copy arrives.
+    """Sends a last message for half a second, so that at least one copy arrives.
 
     A bus may lose a message, and a DrakeLcm that is busy keeps the first of several
     that come at once: the one before the last.
-
-    Args:
-        send: Sends it.
     """
     for _ in range(_TIMES):
         send()
@@ -174,10 +171,7 @@ class HardwareProcess:
     ) -> None:
         """Reports progress once a second, and the side that misses control periods.
 
-        Args:
-            line: The line of progress.
-            period: The control period [s].
-            missed: The number of control periods missed so far, by side.
+        `missed` is the number of control periods of `period` [s] so far, by side.
         """
         now = self.bus.clock.utime()
         if now - self._progress_at < _SECOND:
@@ -227,7 +221,7 @@ class PlantProcess(HardwareProcess):
         self._end: VehicleEnd = self.diagram.GetSubsystemByName("vehicle_end")
         self._simulator = make_simulator(self.diagram, scenario)
         self._simulator.Initialize()
-        self._note_mode(0.0, self._mode_name)
+        self._note_mode(0.0, self.mode.name.lower())
         self._elapsed = 0.0
         self._showed_itself_at: float = -math.inf
 
@@ -246,10 +240,6 @@ class PlantProcess(HardwareProcess):
         """The mode of the vehicle."""
         return self._end.mode(self._end.GetMyContextFromRoot(self.context))
 
-    @property
-    def _mode_name(self) -> str:
-        return self.mode.name.lower()
-
     def _run(self, patience: float) -> None:
         # Not a new session: the states of the start are heard, and were another's.
         inbox = self._end.inbox
@@ -265,7 +255,7 @@ class PlantProcess(HardwareProcess):
         say_farewell(lambda: self.diagram.ForcedPublish(self.context))
 
     def advance_to(self, time: float) -> None:
-        """Simulates up to a time [s]; earlier ones and those after a collision do not.
+        """Simulates up to a time [s], unless that is over or the vehicle has collided.
 
         A command is applied from the first step on that begins after it has come.
         """
@@ -276,7 +266,7 @@ class PlantProcess(HardwareProcess):
         self.collided = (
             status.reason() == SimulatorStatus.ReturnReason.kReachedTerminationCondition
         )
-        self._note_mode(self.time, self._mode_name)
+        self._note_mode(self.time, self.mode.name.lower())
 
     def report(self) -> dict[str, Any]:
         """Returns the outcome of the motion, and the report of the bus."""
@@ -342,7 +332,7 @@ class PlantProcess(HardwareProcess):
             self.ending = "collision"
 
     def _say(self) -> None:
-        mode = self._mode_name
+        mode = self.mode.name.lower()
         self._tell_change("mode", mode, f"{self.time:.2f} s: {mode}")
         inbox = self._end.inbox
         complaint = inbox.complaint(self.bus.clock.utime())
