@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
 from pydrake.lcm import DrakeLcm
-from pydrake.systems.framework import Diagram, DiagramBuilder, OutputPort
+from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem, OutputPort
 
 from vcbf_drake.add_safety_filter import AddedSafetyFilter
 from vcbf_drake.checks import Array
@@ -126,19 +126,24 @@ class VehicleLink:
             "finding": audit.get_output_port(),
             "reference": reference,
         }
-        # All else is called there as it is here.
-        sources = (self.receiver, safety.observer, safety.filter)
         for system in (audit, sender):
-            for i in range(system.num_input_ports()):
-                port, name = (
-                    system.get_input_port(i),
-                    system.get_input_port(i).get_name(),
-                )
-                if name not in ports:
-                    owner = next(each for each in sources if each.HasOutputPort(name))
-                    ports[name] = owner.GetOutputPort(name)
-                builder.Connect(ports[name], port)
+            sources = self.receiver, safety.observer, safety.filter
+            _connect(builder, system, ports, *sources)
         return sender
+
+
+def _connect(
+    builder: DiagramBuilder,
+    system: LeafSystem,
+    ports: Mapping[str, OutputPort],
+    *sources: LeafSystem,
+) -> None:
+    """Connects a system's inputs: to the ports given, else to those of their names."""
+    for i in range(system.num_input_ports()):
+        port, name = system.get_input_port(i), system.get_input_port(i).get_name()
+        owners = (each for each in sources if each.HasOutputPort(name))
+        source = ports.get(name) or next(owners).GetOutputPort(name)
+        builder.Connect(source, port)
 
 
 def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
@@ -205,14 +210,8 @@ def make_hardware_loop(scenario: Scenario, bus: Bus | None = None) -> Diagram:
         obstacles=obstacles,
     )
     if settings.predict:
-        ports = {
-            "state": link.state,
-            "delays": link.receiver.GetOutputPort("delays"),
-            "held_input": loop.hold.get_output_port(),
-            "disturbance_estimate": loop.observer.GetOutputPort("disturbance_estimate"),
-        }
-        for name, port in ports.items():
-            builder.Connect(port, predictor.GetInputPort(name))
+        held = {"held_input": loop.hold.get_output_port()}
+        _connect(builder, predictor, held, link.receiver, loop.observer)
     link.answer(
         loop,
         controller.GetOutputPort("reference"),

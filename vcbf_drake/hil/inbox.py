@@ -12,7 +12,7 @@ from typing import Any
 
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.clocks import LONGEST_ROUND_TRIP, PeerClock
-from vcbf_drake.hil.formats import MessageFormat, Reason, Rejection
+from vcbf_drake.hil.formats import MessageFormat, Reason, Rejection, measured_at
 
 # The number of senders remembered, so that their old messages are not new again.
 _MOST_SENDERS = 8
@@ -240,7 +240,7 @@ class Sender:
         off = self.clock.listen(message.utime, now, echo)
         if off:
             return Rejection(Reason.CLOCK, f"by {1e-6 * off:.2f} s")
-        age = now + self.clock.offset - _measured(message)
+        age = now + self.clock.offset - measured_at(message)
         if age > max_age:
             return Rejection(Reason.OLD, f"{1e-6 * age:.2f} s")
         fault = self._leap_of_time(message, now, max_age)
@@ -287,16 +287,11 @@ class Sender:
         return None
 
 
-def _measured(message: Any) -> int:
-    """When a message's content was true, by its sender's clock [us]."""
-    return int(getattr(message, "utime_measured", message.utime))
-
-
 def _contradiction(message: Any) -> Rejection | None:
     """The contradiction of a sender's first message with its own clock."""
     runs_for = message.utime - message.session
     most = _BURST + runs_for * 1e-6 / SHORTEST_PERIOD
-    if message.sequence > most or message.session > _measured(message):
+    if message.sequence > most or message.session > measured_at(message):
         return Rejection(Reason.STAMPS)
     time = getattr(message, "time", 0.0)
     if 1e6 * time > runs_for + _TIME_AHEAD:

@@ -221,10 +221,8 @@ class LiveAudit(LeafSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
 
     def _update(self, context: Context, discrete: DiscreteValues) -> None:
-        memory, (x, u, *_) = (
-            self._judge(context),
-            (p.Eval(context) for p in self._ports),
-        )
+        memory = self._judge(context)
+        x, u, *_ = (port.Eval(context) for port in self._ports)
         discrete.set_value(0, [memory.finding])
         discrete.set_value(1, np.array(memory))
         discrete.set_value(2, np.concatenate([x, u]))
