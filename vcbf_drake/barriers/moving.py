@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -86,18 +86,8 @@ class MovingObstacle(Shape):
         place[: len(offset)] -= offset  # A polygon is a pillar in space.
         return self.shape.height(place)
 
-    def barriers(
-        self,
-        gains: Sequence[float] | Array,
-        position: Position | None = None,
-        name: str | None = None,
-    ) -> list[Barrier]:
-        """Returns the barriers of its parts; see `Shape`."""
-        path = self.trajectory()
-        return [
-            part.barrier_along(path, gains, position, f"{name or self.kind}{end}")
-            for end, part in self.parts().items()
-        ]
+    def _barrier_of(self, part: SmoothShape, *arguments: Any) -> Barrier:
+        return part.barrier_along(self.trajectory(), *arguments)
 
     def trajectory(self) -> PiecewisePolynomial:
         """Returns its displacement as a trajectory, (k, 1) [m], with ends at rest."""

@@ -74,9 +74,12 @@ class Shape(ABC):
             ValueError: `position` has not one index per dimension, or bad gains.
         """
         return [
-            part.barrier(gains, position, f"{name or self.kind}{end}")
+            self._barrier_of(part, gains, position, f"{name or self.kind}{end}")
             for end, part in self.parts().items()
         ]
+
+    def _barrier_of(self, part: SmoothShape, *arguments: Any) -> Barrier:
+        return part.barrier(*arguments)
 
     def height(self, position: Sequence[float] | Array, t: float = 0.0) -> float:
         """Returns the least h of its barriers at a position (k,) and a time [s]."""
