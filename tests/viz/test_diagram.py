@@ -229,6 +229,12 @@ def test_ways_through_the_filter_are_drakes_direct_feedthroughs(
             assert (way in ways) == safety_filter.HasDirectFeedthrough(j, i)
 
 
+def test_the_filters_steps_are_numbered_through(blimp_loop: Diagram) -> None:
+    dot = filter_dot(blimp_loop.GetSubsystemByName("filter"))
+    numbers = re.findall(r'ALIGN="LEFT">(\d)  ', dot)
+    assert numbers == ["1", "2", "3", "4", "5", "6", "7"]
+
+
 def test_nameless_systems_show_no_addresses() -> None:
     builder = DiagramBuilder()
     adder = builder.AddSystem(Adder(2, 3))

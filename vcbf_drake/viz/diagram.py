@@ -194,14 +194,14 @@ def _steps(safety_filter: SafetyFilter) -> dict[str, tuple[str, ...]]:
     steps: dict[str, tuple[str, ...]] = {
         "barrier rows": ("1  barrier rows (E7)",),
         "feasible set": ("2  feasible polytope (E46)",),
-        "determinants": ("3  inscribed ellipsoid (E48)", "4  its gradient (E58)"),
-        "volumes": ("5  V_v, above the threshold",),
+        "det B": ("3  inscribed ellipsoid (E48)", "4  its gradient (E58)"),
+        "volume": ("5  V_v, above the threshold",),
     }
     if not method.has_volume_row:
         label = "E69" if method.feasibility == "decay" else "E47"
         return steps | {
-            "determinants": ("inscribed ellipsoid (E48)", "for the log only"),
-            "volumes": (),
+            "det B": ("inscribed ellipsoid (E48)", "for the log only"),
+            "volume": (),
             "decision": (f"3  nearest input, QP ({label})",),
         }
     label = "E62" if settings.corrections.total_derivative else "E54"
