@@ -118,7 +118,7 @@ def test_rows_of_zeros():
     assert chebyshev_ball(A, [1.0, 1.0, 1.0, 1.0, -1e-30])[1] == -np.inf
     assert emptiness_certificate(A, [1.0, 1.0, 1.0, 1.0, 0.0]) is None
     proof = emptiness_certificate(A, [1.0, 1.0, 1.0, 1.0, -1e-30])
-    assert proof.rows.tolist() == [4] and proof.inradius == -np.inf
+    assert proof.conflict == (4,) and proof.inradius == -np.inf
     np.testing.assert_array_equal(proof.multipliers, [0.0, 0.0, 0.0, 0.0, 1.0])
     # So short that b_i / |a_i| overflows: no direction, but the sign of b_i speaks.
     A[4] = [1e-200, 0.0]
@@ -167,7 +167,7 @@ def test_conflict_is_named():
     # Rows 1 and 3 contradict each other by 1; the others are bystanders.
     A = [[1.0, 0.0], [0.0, 2.0], [-1.0, 0.0], [0.0, -3.0], [1.0, 1.0]]
     proof = emptiness_certificate(A, [1.0, 0.0, 1.0, -3.0, 9.0])
-    assert proof.rows.tolist() == [1, 3]
+    assert proof.conflict == (1, 3)
     assert proof.inradius == pytest.approx(-0.5)
     np.testing.assert_allclose(proof.multipliers @ A, 0.0, atol=1e-15)
 
@@ -192,9 +192,9 @@ def test_emptiness_is_proved_down_to_narrow_gaps(m):
         radius = chebyshev_ball(A, b)[1]
         assert radius <= -0.5 * gap * (1.0 - 1e-4)
         assert proof.inradius >= radius * (1.0 + 1e-6) - 1e-12
-        assert len(proof.rows) <= m + 1
-        for row in proof.rows:
-            kept = proof.rows[proof.rows != row]
+        assert len(proof.conflict) <= m + 1
+        for row in proof.conflict:
+            kept = [each for each in proof.conflict if each != row]
             assert emptiness_certificate(A[kept], b[kept]) is None
 
 
@@ -275,7 +275,7 @@ def test_rows_that_are_nearly_opposite_are_proven_empty(exponent: int) -> None:
         assert y.min() >= 0.0
         # For every u in the box |y'A u| is at most the sum of |y'A|.
         assert y @ b + np.abs(y @ A).sum() < 0.0
-        assert {6, 7} <= set(proof.rows) and len(proof.rows) <= 4
+        assert {6, 7} <= set(proof.conflict) and len(proof.conflict) <= 4
 
 
 EMPTY = np.vstack([BOX, [-1.0, 0.0]]), np.array([1.0, 1.0, 1.0, 1.0, -2.0])
@@ -288,4 +288,4 @@ def test_a_solver_astray_changes_no_answer(monkeypatch, answer):
     nearest = None if answer is None else answer[:2]
     monkeypatch.setattr(NearestPointProgram, "solve", lambda *_: nearest)
     assert chebyshev_ball(*EMPTY)[1] == pytest.approx(-0.5, abs=1e-15)
-    assert emptiness_certificate(*EMPTY).rows.tolist() == [0, 4]
+    assert emptiness_certificate(*EMPTY).conflict == (0, 4)

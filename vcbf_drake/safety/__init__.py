@@ -19,11 +19,7 @@ from vcbf_drake.safety.feasible_set import (
     unpack_feasible_set,
 )
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.polytope import (
-    Emptiness,
-    chebyshev_ball,
-    emptiness_certificate,
-)
+from vcbf_drake.safety.polytope import chebyshev_ball, emptiness_certificate
 from vcbf_drake.safety.safety_filter import SafetyFilter
 from vcbf_drake.safety.settings import (
     BETWEEN_TICKS,
@@ -44,7 +40,6 @@ __all__ = [
     "Corrections",
     "DisturbanceKnowledge",
     "Ellipsoid",
-    "Emptiness",
     "FeasibleSet",
     "FilterDecision",
     "FilterSettings",

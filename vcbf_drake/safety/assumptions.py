@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -64,18 +64,17 @@ def assumptions(
         noise: Largest standard deviation of the noise on the disturbed states
             [m/s].
     """
-    levels, authority, volume = (
-        safety_filter.GetOutputPort(name).Eval(filter_context)
-        for name in ("levels", "authority", "volume")
-    )
+    ports = {
+        name: safety_filter.GetOutputPort(name).Eval(filter_context)
+        for name in ("levels", "authority", "volume", "backup")
+        if safety_filter.HasOutputPort(name)
+    }
     xi = safety_filter.threshold(filter_context)
     found = [
         *_standing(safety_filter, observer, noise),
-        *start_assumptions(safety_filter, levels, authority, float(volume[0]), xi),
+        *start_assumptions(safety_filter, observer, ports, xi),
     ]
     if safety_filter.gate is not None:
-        _, certified = safety_filter.GetOutputPort("backup").Eval(filter_context)
-        found.append(certified_plan(safety_filter, bool(certified)))
         exact = Assumption(
             "exact state",
             "the measured state is the state: plans begin there (Theorem 5)",
@@ -98,19 +97,24 @@ def assumptions(
 
 def start_assumptions(
     safety_filter: SafetyFilter,
-    levels: Array,
-    authority: Array,
-    volume: float,
+    observer: DisturbanceObserver,
+    ports: Mapping[str, Array],
     threshold: float,
 ) -> Iterator[Assumption]:
-    """Yields the hypotheses about the state in which a loop starts.
+    """Yields the hypotheses about the state in which a loop starts, and the gains.
 
-    From the values of the filter's ports ``levels``, ``authority`` and ``volume``, and
-    xi, which is in the last.
+    Args:
+        safety_filter: The filter.
+        observer: The observer that feeds it.
+        ports: The values of its ports ``levels``, ``authority``, ``volume`` and, with
+            a gate, ``backup``.
+        threshold: xi, which is in the volume.
     """
-    names = safety_filter.barrier_set.names
+    if "backup" in ports:
+        yield _certified_plan(safety_filter, bool(ports["backup"][1]))
+    names, authority = safety_filter.barrier_set.names, ports["authority"]
     ends = np.cumsum(safety_filter.barrier_set.degrees)
-    phi = np.split(levels, ends)[: len(ends)]
+    phi = np.split(ports["levels"], ends)[: len(ends)]
     # A slot without an obstacle has no level and says nothing.
     empty = np.array([len(p) > 0 and np.isnan(p).all() for p in phi], dtype=bool)
     empty &= authority == 0.0
@@ -118,11 +122,20 @@ def start_assumptions(
         if len(chain) > 0 and not is_empty:
             yield _start_inside(name, chain)
     yield _input_authority(names, np.where(empty, np.inf, authority))
-    yield _volume_at_start(safety_filter, volume, threshold)
+    yield _volume_at_start(safety_filter, float(ports["volume"][0]), threshold)
+    if safety_filter.method.disturbance == "estimated":
+        for condition in observer.gain_conditions():
+            yield Assumption(
+                f"observer gain: {condition.name}",
+                "Lemma 2 (E20) in sampled time",
+                condition.holds,
+                {"left": condition.left, "right": condition.right},
+                "the error bound is the worst case, 2 delta1 (E37): the volume row is"
+                " not certified; leave the gains out to have them computed",
+            )
 
 
-def certified_plan(safety_filter: SafetyFilter, is_certified: bool) -> Assumption:
-    """Returns the hypothesis that a backup manoeuvre is safe at the start."""
+def _certified_plan(safety_filter: SafetyFilter, is_certified: bool) -> Assumption:
     return Assumption(
         "certified plan",
         "a backup manoeuvre of the plant, from the start, keeps every hard barrier for"
@@ -133,19 +146,6 @@ def certified_plan(safety_filter: SafetyFilter, is_certified: bool) -> Assumptio
         " that changes nothing, look at the manoeuvre: its input may be outside the"
         " limits, or no box of its plan free of every barrier",
     )
-
-
-def gain_assumptions(observer: DisturbanceObserver) -> Iterator[Assumption]:
-    """Yields the conditions that an observer's error bound puts on its gains."""
-    for condition in observer.gain_conditions():
-        yield Assumption(
-            f"observer gain: {condition.name}",
-            "Lemma 2 (E20) in sampled time",
-            condition.holds,
-            {"left": condition.left, "right": condition.right},
-            "the error bound is the worst case, 2 delta1 (E37): the volume row is not"
-            " certified; leave the gains out to have them computed",
-        )
 
 
 def _start_inside(name: str, chain: Array) -> Assumption:
@@ -227,7 +227,6 @@ def _standing(
             " backup guarantees that it does not (Theorem 5)",
         )
     if method.disturbance == "estimated":
-        yield from gain_assumptions(observer)
         if observer.basis == "calibrated":
             yield Assumption(
                 "proven error bound",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from enum import IntEnum
 import math
@@ -25,7 +25,7 @@ from vcbf_drake.safety.programs import DEFAULT_SOLVER
 from vcbf_drake.safety.projection import (
     UnitRows,
     minimise_linear,
-    rows_in_conflict,
+    proof_of_conflict,
 )
 from vcbf_drake.safety.qp import MARGIN, QP, Frame, VolumeRow, state_qp
 
@@ -254,36 +254,21 @@ def _better(
 ) -> tuple[Projection, QP]:
     """The solution in finer coordinates; where none is verified, the one found.
 
+    In finer coordinates the input set is large, and what is left of y'A there, next to
+    nothing, may be worth more than y'b: a conflict has to be one of the rows as given.
+
     Raises:
         EmptySetError: No input satisfies the rows that never give way, certified.
     """
     try:
         return finer.solved(solver), finer
-    except EmptySetError:
-        pass
-    try:
-        # A conflict with the volume row does not imply that the other rows are empty.
-        finer.hard.solved(solver)
     except EmptySetError as error:
-        u = qp.frame.input(found.point)
-        if _excludes_every_input(feasible, error.conflict, u):
-            raise
-    return found, qp
-
-
-def _excludes_every_input(
-    feasible: FeasibleSet, conflict: Sequence[int], u: Array
-) -> bool:
-    """Whether rows in conflict are one for every input, as they were given.
-
-    In finer coordinates the input set is large, and what is left of y'A there, next to
-    nothing, may be worth more than y'b.
-    """
-    rows = [*feasible.input_set.limits, *feasible.cutting[list(conflict)]]
-    chosen = np.unique(rows).astype(int)
-    num_firm = int((chosen < feasible.num_input_rows).sum())
-    A, b = feasible.A[chosen], feasible.b[chosen]
-    return bool(rows_in_conflict(A, b, num_firm, u))
+        kept, u = feasible.cutting, qp.frame.input(found.point)
+        A, b = feasible.A[kept], feasible.b[kept]
+        proof = proof_of_conflict(A, b, qp.num_firm, u)
+        if proof is None:
+            return found, qp
+        raise EmptySetError(A, b, error.inradius, proof) from None
 
 
 def _fallback(

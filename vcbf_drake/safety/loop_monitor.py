@@ -16,11 +16,7 @@ from pydrake.systems.framework import (
 
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceEstimate, DisturbanceObserver
-from vcbf_drake.safety.assumptions import (
-    certified_plan,
-    gain_assumptions,
-    start_assumptions,
-)
+from vcbf_drake.safety.assumptions import start_assumptions
 from vcbf_drake.safety.cached_system import CachedSystem
 from vcbf_drake.safety.decision import FilterStatus
 from vcbf_drake.safety.feasible_set import unpack_feasible_set
@@ -126,24 +122,19 @@ class LoopMonitor(CachedSystem):
                 " at no obstacle's centre? None of the hypotheses could be checked"
             )
             return EventStatus.Succeeded()
-        authority = self._read(context, "authority")
+        # Not those of the decision, for which the filter has no threshold yet.
+        names = ("levels", "authority", "volume", "backup")
+        ports = {name: self._read(context, name) for name in self._ports.keys() & names}
         has_volume = self._filter.method.has_volume_row
-        volume = self._read(context, "volume")[0] if has_volume else np.nan
+        is_small = has_volume and ports["volume"][0] < 0.0
         # Without a threshold of its own V_v starts above 0, or at the least one.
         least = least_threshold(self._filter.input_set.num_inputs)
         threshold = self._settings.volume.threshold or least
-        found = tuple(
-            start_assumptions(self._filter, levels, authority, volume, threshold)
-        )
-        if self._filter.method.disturbance == "estimated":
-            found = (*found, *gain_assumptions(self._observer))
-        is_lost = self._has_no_plan(context)
-        if "backup" in self._ports:
-            found = (certified_plan(self._filter, not is_lost), *found)
-        # A volume that starts below 0 is a hypothesis that fails; so is no plan.
-        told = _Findings(0.0, 0.0, volume < 0.0, is_lost)
-        state.get_mutable_discrete_state().set_value(np.array(told, dtype=float))
+        found = start_assumptions(self._filter, self._observer, ports, threshold)
         failed = [each for each in found if each.holds is False]
+        # A volume that starts below 0 is a hypothesis that fails; so is no plan.
+        told = _Findings(0.0, 0.0, is_small, self._has_no_plan(context))
+        state.get_mutable_discrete_state().set_value(np.array(told, dtype=float))
         first = failed[0].verdict if failed else ""
         state.get_mutable_abstract_state(0).set_value((first,))
         for each in failed:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import EmptySetError, UnboundedSetError
@@ -57,34 +56,13 @@ def chebyshev_ball(A: ArrayLike, b: ArrayLike) -> tuple[Array, float]:
     return center, radius
 
 
-@dataclass(frozen=True)
-class Emptiness:
-    """Farkas' proof that no point satisfies ``A u <= b``, on an irreducible conflict.
+def emptiness_certificate(A: ArrayLike, b: ArrayLike) -> EmptySetError | None:
+    """Returns the error that proves a set empty; None when a point satisfies its rows.
 
-    y >= 0 with y'A = 0 and y'b < 0: were u in the set, 0 = y'A u <= y'b < 0. Dropping
-    any one of the rows in conflict leaves rows that some point satisfies.
-
-    Attributes:
-        multipliers: y, in the units of the rows as given, shape (n,).
-        inradius: The signed Chebyshev radius of the rows in conflict, no less than that
-            of the set [units of u]; minus infinity when a row without coefficients
-            (0 u <= b < 0) is the conflict.
-    """
-
-    multipliers: Array
-    inradius: float
-
-    @property
-    def rows(self) -> NDArray[np.intp]:
-        """Indices of the rows in conflict, at most m + 1 of them, ascending."""
-        return np.flatnonzero(self.multipliers)
-
-
-def emptiness_certificate(A: ArrayLike, b: ArrayLike) -> Emptiness | None:
-    """Returns a proof that the set is empty, or None when a point satisfies its rows.
-
-    A point that violates rows by at most 6e-10, measured as a distance, counts as a
-    point of the set: flat sets are not empty, nor are those of `nearest_point`.
+    Its rows in conflict, at most m + 1, are irreducible: dropping one of them leaves
+    rows that some point satisfies. A point that violates rows by at most 6e-10, as a
+    distance, counts as a point of the set: flat sets are not empty, nor are those of
+    `nearest_point`.
 
     Args:
         A: The rows, shape (n, m).
@@ -94,21 +72,20 @@ def emptiness_certificate(A: ArrayLike, b: ArrayLike) -> Emptiness | None:
         ValueError: Wrong shapes or numbers that are not finite.
     """
     rows = UnitRows.checked(A, b)
-    n, m = rows.A.shape
-    if rows.conflict is not None:
-        return Emptiness(np.eye(n)[rows.conflict], -math.inf)
     A, b = rows.given
+    if rows.conflict is not None:
+        return EmptySetError(A, b, -math.inf, np.eye(len(b))[rows.conflict])
     try:
-        nearest_point(A, b, np.zeros(m))
+        nearest_point(A, b, np.zeros(A.shape[1]))
     except EmptySetError as error:
-        y = error.multipliers
         for row in error.conflict:  # Some may only compensate the others' rounding.
             kept = [i for i in error.conflict if i != row]
             fewer = emptiness_certificate(A[kept], b[kept])
             if fewer is not None:
-                y[:], y[kept] = 0.0, fewer.multipliers
-                return Emptiness(y, fewer.inradius)
-        return Emptiness(y, error.inradius)
+                y = np.zeros(len(b))
+                y[kept] = fewer.multipliers
+                return EmptySetError(A, b, fewer.inradius, y)
+        return error
     return None
 
 

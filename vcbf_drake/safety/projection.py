@@ -265,8 +265,8 @@ def _in_rationals(rows: UnitRows, b: Array, reference: Array) -> Projection:
     raise _empty(rows, heavy if most < 0.5 * (z @ b) else z)
 
 
-def rows_in_conflict(A: Array, b: Array, num_firm: int, near: Array) -> tuple[int, ...]:
-    """Returns rows that exclude each other, as given; none where none surely do.
+def proof_of_conflict(A: Array, b: Array, num_firm: int, near: Array) -> Array | None:
+    """Returns Farkas' multipliers of the rows as given; None without a sure conflict.
 
     Decided in rational numbers, whatever the rows' sizes, and by more than the rounding
     of their terms near a point. The first `num_firm` rows have none.
@@ -274,10 +274,10 @@ def rows_in_conflict(A: Array, b: Array, num_firm: int, near: Array) -> tuple[in
     rounding = OPENING * (np.abs(b) + np.abs(A) @ np.abs(near))
     rounding[:num_firm] = 0.0
     proof = nearest_in_rationals(A, b + rounding, near).conflict
-    if proof is None:
-        return ()
-    weights = proof * UnitRows(A, b).length
-    return tuple(np.flatnonzero(weights > _LIGHTEST * weights.max()).tolist())
+    if proof is not None:
+        weights = proof * UnitRows(A, b).length
+        proof[weights < _LIGHTEST * weights.max()] = 0.0
+    return proof
 
 
 def opened(rows: UnitRows, num_firm: int) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from typing import Any
+from typing import NoReturn
 
 import numpy as np
 from pydrake.systems.framework import (
@@ -38,15 +38,10 @@ from vcbf_drake.safety.feasible_set import (
     pack_feasible_set,
 )
 from vcbf_drake.safety.input_set import InputSet, check_inputs
-from vcbf_drake.safety.projection import rows_in_conflict
+from vcbf_drake.safety.projection import proof_of_conflict
 from vcbf_drake.safety.qp import Frame, TickPrograms
 from vcbf_drake.safety.settings import METHODS, FilterSettings
-from vcbf_drake.safety.volume import (
-    Volume,
-    VolumeMeasure,
-    threshold_of,
-    volume_row,
-)
+from vcbf_drake.safety.volume import Volume, VolumeMeasure, threshold_of, volume_row
 from vcbf_drake.typed import NotNegative, typed
 
 
@@ -166,18 +161,17 @@ class SafetyFilter(CachedSystem):
         self.certified_hold = hold if settings.between_ticks == "certified" else 0.0
         self.row_holder: RowHolder | None = None
         if self.certified_hold:
-            make = _given("between_ticks: certified", make_row_holder)
+            make = make_row_holder or _missing("between_ticks: certified")
             self.row_holder = make(model, self.barrier_set, hold, self.bounds.delta1)
         self._costs = settings.row_costs(len(names))
         self.gate: Gate | None = None
         if settings.infeasible == "backup":
             is_hard = np.isinf(self._costs.penalties[: self.barrier_set.size])
-            make = _given("infeasible: backup", make_gate)
-            self.gate = make(model, self.barrier_set, input_set, *known, is_hard)
+            make_gate = make_gate or _missing("infeasible: backup")
+            self.gate = make_gate(model, self.barrier_set, input_set, *known, is_hard)
         self._frame = Frame.of(input_set, settings.input_weights)
-        self._measure = VolumeMeasure(
-            input_set, settings.volume.widening, settings.solver
-        )
+        widening, solver = settings.volume.widening, settings.solver
+        self._measure = VolumeMeasure(input_set, widening, solver)
         self._declare_inputs()
         self._declare_cache_entries()
         self._declare_outputs()
@@ -228,7 +222,7 @@ class SafetyFilter(CachedSystem):
         self.decision = self._cached("decision", self._calc_decision, needs)
 
     def _declare_outputs(self) -> None:
-        m, n_rows = self.model.num_inputs, len(self.row_names)
+        m = self.model.num_inputs
         N, num_levels = self.barrier_set.size, sum(self.barrier_set.degrees)
         decision, rows = self.decision, self.barrier_rows
         self._output("command", m, decision, lambda d: d.input)
@@ -259,7 +253,7 @@ class SafetyFilter(CachedSystem):
         )
         self.DeclareVectorOutputPort(
             "feasible_set",
-            n_rows * (m + 1) + m * (m + 1),
+            (len(self.row_names) + m) * (m + 1),
             self._calc_packed_feasible_set,
             {self.volume.ticket},
         )
@@ -277,8 +271,10 @@ class SafetyFilter(CachedSystem):
         inputs, limiting = self.input_set, np.isfinite(b).nonzero()[0]
         num_firm = int(np.sum(limiting < len(inputs.b)))
         near = inputs.project(np.zeros(inputs.num_inputs))
-        found = rows_in_conflict(A[limiting], b[limiting], num_firm, near)
-        return tuple(self.row_names[limiting[row]] for row in found)
+        proof = proof_of_conflict(A[limiting], b[limiting], num_firm, near)
+        if proof is None:
+            return ()
+        return tuple(self.row_names[row] for row in limiting[proof > 0.0])
 
     def knowledge(self, context: Context) -> DisturbanceKnowledge:
         """Returns the knowledge of the disturbance that this method uses."""
@@ -298,9 +294,8 @@ class SafetyFilter(CachedSystem):
     def programs(self, context: Context) -> TickPrograms | None:
         """Returns the tick's two programs, stated anew as they were solved.
 
-        Both are stated where no solver was asked, too: the reference that satisfies
-        every row is the QP's solution. Of a tick whose answer solves no QP (INFEASIBLE,
-        FAILED) there are none.
+        Also where the reference passes, which is the QP's solution; not where no QP's
+        solution is the answer (INFEASIBLE, FAILED).
         """
         decision, feasible = self.decision(context), self.feasible_set(context)
         names, widening = self.row_names, self.settings.volume.widening
@@ -322,11 +317,7 @@ class SafetyFilter(CachedSystem):
         return feasible_set(self.input_set, rows, self.knowledge(context), self._costs)
 
     def threshold(self, context: Context) -> float:
-        """Returns xi of the volume barrier.
-
-        Where the settings have none, a share of what the set had at the first tick
-        that had one; before it, of what it has.
-        """
+        """Returns xi: the settings', or a share of det B at the first tick with one."""
         if self.settings.volume.threshold is not None:
             return self.settings.volume.threshold
         kept = float(context.get_discrete_state_vector()[0])
@@ -347,7 +338,7 @@ class SafetyFilter(CachedSystem):
         return determinant and determinant.above(self.threshold(context))
 
     def _calc_decision(self, context: Context) -> FilterDecision:
-        reference, held = self._reference.Eval(context), self._held(context)
+        reference, held = self._wanted_and_held(context)
         (x, t, seen), settings = self._situation(context), self.settings
         if not np.isfinite(x).all():
             return FilterDecision(self.input_set.project(held), FilterStatus.FAILED)
@@ -383,14 +374,15 @@ class SafetyFilter(CachedSystem):
             decision = self.row_holder.lasting_decision(tick, decision, choose)
         return decision if self.gate is None else self.gate.decide(tick, decision)
 
-    def _held(self, context: Context) -> Array:
-        if not self._held_input.HasValue(context):
-            return np.zeros(self.model.num_inputs)
-        held: Array = self._held_input.Eval(context)
-        return held
+    def _wanted_and_held(self, context: Context) -> tuple[Array, Array]:
+        """The reference, and the held input: zeros where nothing is connected."""
+        held = np.zeros(self.model.num_inputs)
+        if self._held_input.HasValue(context):
+            held = self._held_input.Eval(context)
+        return self._reference.Eval(context), held
 
     def _calc_fallback(self, context: Context) -> Array:
-        reference, held = self._reference.Eval(context), self._held(context)
+        reference, held = self._wanted_and_held(context)
         return least_violation(self.feasible_set(context), self._frame, reference, held)
 
     def _calc_packed_feasible_set(self, context: Context, output: BasicVector) -> None:
@@ -399,11 +391,8 @@ class SafetyFilter(CachedSystem):
         output.SetFromVector(pack_feasible_set(feasible.A, feasible.b, frame, center))
 
 
-def _given(setting: str, make: Callable[..., Any] | None) -> Callable[..., Any]:
-    """The function that `AddSafetyFilter` gives for a setting."""
-    if make is None:
-        raise ValueError(
-            f"{setting}; it needs what vcbf_drake.between_ticks makes for it"
-            " (AddSafetyFilter gives it)"
-        )
-    return make
+def _missing(setting: str) -> NoReturn:
+    raise ValueError(
+        f"{setting}; it needs what vcbf_drake.between_ticks makes for it"
+        " (AddSafetyFilter gives it)"
+    )

@@ -79,7 +79,7 @@ class FeasibleSet:
         """The rows that exclude each other when the set is empty."""
         middle, half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
         certificate = emptiness_certificate(self.A * half, self.b - self.A @ middle)
-        return [] if certificate is None else [int(row) for row in certificate.rows]
+        return [] if certificate is None else list(certificate.conflict)
 
 
 def feasible_set_at(run: Run, time: float) -> FeasibleSet:
