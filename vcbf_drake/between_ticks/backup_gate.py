@@ -96,15 +96,14 @@ class BackupGate:
 
     def _found(self, tick: Tick, decision: FilterDecision) -> FilterDecision:
         check = _Check(tick, self._barriers, self._input_set, self._is_hard)
-        u = decision.input
-        ways = [
-            (each, backup)
-            for each in sorted(self.manoeuvres, key=lambda m: m.detour(tick.state))
-            if (backup := _input_of(each, tick.state, self._input_set)) is not None
-        ]
-        laws = [(each, backup) for each, backup in ways if check.allows(backup)]
-        if any(check.passes(each, u) for each, _ in laws):
-            return decision._replace(is_certified=True)
+        u, laws = decision.input, []
+        for each in sorted(self.manoeuvres, key=lambda m: m.detour(tick.state)):
+            backup = _input_of(each, tick.state, self._input_set)
+            if backup is None:
+                continue
+            laws.append((each, backup))
+            if check.allows(backup) and check.passes(each, u):
+                return decision._replace(is_certified=True)
         for each, backup in laws:
             if not check.passes(each, backup):
                 continue
@@ -115,9 +114,9 @@ class BackupGate:
                 is_certified=True,
                 qp=None,
             )
-        if decision.status < FilterStatus.INFEASIBLE or not ways:
+        if decision.status < FilterStatus.INFEASIBLE or not laws:
             return decision._replace(is_certified=False)
-        return decision._replace(input=ways[0][1], backup=1.0, is_certified=False)
+        return decision._replace(input=laws[0][1], backup=1.0, is_certified=False)
 
 
 def _input_of(manoeuvre: Manoeuvre, state: Array, input_set: InputSet) -> Array | None:

@@ -209,15 +209,17 @@ class CarStop(Manoeuvre):
 
         def box(i: int, k: int) -> Box:
             # On the line, across it, speed, and heading from the line's.
-            parts = turning[i:k]
-            end = time + k * T
-            if k > count:
-                i_line, k_line = first + max(i - count, 0), first + k - count
-                stretch = (i_line * self.cell, k_line * self.cell)
-                on_line = np.array([[stretch, places, speeds, (0.0, 0.0)]])
-                parts, end = np.concatenate([parts, on_line]), FOREVER
-            low, high = parts[..., 0].min(axis=0), parts[..., 1].max(axis=0)
-            ss, yy, vv, (left, right) = zip(low.tolist(), high.tolist(), strict=True)
+            i_line, k_line = first + max(i - count, 0), first + k - count
+            stretch = (i_line * self.cell, k_line * self.cell)
+            hull = [stretch, places, speeds, (0.0, 0.0)]
+            if i < count:
+                parts = turning[i:k]
+                if k > count:
+                    parts = np.concatenate([parts, [hull]])
+                low, high = parts[..., 0].min(axis=0), parts[..., 1].max(axis=0)
+                hull = list(zip(low.tolist(), high.tolist(), strict=True))
+            ss, yy, vv, (left, right) = hull
+            end = FOREVER if k > count else time + k * T
             return [
                 _rotated(ss, yy, c, -s),
                 _rotated(ss, yy, s, c),
