@@ -252,6 +252,20 @@ def test_a_car_that_cannot_stop_in_time_is_certified_where_it_can_steer_past(
     assert not world.decide(x, 0.0, np.zeros(2)).is_certified
 
 
+@pytest.mark.parametrize("index", range(4))
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_state_that_is_no_number_has_no_certified_plan(index, value):
+    world, x = car_before_a_disc(5.0, 0.5)
+    x[index] = value
+    assert not world.decide(x, 0.0, np.array([1.0, 0.7])).is_certified
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_speed_beyond_what_floats_square_is_not_certified_and_warns_of_nothing():
+    world, x = car_before_a_disc(5.0, 1e200)
+    assert not world.decide(x, 0.0, np.array([1.0, 0.7])).is_certified
+
+
 def test_an_input_gives_way_only_as_far_as_it_must():
     world, x = car_before_a_disc(5.0, 0.5)
     far = world.decide(x, 0.0, np.array([1.0, 0.7]))

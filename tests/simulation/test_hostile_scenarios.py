@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from vcbf_drake import ScenarioError
+from vcbf_drake import ScenarioError, load_scenario
 from vcbf_drake.simulation.loading import parse_scenario
 
 SMALL = """\
@@ -97,6 +97,19 @@ SIGNAL = "{{disturbance: [!{}]}}"
 )
 def test_overrides(overrides, expected):
     assert re.search(expected, complaint(SMALL, overrides))
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("{<<: [{duration: 3}, {duration: 4}]}", 3.0),
+        ("{<<: [{period: 0.05}, {duration: 4}, {duration: 5}]}", 4.0),
+        ("{duration: 9, <<: [{duration: 3}, {duration: 4}]}", 9.0),
+    ],
+)
+def test_of_several_mappings_that_are_merged_the_first_wins(text, found):
+    """YAML's rule for merge keys, which PyYAML's versions follow or not."""
+    assert load_scenario("car-avoidance", text).duration == found
 
 
 def test_a_merged_mapping_may_be_used_twice():

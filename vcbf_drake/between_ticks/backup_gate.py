@@ -95,6 +95,8 @@ class BackupGate:
         return decision
 
     def _found(self, tick: Tick, decision: FilterDecision) -> FilterDecision:
+        if not np.isfinite(tick.state).all():
+            return decision._replace(is_certified=False)
         check = _Check(tick, self._barriers, self._input_set, self._is_hard)
         u, laws = decision.input, []
         for each in sorted(self.manoeuvres, key=lambda m: m.detour(tick.state)):
@@ -165,7 +167,8 @@ class _Check:
         if not self.allows(u):
             return False
         try:
-            plan = manoeuvre.plan(tick.state, tick.time, u)
+            with np.errstate(over="ignore", invalid="ignore"):
+                plan = manoeuvre.plan(tick.state, tick.time, u)
         except (ArithmeticError, ValueError):  # Beyond what floats hold.
             return False
         cells = self._cells_before_safety(plan) if plan else None

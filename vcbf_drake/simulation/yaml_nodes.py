@@ -68,9 +68,21 @@ class _Loader(yaml.SafeLoader):
             if key.value in words:
                 raise ScenarioError(f"{place}: {key.value:.40}: given twice")
             words.append(key.value)
+        node.value = [(key, _first_of(key, value)) for key, value in node.value]
         self.flatten_mapping(node)
         node.value = [*entries_of(node).values()]
         return node
+
+
+def _first_of(key: Node, value: Node) -> Node:
+    """What a key merges; of a list, the first wins (PyYAML's versions differ)."""
+    is_list = key.tag.endswith(":merge") and isinstance(value, yaml.SequenceNode)
+    if not is_list or any(each.id != "mapping" for each in value.value):
+        return value
+    entries: dict[str, tuple[Node, Node]] = {}
+    for each in reversed(value.value):
+        entries |= entries_of(each)
+    return yaml.MappingNode(value.tag, [*entries.values()], value.start_mark)
 
 
 def compose(text: str | Mapping[str, Any], source: str = _OVERRIDE) -> Node:
