@@ -211,6 +211,16 @@ def test_a_multibody_plant_knows_its_channels() -> None:
     assert channels.input_labels[0].endswith(" [N m]")
 
 
+def test_a_controller_whose_state_is_not_connected_has_no_reference() -> None:
+    controller = StateFeedback(lambda x, d: [x[0] + d[0]], 1, 1, 1)
+    context = controller.CreateDefaultContext()
+    reference = controller.GetOutputPort("reference")
+    with pytest.raises(RuntimeError, match="state"):
+        reference.Eval(context)
+    controller.GetInputPort("state").FixValue(context, [2.0])
+    assert reference.Eval(context).tolist() == [2.0]  # The estimate is optional.
+
+
 def test_two_files_may_define_a_vehicle_of_one_name(tmp_path: Path) -> None:
     paths = [tmp_path / folder / "robot.py" for folder in ("one", "other")]
     for path in paths:

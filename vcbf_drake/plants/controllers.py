@@ -52,12 +52,12 @@ class StateFeedback(LeafSystem):
         self.DeclareVectorOutputPort("reference", num_inputs, self._calc, needs)
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        found = self._law(
-            *(
-                port.Eval(context) if port.HasValue(context) else np.zeros(port.size())
-                for port in self._ports
-            )
+        state, *optional = self._ports
+        estimates = (
+            port.Eval(context) if port.HasValue(context) else np.zeros(port.size())
+            for port in optional
         )
+        found = self._law(state.Eval(context), *estimates)
         rule = f"{self._size} numbers"
         require(_are_numbers(found, self._size), "what the law returns", found, rule)
         output.SetFromVector(np.asarray(found, dtype=float))
