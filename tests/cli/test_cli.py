@@ -532,3 +532,11 @@ def test_what_drake_says_of_its_solvers_is_kept_back(
         log.info("Clarabel returns InsufficientProgress")
         log.warning("something is wrong")
     assert caplog.messages == ["something is wrong"]
+
+
+def test_a_bound_below_zero_certifies_nothing(tmp_path: Path) -> None:
+    """A period of 5 s: the car touches between two ticks."""
+    without = ["--no-figures", "--no-replay", "--out", str(tmp_path)]
+    done = invoke("run", "car-avoidance", "--override", "{period: 5}", *without)
+    assert "promises broken" in done.stdout
+    assert "certified at every instant" not in done.stdout

@@ -125,7 +125,10 @@ class CommandSender(LeafSystem):
         stamp = StateStamp(*held["stamp"].tolist())
         conflicts, finding = self._conflicts(held), int(self._finding.Eval(context)[0])
         findings = [FINDINGS[finding]] if finding >= 0 else []
-        trouble = f"no input satisfies {', '.join(conflicts)}" if conflicts else ""
+        trouble = ""
+        if held["status"][0] == FilterStatus.INFEASIBLE:
+            # The proof of a narrow conflict may name no rows.
+            trouble = f"no input satisfies {', '.join(conflicts) or 'all rows'}"
         if held["status"][0] == FilterStatus.FAILED:
             trouble = "the filter's tick FAILED"
         verdict = self._verdict(findings, trouble)

@@ -270,7 +270,8 @@ class ControlAffineModel:
             ModelError: The plant names no position, or one of fewer dimensions.
         """
         way_out = (
-            f"say where it is: position=[{', '.join('ijk'[:size])}], the {size} states,"
+            "say where it is, to .barrier(): position="
+            f"[{', '.join('ijk'[:size])}], the {size} states,"
             " or a function of x (point_position, for a point of a MultibodyPlant)"
         )
         if self.position is None:

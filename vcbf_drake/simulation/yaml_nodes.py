@@ -46,6 +46,8 @@ _OVERRIDE = "override"
 # The notations of an angle: 90deg, 90°, pi/2.
 _ANGLE = re.compile(r"\d *(deg|°)|\bpi\b|\brad\b", re.IGNORECASE)
 _RADIANS = "a number, in radians: 1.5708 for 90 degrees"
+# YAML 1.1 reads 010 as 8 and 1:30 as 90.
+_NOT_DECIMAL = re.compile(r"[-+]?0[0-7_]+|.*:.*")
 # No quantity is as large, in SI units; a product of a few such numbers is still finite.
 _LARGEST = 1e15
 
@@ -75,7 +77,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def _first_of(key: Node, value: Node) -> Node:
-    """What a key merges; of a list, the first wins (PyYAML's versions differ)."""
+    """The mapping that a key merges; of a list, the first wins, as YAML says."""
     is_list = key.tag.endswith(":merge") and isinstance(value, yaml.SequenceNode)
     if not is_list or any(each.id != "mapping" for each in value.value):
         return value
@@ -221,8 +223,12 @@ def _build_object(
 def _scalar(node: Node, kind: Any, path: KeyPath) -> Any:
     """Returns a number, true or false, nothing or a text."""
     value: Any = node.value
+    resolved_as = node.tag.rpartition(":")[2]
+    if resolved_as in ("int", "float"):
+        is_decimal = _NOT_DECIMAL.fullmatch(node.value) is None
+        require(is_decimal, path, node.value, "a number in decimals: 90 for 1:30")
     with suppress(ValueError, TypeError, LookupError, OverflowError):
-        if node.tag.rpartition(":")[2] in ("null", "bool", "int", "float"):
+        if resolved_as in ("null", "bool", "int", "float"):
             value = SafeConstructor().construct_document(node)
         if kind is float and not (node.style or isinstance(value, bool)):
             value = float(value)  # YAML 1.1 takes 1e-3 for text.

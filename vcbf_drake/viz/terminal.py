@@ -253,7 +253,7 @@ def _remarks(summary: Mapping[str, Any]) -> Iterator[str]:
     if against:
         yield f"not guaranteed feasible: {', '.join(against)}"
     certified = summary.get("certified_min_barrier")
-    if certified is not None:
+    if certified is not None and certified >= 0.0:
         least = rounded_down(certified)
         yield f"certified at every instant, between ticks too: h >= {least}"
 
