@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
+from pydrake.systems.primitives import LinearSystem
 import pytest
 
 from tests.helpers.multibody_plants import PLANAR, SEVEN, load as load_plant
-from vcbf_drake import Blimp, Car, ControlAffineModel, InputSet, load_scenario
+from vcbf_drake import (
+    Blimp,
+    Car,
+    ControlAffineModel,
+    InputLimits,
+    InputSet,
+    Scenario,
+    load_scenario,
+)
+from vcbf_drake.barriers import Barrier
 from vcbf_drake.hil import (
     Bus,
     CommandMode,
@@ -18,6 +31,7 @@ from vcbf_drake.hil import (
 )
 from vcbf_drake.hil.messages import vcbf_command, vcbf_status
 from vcbf_drake.hil.vehicle_side import fallback_input
+from vcbf_drake.plants import StateFeedback, Vehicle
 
 CAR = ControlAffineModel.from_system(Car())
 BLIMP = ControlAffineModel.from_system(Blimp())
@@ -182,6 +196,45 @@ def test_an_infeasible_filter_asks_for_the_fallback_and_names_the_rows() -> None
         assert status.reason == f"no input satisfies {', '.join(status.conflicts)}"
     assert "fallback" in [c["mode"] for c in run.plant.report()["changes"]]
     assert not run.plant.collided
+
+
+@dataclass
+class Point(Vehicle):
+    """A point on a line whose input is its velocity."""
+
+    position = (0,)
+
+    def make_plant(self) -> LinearSystem:
+        return LinearSystem([[0.0]], [[1.0]], [[1.0]], [[0.0]])
+
+    def make_controller(self, target: Any) -> StateFeedback:
+        return StateFeedback(lambda x: target - x, 1, 1)
+
+    def barriers(self) -> list[Barrier]:
+        return [
+            Barrier(lambda x, t, p: 1e11 - x[0], [1e-9]),
+            Barrier(lambda x, t, p: 1.0 + x[0] - (100.0 + 1e-7) * t, [1e-9]),
+        ]
+
+
+def test_a_conflict_by_less_than_rounding_asks_for_the_fallback_too() -> None:
+    """The rows ask for u <= 100 and u >= 100 + 1e-7: rounding may explain that."""
+    scenario = Scenario(
+        vehicle=Point(),
+        method="cbf-qp",
+        infeasible="stop",
+        input_set=InputLimits([99.0], [101.0]),
+        initial_state=[0.0],
+        target=[100.0],
+        duration=0.1,
+    )
+    run = InProcess(scenario)
+    statuses = heard(run, vcbf_status)
+    run.advance_to(0.02)
+    infeasible = [status for status in statuses if status.filter_status == 3]
+    assert infeasible
+    assert {status.mode for status in infeasible} == {CommandMode.FALLBACK}
+    assert all(status.reason.startswith("no input satisfies ") for status in infeasible)
 
 
 def test_a_vehicle_among_other_obstacles_is_sent_into_its_fallback() -> None:
