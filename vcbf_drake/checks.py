@@ -17,6 +17,10 @@ from vcbf_drake.errors import InvalidValueError, Path
 
 Array = NDArray[np.float64]
 
+# Lists are cut in messages, paths of files are not.
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = 300
+
 
 def check_parameter(
     name: str | Path,
@@ -110,7 +114,7 @@ def require(allowed: bool, name: str | Path, value: object, rule: str) -> None:
     if not allowed:
         if isinstance(value, np.ndarray):
             value = value.tolist()
-        shown = f"{value:g}" if isinstance(value, float) else reprlib.repr(value)
+        shown = f"{value:g}" if isinstance(value, float) else _SHORT.repr(value)
         raise InvalidValueError(name, f"{shown}; it must be {rule}")
 
 

@@ -12,6 +12,7 @@ from pydrake.common.yaml import yaml_load
 import pytest
 
 from vcbf_drake.barriers import SphereObstacle
+from vcbf_drake.checks import require
 from vcbf_drake.errors import InvalidValueError, ScenarioError
 from vcbf_drake.plants import BlimpVehicle, TurnLimit
 from vcbf_drake.simulation import (
@@ -405,7 +406,7 @@ REFUSED = [
     (
         "{observer: !Rise {}}",
         "observer",
-        "tag !Rise; allowed: !ObserverSettings",
+        "unknown tag !Rise; it needs none, or !ObserverSettings",
     ),
     ("{period: !Seconds 1}", "period", "unknown tag !Seconds; allowed: none"),
     ("{obstacles: [{radius: 0.1}]}", "obstacles[0].center", "missing"),
@@ -505,7 +506,14 @@ REFUSED = [
     ("{input_set: {lower: [-1]}}", "input_set", "1 numbers in lower and 3 in upper"),
     ("{input_set: {A: [[1, 1]], b: [1]}}", "input_set.A[0]", "3 numbers"),
     ("{input_set: {A: [[1, 1, 1]]}}", "input_set.b", "list of 1 number"),
-    ("{barrier: {gains: [1, 2, 3]}}", "barrier.gains", "must be real and positive"),
+    ("{barrier: {gains: [1, 2, 3]}}", "barrier.gains", "real and negative roots"),
+    ("{barrier: {gains: []}}", "barrier.gains", "[]; it must be [k1] or [k1, k2]"),
+    (
+        "{faults: {gusts: [!Step {}]}}",
+        "faults.gusts[0]",
+        "!Step; it needs none, or !StepGust",
+    ),
+    ("{observer.alpha: 1}", "observer.alpha", "write observer: {alpha: ...}"),
     ("{disturbance: [!Constant {value: [1]}]}", "disturbance[0]", "must have 3"),
     ("{vehicle: {added_mass: [1]}}", "vehicle.added_mass", "list of 3 numbers"),
     # Choices.
@@ -546,7 +554,7 @@ REFUSED = [
     (
         "{vehicle: {controller: !CarControllerParameters {}}}",
         "vehicle.controller",
-        "unknown tag !CarControllerParameters; did you mean !BlimpController",
+        "unknown tag !CarControllerParameters; it needs none, or !Blimp",
     ),
     ("{vehicle: {turn_limit: {}}}", "vehicle.turn_limit", "unknown key; allowed"),
     ("{target: [0.5, 0.1, 0.5]}", "target", "signed distance is -0.1 m"),
@@ -643,8 +651,29 @@ def test_a_forgotten_name_is_named(tmp_path: Path) -> None:
     assert "vehicle at the top; a scenario's name is missing above it" in message
 
 
+def test_a_long_path_is_shown_whole() -> None:
+    file = "/".join(["directory"] * 12)
+    with pytest.raises(InvalidValueError, match=file):
+        require(False, "file", file, "a file")
+
+
 def test_refuses_directory(tmp_path: Path) -> None:
     assert refusal(tmp_path).startswith(f"{tmp_path}: ")
+
+
+def test_an_override_that_is_no_mapping_is_answered_with_one() -> None:
+    message = refusal("car-avoidance", "duration=5")
+    assert message == "override: a scalar; it must be a mapping, such as {duration: 5}"
+
+
+def test_files_of_an_override_are_relative_to_the_working_directory(
+    everything: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    scenario = load_scenario(everything, "{hardware: {key_file: key}}")
+    assert scenario.hardware.key_file == str(here / "key")
 
 
 def test_refuses_overrides_yaml_cannot_hold() -> None:
@@ -727,7 +756,7 @@ def test_gains_have_real_negative_roots(gains: list[float], allowed: bool) -> No
         validate(scenario)
         assert np.all(np.roots([1.0, *gains]) < 0.0)
     else:
-        with pytest.raises(InvalidValueError, match="must be real and positive"):
+        with pytest.raises(InvalidValueError, match=r"k2 <= k1\^2 / 4"):
             validate(scenario)
 
 

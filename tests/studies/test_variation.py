@@ -123,11 +123,18 @@ def test_a_text_that_is_no_variation_is_refused_in_a_line(text, problem):
         ("initial_state.9: !Add [0, 1]", "initial_state.9: entries are 0 to 3"),
         ("description: !Scale [0, 1]", "description: !Scale needs a number"),
         ("nothing: !Add [0, 1]", "nothing: !Add needs a number"),
+        ("vehicle.controller: !Scale [0, 1]", "the section of turn_gain, speed_gain"),
     ],
 )
 def test_what_the_scenario_does_not_have_is_refused(text, problem):
     with pytest.raises(ScenarioError, match=problem):
         Variation(text).draw(load_scenario(CAR), 0, 0)
+
+
+def test_a_field_without_a_number_is_told_of_uniform():
+    base = load_scenario(CAR, {"arrival_tolerance": None})
+    with pytest.raises(ScenarioError, match="None there, so take !Uniform"):
+        Variation("arrival_tolerance: !Scale [0, 1]").draw(base, 0, 0)
 
 
 def test_a_file_is_read_and_a_python_file_computes(tmp_path):

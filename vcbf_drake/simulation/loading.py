@@ -5,21 +5,18 @@ A top-level key of a YAML file is a scenario's name, or with ``_`` first a templ
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import is_dataclass
-from functools import cache, partial
-import importlib.util
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
-import sys
 from typing import Any
 
 from pydrake.common.yaml import yaml_dump
 import yaml
 
 from vcbf_drake.checks import did_you_mean, require
-from vcbf_drake.errors import InvalidValueError, ScenarioError, VcbfError, place_of
+from vcbf_drake.errors import InvalidValueError, ScenarioError
 from vcbf_drake.files import read_text
+from vcbf_drake.python_file import function_of, naming_place
 from vcbf_drake.simulation.fleet import Fleet
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.yaml_nodes import (
@@ -31,7 +28,7 @@ from vcbf_drake.simulation.yaml_nodes import (
     merged,
     plain,
 )
-from vcbf_drake.typed import classes_in_use, field_types, typed
+from vcbf_drake.typed import field_types, typed
 
 VEHICLES = "vehicles"
 _FILES = sorted(Path(__file__).parent.glob("scenarios/*.yaml"))
@@ -72,7 +69,8 @@ def load_scenario(
         overrides: Values that replace those of the file, as YAML text or as a
             mapping. Mappings merge, a mapping of whole numbers replaces those entries
             of a list; lists, numbers and tagged mappings replace (in a Python mapping
-            the key ``_tag`` holds the tag, with its ``!``).
+            the key ``_tag`` holds the tag, with its ``!``). Files that they name are
+            relative to the working directory.
         scenario_name: Which top-level key to load; needed when there are several.
 
     Raises:
@@ -101,7 +99,7 @@ def load_fleet(
     if path.suffix != ".py":
         return _parse(read_text(path), str(path), overrides, scenario_name)
     make = function_of(path, "scenario")
-    with _naming_place(path):
+    with naming_place(path):
         made = make()
         is_one = isinstance(made, Scenario | Fleet)
         require(is_one, "scenario()", made, "a vcbf_drake.Scenario or Fleet")
@@ -125,40 +123,6 @@ def dump_scenario(scenario: Scenario | Fleet) -> str:
         made = made.vehicles[0]
     text: str = yaml_dump({made.name: plain(made, type(made))})
     return text
-
-
-def function_of(path: Path, name: str) -> Any:
-    """Returns a function of a Python file, which is run once a process.
-
-    Raises:
-        ScenarioError: The file cannot be run, or has no such function.
-    """
-    with _naming_place(path):
-        names = vars(_module_of(path.resolve()))
-        classes_in_use[:] = filter(is_dataclass, names.values())
-        function = names.get(name)
-        require(callable(function), f"{name}()", function, "a function of this file")
-    return function
-
-
-@cache
-def _module_of(path: Path) -> Any:
-    # It is registered, since the types of its dataclasses are found by its name.
-    name = f"vcbf_scenario_{path.stem}"
-    spec: Any = importlib.util.spec_from_file_location(name, path)
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-@contextmanager
-def _naming_place(path: Path) -> Iterator[None]:
-    """Tells in one line where a file's own code fails."""
-    try:
-        yield
-    except Exception as error:  # The file's own code may raise anything.
-        kind = "" if isinstance(error, VcbfError) else f"{type(error).__name__}: "
-        raise ScenarioError(f"{place_of(error) or path}: {kind}{error}") from error
 
 
 def _parse(

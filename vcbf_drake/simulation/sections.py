@@ -101,10 +101,13 @@ class BarrierGains:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        rule = "of a polynomial (E4) with real and negative roots"
+        if len(self.gains) <= 2:
+            rule = "[k1] or [k1, k2], with k1 > 0 and 0 < k2 <= k1^2 / 4"
         try:
-            decay_rates(np.array(self.gains), "obstacles")
-        except ValueError as error:
-            raise InvalidValueError("gains", f"{self.gains}; {error}") from None
+            decay_rates(np.array(self.gains), "gains")
+        except ValueError:
+            require(False, "gains", self.gains, rule)
 
 
 @dataclass(kw_only=True)

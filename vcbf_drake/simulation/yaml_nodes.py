@@ -104,7 +104,8 @@ def compose(text: str | Mapping[str, Any], source: str = _OVERRIDE) -> Node:
         raise ScenarioError(f"{place}: not YAML: {reason}") from None
     if not isinstance(node, yaml.MappingNode):
         found = f"a {node.id}" if node else "nothing"
-        raise ScenarioError(f"{source}: {found}; it must be a mapping")
+        example = ", such as {duration: 5}" if source == _OVERRIDE else ""
+        raise ScenarioError(f"{source}: {found}; it must be a mapping{example}")
     return node
 
 
@@ -176,7 +177,11 @@ def build(node: Node, hint: Any, path: KeyPath = ()) -> Any:
     tag = node.tag if node.tag.startswith("!") else ""
     if tag not in classes and (tag or inspect.isabstract(hint)):
         problem = f"unknown tag {tag}" if tag else "its tag is missing"
-        raise InvalidValueError(path, f"{problem}; {did_you_mean(tag, classes)}")
+        needs_none = len(classes) == 1 and not inspect.isabstract(hint)
+        advice = did_you_mean(tag, classes)
+        if needs_none:
+            advice = f"it needs none, or {', '.join(classes)}"
+        raise InvalidValueError(path, f"{problem}; {advice}")
     if classes and isinstance(node, yaml.MappingNode):
         return _build_object(node, classes, tag, path)
     if isinstance(node, yaml.ScalarNode) and not all(map(is_dataclass, kinds)):
@@ -207,6 +212,9 @@ def _build_object(
         if name not in hints:
             moved = getattr(schema, "MOVED", {}).get(name)
             advice = f"it is {moved} now" if moved else did_you_mean(name, hints)
+            section, _, key = name.partition(".")
+            if section in hints and key:
+                advice = f"write {section}: {{{key}: ...}}"
             raise InvalidValueError(place, f"unknown key{guess}; {advice}")
         values[name] = build(value, hints[name], place)
     for each in fields(schema):

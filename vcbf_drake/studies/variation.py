@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import lru_cache
 import hashlib
 import math
@@ -15,7 +15,7 @@ import yaml
 
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.files import read_text
-from vcbf_drake.simulation.loading import function_of
+from vcbf_drake.python_file import function_of
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.yaml_nodes import merge_overrides
 
@@ -149,10 +149,14 @@ class _Distribution:
         drawn = float(generator.uniform(*self.values))
         if self.kind == "!Uniform":
             return drawn
-        if not isinstance(own, int | float):
+        if isinstance(own, bool) or not isinstance(own, int | float):
+            rule, found = "needs a number of the scenario", repr(own)
+            if is_dataclass(own):
+                keys = ", ".join(each.name for each in fields(own))
+                found = f"the section of {keys}"
             raise ScenarioError(
-                f"variation: {place}: {self.kind} needs a number of the scenario; it"
-                f" has {own!r} there"
+                f"variation: {place}: {self.kind} {rule}; it has {found:.200} there"
+                + ", so take !Uniform, !Normal or !Choice" * (own is None)
             )
         return own + drawn if self.kind == "!Add" else own * drawn
 
