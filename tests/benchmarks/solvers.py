@@ -16,13 +16,13 @@ import numpy as np
 from tests.properties.campaign import make_example
 from vcbf_drake import load_scenario, simulate
 from vcbf_drake.checks import Array
-from vcbf_drake.safety import projection, qp
+from vcbf_drake.safety import qp
 from vcbf_drake.safety.active_set import nearest_by_active_set
+from vcbf_drake.safety.polytope import REACH, UnitRows, is_optimal, nearest_point
 from vcbf_drake.safety.programs import SOLVERS, NearestPointProgram, check_solver
-from vcbf_drake.safety.projection import UnitRows
 
 _HOSTILE_TICKS = 4000
-Asked = tuple[UnitRows, Array, int]
+Asked = tuple[UnitRows, Array]
 
 
 def main() -> None:
@@ -52,19 +52,19 @@ def usable_solvers() -> Iterator[str]:
 
 
 def asked_of_qp(run: Callable[[], object]) -> list[Asked]:
-    """Returns rows, reference and the number of firm rows of the QPs of a run.
+    """Returns rows and reference of the QPs of a run.
 
     Args:
         run: What solves them; those without a solution do not count.
     """
     asked = []
 
-    def remember(rows: UnitRows, reference: Array, num_firm: int, solver: str) -> Any:
-        found = projection.nearest_in(rows, reference, num_firm, solver)
-        asked.append((rows, reference, num_firm))
+    def remember(A: Array, b: Array, reference: Array, *others: Any) -> Array:
+        found = nearest_point(A, b, reference, *others)
+        asked.append((UnitRows(A, b), reference))
         return found
 
-    with patch.object(qp, "nearest_in", remember):
+    with patch.object(qp, "nearest_point", remember):
         run()
     return asked
 
@@ -80,29 +80,16 @@ def measured(solver: str, *kinds: list[Asked]) -> Iterator[tuple[float, int]]:
     """
     for asked in kinds:
         spent, count = [], 0
-        for rows, reference, num_firm in asked:
+        for rows, reference in asked:
             program = NearestPointProgram.of_size(*rows.A.shape, solver)
             started = time.thread_time()
-            program.solve(rows.A, rows.b, reference)
+            proposal = program.solve(rows.A, rows.b, reference)
             spent.append(time.thread_time() - started)
-            count += any(
-                _is_enough(program, rows, right, reference)
-                for right in (rows.b, projection.opened(rows, num_firm))
-            )
+            if proposal is not None:
+                near = (rows.b - rows.A @ proposal < REACH).nonzero()[0]
+                found = nearest_by_active_set(rows.A, rows.b, reference, near)
+                count += is_optimal(found, rows, reference)
         yield 1e6 * float(np.percentile(spent, 10.0)), count
-
-
-def _is_enough(
-    program: NearestPointProgram, rows: UnitRows, right: Array, reference: Array
-) -> bool:
-    """Whether a proposal leads to a verified answer on rows that it touches."""
-    proposal = program.solve(rows.A, right, reference)
-    for near in projection._touched(rows.A, right, proposal):
-        if near is not None:
-            found = nearest_by_active_set(rows.A, right, reference, near)
-            if projection._is_optimal(found, rows.A, rows.b, right, reference):
-                return True
-    return False
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ import quadprog
 
 from vcbf_drake.safety.active_set import (
     nearest_by_active_set,
-    nearest_in_rationals,
 )
 
 
@@ -64,7 +63,9 @@ def test_rows_without_a_common_point_end_in_farkas_proof():
 def test_rational_numbers_round_nothing_at_any_angle(tilt, far):
     """Two rows that meet at (1, 0), as steep as they may be."""
     A = np.array([[tilt, 1.0], [tilt, -1.0]])
-    found = nearest_in_rationals(A, np.array([tilt, tilt]), np.array([far, 0.0]))
+    found = nearest_by_active_set(
+        A, np.array([tilt, tilt]), np.array([far, 0.0]), is_exact=True
+    )
     assert found.conflict is None
     assert_allclose(found.point, [1.0, 0.0], rtol=0.0, atol=0.0)
     assert_allclose(found.multipliers, 0.5 * (far - 1.0) / tilt, rtol=1e-15)
@@ -72,10 +73,14 @@ def test_rational_numbers_round_nothing_at_any_angle(tilt, far):
 
 def test_rational_numbers_tell_a_gap_of_one_rounding_from_none():
     A, ulp = np.array([[1.0, 0.0], [-1.0, 0.0]]), np.finfo(float).eps
-    touching = nearest_in_rationals(A, np.array([1.0, -1.0]), np.zeros(2))
+    touching = nearest_by_active_set(
+        A, np.array([1.0, -1.0]), np.zeros(2), is_exact=True
+    )
     assert touching.conflict is None
     assert_allclose(touching.point, [1.0, 0.0], rtol=0.0, atol=0.0)
-    apart = nearest_in_rationals(A, np.array([1.0, -1.0 - ulp]), np.zeros(2))
+    apart = nearest_by_active_set(
+        A, np.array([1.0, -1.0 - ulp]), np.zeros(2), is_exact=True
+    )
     assert_allclose(apart.conflict, [1.0, 1.0], rtol=0.0, atol=0.0)
 
 
@@ -85,6 +90,6 @@ def test_rational_numbers_and_floats_agree(m, n):
     for _ in range(20):
         A, b, reference = random_problem(rng, m, n)
         floats = nearest_by_active_set(A, b, reference)
-        exact = nearest_in_rationals(A, b, reference)
+        exact = nearest_by_active_set(A, b, reference, is_exact=True)
         assert_allclose(exact.point, floats.point, atol=1e-9)
         assert_allclose(exact.multipliers, floats.multipliers, atol=1e-6)

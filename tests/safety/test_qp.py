@@ -12,12 +12,12 @@ from vcbf_drake.safety import (
     FilterStatus,
     InputSet,
     chebyshev_ball,
-    projection,
+    polytope,
     qp,
 )
 from vcbf_drake.safety.decision import choose_input, least_violation
 from vcbf_drake.safety.feasible_set import RowCosts, feasible_set
-from vcbf_drake.safety.projection import nearest_in
+from vcbf_drake.safety.polytope import nearest_point
 from vcbf_drake.safety.qp import Frame, VolumeRow
 
 BOX = InputSet.box([-1.0, -2.0], [3.0, 2.0])
@@ -63,7 +63,7 @@ def test_reference_passes_through_bit_for_bit():
     assert np.array_equal(decision.input, reference)
 
 
-def test_filtered_input_is_the_nearest_in_the_normalised_norm():
+def test_filtered_input_is_the_nearest_point_the_normalised_norm():
     # Half-widths are 2 and 2, so the norm is Euclid's and the answer a projection.
     decision = choose(set_of([1.0, 1.0], 1.0), [2.0, 1.0])
     assert decision.status == FilterStatus.FILTERED
@@ -188,7 +188,7 @@ def failing(*arguments, **options):
 
 
 def test_an_emptiness_that_floats_cannot_prove_is_proven_in_rationals(monkeypatch):
-    monkeypatch.setattr(projection, "_BALANCE", -1.0)
+    monkeypatch.setattr(polytope, "_BALANCE", -1.0)
     feasible = set_of([[1.0, 0.0], [-1.0, 0.0]], [-0.5, 0.2])
     decision = choose(feasible, [0.0, 0.5])
     assert decision.status == FilterStatus.INFEASIBLE and decision.conflict == (4, 5)
@@ -201,9 +201,9 @@ def test_no_answer_at_all_is_a_failure(monkeypatch):
 
     def but_the_first(*arguments):
         attempts.append(arguments)
-        return nearest_in(*arguments) if len(attempts) > 1 else failing()
+        return nearest_point(*arguments) if len(attempts) > 1 else failing()
 
-    monkeypatch.setattr(qp, "nearest_in", but_the_first)
+    monkeypatch.setattr(qp, "nearest_point", but_the_first)
     feasible = set_of([[1.0, 0.0], [-1.0, 0.0]], [-0.5, 0.2])
     decision = choose(feasible, [0.0, 0.5])
     assert decision.status == FilterStatus.FAILED and decision.conflict == ()
@@ -222,13 +222,13 @@ def test_a_volume_row_that_holds_after_all_has_no_slack(monkeypatch):
     """The first attempt finds no point, by rounding alone; the second keeps all."""
     attempts = []
 
-    def at_the_second(rows, *others):
+    def at_the_second(A, b, *others):
         attempts.append(others)
         if len(attempts) == 1:
-            raise EmptySetError(*rows.given, -1e-9)
-        return nearest_in(rows, *others)
+            raise EmptySetError(A, b, -1e-9)
+        return nearest_point(A, b, *others)
 
-    monkeypatch.setattr(qp, "nearest_in", at_the_second)
+    monkeypatch.setattr(qp, "nearest_point", at_the_second)
     row = VolumeRow(a=np.array([1.0, 0.0]), c=-0.5, slack_penalty=1e3)
     decision = choose(set_of([0.0, 1.0], 1.0), [-0.8, 1.5], row)
     assert decision.status == FilterStatus.FILTERED and decision.slack == 0.0
@@ -244,7 +244,7 @@ def test_without_limits_and_hard_rows_the_least_violation_is_none():
 
 
 def test_without_any_solver_the_held_input_acts(monkeypatch):
-    monkeypatch.setattr(qp, "nearest_in", failing)
+    monkeypatch.setattr(qp, "nearest_point", failing)
     monkeypatch.setattr(qp, "minimise_linear", failing)
     decision = choose(set_of([1.0, 1.0], -1.0), [2.0, 1.0], held_input=[-9.0, 0.5])
     assert decision.status == FilterStatus.FAILED

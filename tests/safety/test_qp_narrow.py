@@ -13,7 +13,7 @@ from vcbf_drake.errors import EmptySetError
 from vcbf_drake.safety import FilterStatus, InputSet
 from vcbf_drake.safety.active_set import nearest_by_active_set
 from vcbf_drake.safety.decision import choose_input
-from vcbf_drake.safety.projection import minimise_linear, nearest_point
+from vcbf_drake.safety.polytope import minimise_linear, nearest_point
 from vcbf_drake.safety.qp import VolumeRow
 
 SQUARE = np.vstack([np.eye(2), -np.eye(2)])
@@ -90,7 +90,7 @@ def test_only_rows_that_are_not_firm_are_opened(gap, is_empty):
             nearest_point(A, b, np.array([0.3, -0.2]), 4)
         assert raised.value.conflict == (0, 1, 4)
         return
-    point = nearest_point(A, b, np.array([0.3, -0.2]), 4).point
+    point = nearest_point(A, b, np.array([0.3, -0.2]), 4)
     assert point.max() <= 1.0 + 1e-15
     np.testing.assert_allclose(point, [1.0, 1.0], atol=1e-8)
 
@@ -120,7 +120,7 @@ def test_a_flat_set_between_rows_of_tiny_and_of_no_coefficients():
     rows = np.vstack([box.A_normalised, A * box.scale])
     bounds = np.append(box.b_normalised, -A @ box.center)
     reference = (np.full(3, -1.0) - box.center) / box.scale
-    point = box.center + box.scale * nearest_point(rows, bounds, reference, 6).point
+    point = box.center + box.scale * nearest_point(rows, bounds, reference, 6)
     assert (A @ point <= 1e-9).all() and box.contains(point)
     assert abs(point[1]) <= 1e-9 and point[2] == pytest.approx(-1.0, abs=1e-9)
 

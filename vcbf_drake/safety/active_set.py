@@ -27,6 +27,9 @@ _TOLERANCE = 1e-13
 # In floats it ends after this many rows have joined, per row of the set.
 _PATIENCE = 3
 
+_Number: TypeAlias = Any  # A float or a Fraction.
+_Vector: TypeAlias = list[_Number]  # Of a handful of numbers: faster than arrays.
+
 
 class Projection(NamedTuple):
     """The point nearest to a reference, unverified: the caller checks it.
@@ -44,32 +47,36 @@ class Projection(NamedTuple):
 
 
 def nearest_by_active_set(
-    A: Array, b: Array, reference: Array, near: NDArray[np.intp] | None = None
+    A: Array,
+    b: Array,
+    reference: Array,
+    near: NDArray[np.intp] | None = None,
+    is_exact: bool = False,
 ) -> Projection:
-    """Returns the nearest point in floats, of the rows `near` or of all."""
-    if near is None:
-        near = np.arange(len(b))
-    rows, sides = A[near].tolist(), b[near].tolist()
-    return _Face(rows, sides, reference.tolist()).projection(near, len(b))
+    """Returns the point nearest to a reference.
 
-
-def nearest_in_rationals(A: Array, b: Array, reference: Array) -> Projection:
-    """Returns the nearest point without rounding, or Farkas' proof.
-
-    Every step raises the cost, so that no choice of active rows comes twice. It takes
-    about a hundred times longer than in floats.
+    Args:
+        A: The rows, shape (n, m).
+        b: Their right-hand sides, shape (n,).
+        reference: Shape (m,).
+        near: The indices of the rows that are taken; all by default.
+        is_exact: Whether to calculate in rational numbers, without rounding. Every step
+            raises the cost, so that no choice of active rows comes twice. It takes
+            about a hundred times longer than in floats.
     """
-    rows = [_rational(row) for row in A]
-    face = _Face(rows, _rational(b), _rational(reference), is_exact=True)
-    return face.projection(np.arange(len(b)), len(b))
-
-
-def _rational(values: Array) -> _Vector:
-    return list(map(Fraction, values.tolist()))
-
-
-_Number: TypeAlias = Any  # A float or a Fraction.
-_Vector: TypeAlias = list[_Number]  # Of a handful of numbers: faster than arrays.
+    near = np.arange(len(b)) if near is None else near
+    rows, sides, from_ = A[near].tolist(), b[near].tolist(), reference.tolist()
+    if is_exact:
+        rows = [list(map(Fraction, row)) for row in rows]
+        sides, from_ = list(map(Fraction, sides)), list(map(Fraction, from_))
+    face = _Face(rows, sides, from_, is_exact)
+    found, proof = face.iterate(), None
+    multipliers = np.zeros(len(b))
+    multipliers[near[face.rows]] = face.multipliers
+    if found is not None:
+        proof = np.zeros(len(b))
+        proof[near] = found
+    return Projection(np.array(face.point, dtype=float), multipliers, proof)
 
 
 def _dot(a: _Vector, b: _Vector) -> _Number:
@@ -94,13 +101,9 @@ class _Face:
     """
 
     def __init__(
-        self,
-        A: Sequence[_Vector],
-        b: _Vector,
-        reference: _Vector,
-        is_exact: bool = False,
+        self, A: Sequence[_Vector], b: _Vector, reference: _Vector, is_exact: bool
     ) -> None:
-        self._A, self._b = A, b
+        self._A, self._b, self._reference = A, b, reference
         self._least = 0.0 if is_exact else _INDEPENDENT**2
         self._tolerance = 0.0 if is_exact else _TOLERANCE
         # Where much cancels in floats, what is left is at a right angle, and a point
@@ -110,37 +113,32 @@ class _Face:
         self._Q: list[_Vector] = []
         self._squares: _Vector = []  # Of the rows of Q.
         self._Qv: _Vector = []  # Where the rows are met.
-        self._reference = reference
         self.rows: list[int] = []
-        self.point = self._reference
+        self.point = reference
         self.multipliers: _Vector = []
 
-    def projection(self, near: NDArray[np.intp], num_rows: int) -> Projection:
-        """Makes rows active until the point violates none; returns the result.
+    def iterate(self) -> _Vector | None:
+        """Makes rows active until the point violates none.
 
-        Args:
-            near: Which of all rows these are.
-            num_rows: The number of all rows.
+        Returns:
+            The conflict in which it ends, n numbers; None without.
         """
-        conflict, tolerance, joined = None, self._tolerance, 0
-        while not (conflict or (tolerance and joined == _PATIENCE * len(self._b))):
+        conflict, joined = None, 0
+        while not (
+            conflict or (self._tolerance and joined == _PATIENCE * len(self._b))
+        ):
             worst, most = -1, 0
             for i, (a, b) in enumerate(zip(self._A, self._b, strict=True)):
                 excess = _dot(a, self.point) - b
-                if excess > most and tolerance:
+                if excess > most and self._tolerance:
                     terms = sum(map(abs, map(mul, a, self.point))) + abs(b)
-                    excess -= tolerance * terms
+                    excess -= self._tolerance * terms
                 if excess > most:
                     worst, most = i, excess
             if worst < 0 or worst in self.rows:
                 break
             conflict, joined = self._join(worst), joined + 1
-        multipliers, proof = np.zeros(num_rows), None
-        multipliers[near[self.rows]] = self.multipliers
-        if conflict is not None:
-            proof = np.zeros(num_rows)
-            proof[near] = conflict
-        return Projection(np.array(self.point, dtype=float), multipliers, proof)
+        return conflict
 
     def _join(self, row: int) -> _Vector | None:
         """Makes a violated row active, and those inactive that stand in its way.

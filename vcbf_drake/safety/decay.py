@@ -95,7 +95,7 @@ class DecayRates:
         m, n = len(qp.frame.scale), qp.num_hard
         unit = math.sqrt(self.penalty / qp.frame.cost_unit)
         slopes = np.zeros((len(qp.b), count))
-        per_unit = self.slopes[barriers] / (unit * qp.frame.size)
+        per_unit = self.slopes[barriers] / unit
         slopes[qp.num_firm + grows, np.arange(count)] = -per_unit
         sides = np.zeros((2 * count, len(qp.reference) + count))
         sides[:, m : m + count] = np.vstack([np.eye(count), -np.eye(count)])

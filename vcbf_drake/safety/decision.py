@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from contextlib import suppress
 from enum import IntEnum
 import math
 from typing import Literal, NamedTuple, Protocol, get_args
@@ -14,19 +14,14 @@ from numpy.linalg import LinAlgError
 from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import EmptySetError, SolverError
-from vcbf_drake.safety.active_set import Projection
 from vcbf_drake.safety.decay import DecayRates
 from vcbf_drake.safety.feasible_set import (
     DisturbanceKnowledge,
     FeasibleSet,
     disturbance_margin,
 )
+from vcbf_drake.safety.polytope import UnitRows, minimise_linear
 from vcbf_drake.safety.programs import DEFAULT_SOLVER
-from vcbf_drake.safety.projection import (
-    UnitRows,
-    minimise_linear,
-    proof_of_conflict,
-)
 from vcbf_drake.safety.qp import MARGIN, QP, Frame, VolumeRow, state_qp
 
 InfeasiblePolicy = Literal["stop", "least_violation", "hold", "decay", "backup"]
@@ -178,29 +173,17 @@ def choose_input(
         return FilterDecision(u, FilterStatus.FAILED)
     if volume_row is not None and not volume_row.cuts(inputs):
         volume_row = None
-    if not inputs.is_bounded:
-        farthest = np.abs(inputs.normalised(reference)).max()
-        frame = replace(frame, size=max(1.0, float(farthest)))
+    qp = state_qp(feasible, frame, reference, volume_row, exact_slack)
     growing = decay_rates
-    if decay_rates is not None and decay_rates.only_where_empty:
+    if growing is not None and growing.only_where_empty:
         growing = None
-
-    def stated(frame: Frame) -> QP:
-        qp = state_qp(feasible, frame, reference, volume_row, exact_slack)
-        return qp if growing is None else growing.grown(qp, feasible)
-
-    qp = stated(frame)
+    if growing is not None:
+        qp = growing.grown(qp, feasible)
     is_possible = all(reference[j] == inputs.center[j] for j in inputs.fixed)
     if qp.is_met and is_possible:
         return FilterDecision(reference, FilterStatus.REFERENCE, qp=qp)
     try:
-        found, solved = _solved(qp, solver)
-        u, gave_way = frame.input(found.point), solved is not qp or not exact_slack
-        if solved is qp:
-            finer = frame.finer(feasible, u, _touched(found, qp))
-            if finer is not None:
-                found, solved = _better(stated(finer), found, qp, feasible, solver)
-                u = solved.frame.input(found.point)
+        point, solved = _solved(qp, solver)
     except EmptySetError as error:
         # Rows of the feasible set all: those that may give way are in no conflict, and
         # those that limit decay rates say nothing beside the rows that these belong to.
@@ -214,6 +197,7 @@ def choose_input(
     except (SolverError, LinAlgError):
         u = least_violation(feasible, frame, reference, held_input, solver)
         return FilterDecision(u, FilterStatus.FAILED)
+    u, gave_way = frame.input(point), solved is not qp or not exact_slack
     slack = volume_row.slack(u) if volume_row and gave_way else 0.0
     status = FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
     room = ((i, float(feasible.rows.A[i] @ u)) for i in feasible.costs.soft)
@@ -223,7 +207,7 @@ def choose_input(
     return FilterDecision(u, status, slack, soft_slacks=soft, decay=decay, qp=solved)
 
 
-def _solved(qp: QP, solver: str) -> tuple[Projection, QP]:
+def _solved(qp: QP, solver: str) -> tuple[Array, QP]:
     """A QP's minimiser; a hard volume row is relaxed if it leaves none.
 
     Raises:
@@ -242,35 +226,6 @@ def _solved(qp: QP, solver: str) -> tuple[Projection, QP]:
         raise SolverError("no least slack was verified", qp.A, qp.b) from error
 
 
-def _touched(found: Projection, qp: QP) -> list[int]:
-    """Which barrier rows a solution rests on, or leaves by next to nothing."""
-    excess, y = (qp.A @ found.point - qp.b).tolist(), found.multipliers.tolist()
-    barriers = enumerate(qp.cut.tolist(), start=qp.num_firm)
-    return [barrier for row, barrier in barriers if y[row] > 0.0 or excess[row] > 0.0]
-
-
-def _better(
-    finer: QP, found: Projection, qp: QP, feasible: FeasibleSet, solver: str
-) -> tuple[Projection, QP]:
-    """The solution in finer coordinates; where none is verified, the one found.
-
-    In finer coordinates the input set is large, and what is left of y'A there, next to
-    nothing, may be worth more than y'b: a conflict has to be one of the rows as given.
-
-    Raises:
-        EmptySetError: No input satisfies the rows that never give way, certified.
-    """
-    try:
-        return finer.solved(solver), finer
-    except EmptySetError as error:
-        kept, u = feasible.cutting, qp.frame.input(found.point)
-        A, b = feasible.A[kept], feasible.b[kept]
-        proof = proof_of_conflict(A, b, qp.num_firm, u)
-        if proof is None:
-            return found, qp
-        raise EmptySetError(A, b, error.inradius, proof) from None
-
-
 def _fallback(
     feasible: FeasibleSet,
     frame: Frame,
@@ -287,7 +242,7 @@ def _fallback(
     if policy == "decay" and rates is not None:
         hard = state_qp(feasible, frame, reference).hard
         try:
-            z = rates.grown(hard, feasible).solved(solver).point
+            z = rates.grown(hard, feasible).solved(solver)
         except (EmptySetError, SolverError, LinAlgError):
             pass  # No rate helps.
         else:
@@ -309,37 +264,29 @@ def least_violation(
     it that is allowed, where data are not finite or none was verified. The arguments
     are those of `choose_input`.
     """
-    best = held_input
-    if not (feasible.is_finite and np.isfinite(reference).all()):
-        return feasible.input_set.project(best)
-    try:
-        for _ in range(2):
-            qp = state_qp(feasible, frame, reference).hard
-            z = _least_violation(feasible, qp, solver)
-            best, violated = frame.input(z), (qp.A @ z > qp.b)[qp.num_firm :]
-            finer = frame.finer(feasible, best, feasible.cut[violated].tolist())
-            if finer is None:
-                break
-            frame = finer
-    except (EmptySetError, SolverError, LinAlgError):
-        pass  # In the coordinates before there may be an answer.
-    return feasible.input_set.project(best)
+    u = held_input
+    if feasible.is_finite and np.isfinite(reference).all():
+        qp = state_qp(feasible, frame, reference).hard
+        with suppress(EmptySetError, SolverError, LinAlgError):
+            u = frame.input(_least_violation(feasible, qp, solver))
+    return feasible.input_set.project(u)
 
 
 def _least_violation(feasible: FeasibleSet, qp: QP, solver: str) -> Array:
     """Min t subject to weight_i (a_i u - b_i) <= t, t >= 0, and then the nearest z."""
     A, b, k, m = qp.A.copy(), qp.b.copy(), qp.num_firm, len(qp.frame.scale)
-    weight = feasible.costs.weights[feasible.cut]
-    length = UnitRows(A[k:], b[k:]).length
+    cut, weight = feasible.cut, feasible.costs.weights[feasible.cut]
     # t is counted in units of the heaviest row's distance, and from where no input is
     # below it.
-    weight /= float(np.max(weight * length, initial=0.0)) or 1.0
-    A[k:], b[k:] = A[k:] * weight[:, None], b[k:] * weight
-    farthest = feasible.input_set.farthest(A[k:]) / qp.frame.size
-    b[k:] += max(0.0, float(np.max(-b[k:] - farthest, initial=0.0)))
+    heaviest = float(np.max(weight * UnitRows(A[k:], b[k:]).length, initial=0.0))
+    weight /= heaviest or 1.0
+    least = -weight * (feasible.distance[cut] + feasible.farthest[cut])
+    A[k:] *= weight[:, None]
+    b[k:] = b[k:] * weight + np.max(least, initial=0.0)
     last = np.append(np.zeros(m), 1.0)
     give = np.concatenate([np.zeros(k), np.ones(len(weight))])
     rows = np.vstack([np.column_stack([A, -give]), -last])
-    z = minimise_linear(last, rows, np.append(b, 0.0), reach=qp.frame.reach)[:-1]
-    b[k:] += np.max(A[k:] @ z - b[k:], initial=0.0) + MARGIN
-    return qp._replace(A=A, b=b).solved(solver).point
+    z = minimise_linear(last, rows, np.append(b, 0.0))[:-1]
+    margin = MARGIN * UnitRows(A[k:], b[k:]).sizes(z)
+    b[k:] += np.max(A[k:] @ z - b[k:], initial=0.0) + margin
+    return qp._replace(A=A, b=b).solved(solver)

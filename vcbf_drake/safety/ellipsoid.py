@@ -24,9 +24,8 @@ from vcbf_drake.safety.certified_ellipsoid import (
     polish,
 )
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.polytope import chebyshev_ball, recession_direction
+from vcbf_drake.safety.polytope import UnitRows, chebyshev_ball, recession_direction
 from vcbf_drake.safety.programs import DEFAULT_SOLVER, FEW_INPUTS, EllipsoidProgram
-from vcbf_drake.safety.projection import UnitRows
 
 # Of a set of unit size the cone program reaches this tolerance; one Newton step is then
 # enough. With more inputs than a few, others cost less than the solver's.

@@ -9,8 +9,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from vcbf_drake.checks import Array, require
 from vcbf_drake.errors import EmptySetError, UnboundedSetError
-from vcbf_drake.safety.polytope import chebyshev_ball, recession_direction
-from vcbf_drake.safety.projection import UnitRows, minimise_linear, nearest_point
+from vcbf_drake.safety.polytope import (
+    UnitRows,
+    chebyshev_ball,
+    minimise_linear,
+    nearest_point,
+    recession_direction,
+)
 from vcbf_drake.typed import typed
 
 # A point this many input ranges away (without limits, units away) counts as infinitely
@@ -120,11 +125,12 @@ class InputSet:
 
     def normalised(self, u: Array) -> Array:
         """Returns v of an input u, shape (m,); 0 where it is fixed."""
-        v: Array = (u - self.center) / self._units
+        v: Array = (u - self.center) / self.units
         return v
 
     @cached_property
-    def _units(self) -> Array:
+    def units(self) -> Array:
+        """The scale, infinite where an input is fixed, shape (m,)."""
         return np.where(self.scale > 0.0, self.scale, np.inf)
 
     @cached_property
@@ -142,19 +148,31 @@ class InputSet:
         return tuple(f"{side} limit of input {j}" for side in sides for j in inputs)
 
     @cached_property
-    def limiting(self) -> tuple[Array, Array]:
-        """The rows in v that limit something, and their right-hand sides."""
-        return self.A_normalised[self.limits], self.b_normalised[self.limits]
+    def origin(self) -> Array:
+        """The input 0, where inputs are not fixed, shape (m,)."""
+        return np.where(self.scale > 0.0, 0.0, self.center)
 
-    def normalised_near(self, u: Array) -> Array:
-        """Returns v of an input, clipped where it counts as infinitely far."""
+    @cached_property
+    def limiting(self) -> tuple[Array, Array]:
+        """The rows that limit something, of unit length in (u - origin) / scale."""
+        length = np.linalg.norm(self.A * self.scale, axis=1)
+        sides = (self.b - self.A @ self.origin) / np.where(length > 0.0, length, 1.0)
+        sides = np.where(length > 0.0, sides, self.b_normalised)
+        return self.A_normalised[self.limits], sides[self.limits]
+
+    @cached_property
+    def _reachable(self) -> tuple[Array, Array]:
+        """The least and the greatest inputs that do not count as infinitely far."""
+        is_open = np.isinf(self.farthest(np.eye(self.num_inputs)))
+        farthest = np.where(is_open, _FARTHEST_IN_UNITS, _FARTHEST)
         with np.errstate(over="ignore"):
-            v = self.normalised(u)
-        if max(map(abs, v.tolist())) > _FARTHEST:
-            is_open = np.isinf(self.farthest(np.eye(len(v))))
-            farthest = np.where(is_open, _FARTHEST_IN_UNITS, _FARTHEST)
-            v = v.clip(-farthest, farthest)
-        return v
+            far = farthest * self.scale
+        return self.center - far, self.center + far
+
+    def near(self, u: Array) -> Array:
+        """Returns an input, clipped where it counts as infinitely far, shape (m,)."""
+        least, greatest = self._reachable
+        return np.minimum(np.maximum(u, least), greatest)
 
     def farthest(self, A: Array) -> Array:
         """Returns the greatest a_i v over the bounding box, shape (n,).
@@ -196,11 +214,11 @@ class InputSet:
         u = np.array(u, dtype=float)
         if not np.all(np.isfinite(u)):
             return self.interior.copy()
-        v = self.normalised_near(u)
+        v = self.normalised(self.near(u))
         if np.all(self.A_normalised @ v <= self.b_normalised + _TOLERANCE):
             return np.where(self.scale > 0.0, u, self.center)
         A, b = self.A_normalised, self.b_normalised
-        v = nearest_point(A, b, v, num_firm=len(b)).point
+        v = nearest_point(A, b, v, num_firm=len(b))
         return self.center + self.scale * v
 
 

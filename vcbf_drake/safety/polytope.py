@@ -1,4 +1,10 @@
-"""Polytopes ``{u : A u <= b}``: the largest ball, emptiness and recession."""
+"""Polytopes ``{v : A v <= b}``: the nearest point, linear programs, balls, emptiness.
+
+Rows are A (n, m) and b (n,). A MathematicalProgram proposes, the active set makes the
+proposal exact on the rows it touches, and arithmetic decides: the optimality conditions
+hold, or Farkas' multipliers prove that there is no point. What floats leave open is
+decided in rational numbers.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +14,285 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vcbf_drake.checks import Array
-from vcbf_drake.errors import EmptySetError, UnboundedSetError
-from vcbf_drake.safety.active_set import nearest_by_active_set
-from vcbf_drake.safety.projection import UnitRows, minimise_linear, nearest_point
+from vcbf_drake.errors import EmptySetError, SolverError, UnboundedSetError
+from vcbf_drake.safety.active_set import Projection, nearest_by_active_set
+from vcbf_drake.safety.programs import (
+    DEFAULT_SOLVER,
+    LinearProgram,
+    NearestPointProgram,
+)
 
+# A point that leaves every row, measured as a distance, by no more than this counts as
+# a point of the set [units of u].
+FEASIBILITY_TOLERANCE = 1e-9
+# Tolerances of a row are shares of its size (E72). Where its rows as given lead to no
+# verified answer, a set that may have no interior is opened by ...
+_OPENING = 0.6 * FEASIBILITY_TOLERANCE
+# ... and that of a linear program by so much less that a projection finds its point.
+_LP_OPENING = 0.45 * FEASIBILITY_TOLERANCE
+# A verified solution leaves no row by more.
+_EXCESS = 0.1 * FEASIBILITY_TOLERANCE
+# No point of the set is better by more, relative to the cost.
+_GAP = 1e-9
+# Multipliers of unit rows, scaled to sum 1, balance when |A'y| is below this.
+_BALANCE = 1e-12
+# Rows of a conflict that are lighter have no part in it.
+_LIGHTEST = 1e-10
+# The relative accuracy of A v, compared with its terms.
+_ROUNDING = 1e-15
+# Rows this close to a solver's answer may be active.
+REACH = 1e-6
+# Of a linear program no point's cost is lower by more, relative to its terms.
+_LP_GAP = 5e-11
+# The width of its set along each variable, where that matters.
+_EXTENT = 2.0
+# The lengths of its proximal steps; after these, rational numbers decide.
+_STEPS = (1e4, 1e8, 1e8)
+# The scale of its cost: Clp's tolerance on multipliers is absolute.
+_SHARPNESS = 1e4
+# The point of a set that is nearest to one so far downhill is a minimiser; one that is
+# as far as this has none.
+_DOWNHILL = 1e60
+_FARTHEST = 1e30
+# A row further away than this holds everywhere, or nowhere [units of u].
+_FARTHEST_ROW = 1e20
 # A ray may turn towards a row by this angle [rad] and still count as a ray.
 _RAY_TOLERANCE = 1e-11
 # The number of repeated searches for the largest ball, from the last one.
 _ROUNDS = 4
+
+
+class UnitRows:
+    """Rows ``A u <= b`` scaled to unit length, which measure a violation as a distance.
+
+    A row without a direction is a blank: zeros, with its right-hand side. Blanks are
+    rows of zeros, and those further away than 1e20.
+
+    Args:
+        A: The rows, shape (n, m).
+        b: The right-hand sides, shape (n,).
+
+    Attributes:
+        A: The rows, of unit length or zeros, shape (n, m).
+        b: Their right-hand sides, shape (n,).
+        length: The length |a_i| each of them had, 1 for blanks, shape (n,).
+        is_blank: Shape (n,).
+        given: A and b as given.
+    """
+
+    def __init__(self, A: Array, b: Array) -> None:
+        self.given = A, b
+        self.length = np.hypot.reduce(A, axis=1, initial=0.0)
+        # Not by b / length, which may overflow, nor may the largest length.
+        self.is_blank = ~(np.abs(b) / _FARTHEST_ROW < self.length)
+        if self.is_blank.any():
+            self.length[self.is_blank] = 1.0
+            A = np.where(self.is_blank[:, None], 0.0, A)
+        self.A, self.b = A / self.length[:, None], b / self.length
+
+    @staticmethod
+    def checked(A: ArrayLike, b: ArrayLike) -> UnitRows:
+        """Returns the rows of arrays A (n, m) and b (n,) of finite numbers.
+
+        Raises:
+            ValueError: Naming the array, its shape and the shape or value allowed.
+        """
+        A, b = np.asarray(A, dtype=float), np.asarray(b, dtype=float)
+        if A.ndim != 2 or A.shape[1] == 0:
+            raise ValueError(f"A has shape {A.shape}, must be (n, m) with m >= 1")
+        if b.shape != A.shape[:1]:
+            raise ValueError(
+                f"b has shape {b.shape}, must be ({len(A)},) like A's rows"
+            )
+        for name, array in (("A", A), ("b", b)):
+            wrong = np.argwhere(~np.isfinite(array))
+            if len(wrong):
+                index = tuple(wrong[0].tolist())
+                raise ValueError(
+                    f"{name}{list(index)} is {array[index]}, must be finite"
+                )
+        return UnitRows(A, b)
+
+    @property
+    def conflict(self) -> int | None:
+        """Index of a blank row 0 u <= b_i < 0, if there is one."""
+        conflicts = (self.is_blank & (self.b < 0.0)).nonzero()[0].tolist()
+        return conflicts[0] if conflicts else None
+
+    def without_blanks(self) -> tuple[Array, Array]:
+        """Returns the rows that have a direction, and their right-hand sides."""
+        return self.A[~self.is_blank], self.b[~self.is_blank]
+
+    def sizes(self, near: Array) -> Array:
+        """Returns the sizes of rows near a point, at most 1, shape (n,) (E72).
+
+        Far beyond a row that is short beside the others its size is what a distance
+        from it is to be compared with.
+        """
+        return np.minimum(np.abs(self.b) + np.abs(self.A) @ np.abs(near), 1.0)
+
+    def as_given(self, multipliers: Array) -> Array:
+        """Returns multipliers of the rows as given, infinite of subnormal ones.
+
+        Args:
+            multipliers: Those of the unit rows, (n,); or of those without the blanks.
+        """
+        if len(multipliers) < len(self.b):
+            kept, multipliers = multipliers, np.zeros(len(self.b))
+            multipliers[~self.is_blank] = kept
+        with np.errstate(over="ignore"):
+            given: Array = multipliers / self.length
+        return given
+
+
+def nearest_point(
+    A: Array,
+    b: Array,
+    reference: Array,
+    num_firm: int = 0,
+    solver: str = DEFAULT_SOLVER,
+) -> Array:
+    """Returns the point v of ``{v : A v <= b}`` nearest to a reference, shape (m,).
+
+    It is verified by the optimality conditions v = reference - A'y, y >= 0, A v <= b,
+    y'(b - A v) = 0, with multipliers y of the unit rows. A set that is empty by less
+    than 6e-10 of its rows' sizes counts as one with a point: where its rows as given
+    lead to no verified answer, they are opened by as much.
+
+    Args:
+        A: The rows, shape (n, m).
+        b: Their right-hand sides, shape (n,).
+        reference: The point to stay close to, shape (m,).
+        num_firm: The number of first rows that are never opened: together they must
+            have an interior.
+        solver: The name of the solver that proposes, one of `SOLVERS`.
+
+    Raises:
+        EmptySetError: No point satisfies the rows; certified, not guessed.
+    """
+    rows = UnitRows(A, b)
+    program = NearestPointProgram.of_size(*A.shape, solver)
+    proposal, touched = program.solve(rows.A, rows.b, reference), None
+    if proposal is not None:
+        touched = (rows.b - rows.A @ proposal < REACH).nonzero()[0]
+    for near in (touched, None):
+        found = nearest_by_active_set(rows.A, rows.b, reference, near)
+        if is_optimal(found, rows, reference):
+            return found.point
+    bounds = _opened(rows, num_firm, found.point, _OPENING)
+    _raise_if_empty(found, rows, bounds)
+    return _in_rationals(rows, bounds, reference)
+
+
+def minimise_linear(
+    cost: Array, A: Array, b: Array, num_firm: int | None = None
+) -> Array:
+    """Returns a minimiser of cost'v over ``{v : A v <= b}``.
+
+    The solver's answer is made exact by proximal steps (Rockafellar 1976): the point
+    nearest to one downhill of the last is a minimiser after finitely many, from a
+    solver's answer after one or two.
+
+    Rows after the first `num_firm`, by default none, are opened as for `nearest_point`.
+    What bounds the set, if it is bounded, is of about unit size.
+
+    Raises:
+        EmptySetError: No point satisfies the rows; certified, not guessed.
+        SolverError: The cost has no least.
+    """
+    rows = UnitRows(A, b)
+    firm = len(b) if num_firm is None else num_firm
+    cost = cost / (float(np.linalg.norm(cost)) or 1.0)
+    found = LinearProgram.of_size(*A.shape).solve(_SHARPNESS * cost, rows.A, rows.b)
+    point = np.zeros(len(cost)) if found is None else found
+    for step in _STEPS:
+        bounds = _opened(rows, firm, point, _LP_OPENING)
+        nearest = nearest_by_active_set(rows.A, bounds, point - step * cost)
+        _raise_if_empty(nearest, rows, bounds)
+        point, multipliers = nearest.point, nearest.multipliers / step
+        slack = bounds - rows.A @ point
+        # No point's cost is lower by more than weak duality allows (E75, weak duality).
+        pull = np.abs(cost + multipliers @ rows.A) @ (_EXTENT + np.abs(point))
+        gap = float(multipliers @ np.abs(slack) + pull)
+        size = float(multipliers @ np.abs(bounds) + np.abs(cost) @ np.abs(point))
+        if gap <= _LP_GAP * size and (slack >= -_EXCESS * rows.sizes(point)).all():
+            return point
+    point = _in_rationals(rows, bounds, -_DOWNHILL * cost)
+    if np.abs(point).max() > _FARTHEST:
+        raise SolverError("a linear program without a least", A, b)
+    return point
+
+
+def _in_rationals(rows: UnitRows, b: Array, reference: Array) -> Array:
+    """The nearest point, where floats leave open whether there is one.
+
+    Raises:
+        EmptySetError: No point satisfies the rows.
+    """
+    found = nearest_by_active_set(rows.A, b, reference, is_exact=True)
+    # Without rows that only make up for the rounding of the others, if that is a proof.
+    _raise_if_empty(found, rows, b)
+    if found.conflict is not None:
+        raise _empty(rows, found.conflict)
+    return found.point
+
+
+def _opened(rows: UnitRows, num_firm: int, near: Array, opening: float) -> Array:
+    """Returns right-hand sides with which a set has an interior or no point, (n,).
+
+    The first `num_firm` rows and blank rows are not opened.
+    """
+    right = np.where(rows.is_blank, rows.b, rows.b + opening * rows.sizes(near))
+    right[:num_firm] = rows.b[:num_firm]
+    return right
+
+
+def is_optimal(found: Projection, rows: UnitRows, reference: Array) -> bool:
+    """Whether a point meets the rows, and no point of the set is much nearer.
+
+    No point z with ``A z <= b`` is nearer than (E70, optimality by multipliers) allows.
+    """
+    v, y = found.point, found.multipliers
+    pull, slack = reference - v, rows.b - rows.A @ v
+    error = pull - y @ rows.A
+    away, size = math.sqrt(pull @ pull), math.sqrt(v @ v)
+    rounding = _ROUNDING * (np.abs(rows.b) + size)
+    gap = float(y @ (slack + rounding) + 0.5 * (error @ error))
+    if not gap <= _GAP * away * (away + size):
+        return False
+    return min(slack.tolist(), default=0.0) >= 0.0 or bool(
+        (slack >= -_EXCESS * rows.sizes(v)).all()
+    )
+
+
+def _raise_if_empty(found: Projection, rows: UnitRows, bounds: Array) -> None:
+    """Raises if the conflict that the active set ended in is Farkas' proof in floats.
+
+    That is z of sum 1 with z'A = 0 to rounding, and z'b < 0 of the opened rows, for
+    points that are no further away than the rows.
+
+    Raises:
+        EmptySetError: No point satisfies the rows.
+    """
+    if found.conflict is None:
+        return
+    z = found.conflict
+    z = np.where(z > _LIGHTEST * z.max(), z, 0.0)
+    z /= z.sum()
+    imbalance, reach = np.abs(z @ rows.A), max(1.0, float(np.abs(rows.b).max()))
+    # Relative to what is in a column: a slack's may be small, and the slack large.
+    is_balanced = imbalance <= _BALANCE * np.abs(rows.A).max(axis=0)
+    most = float(z @ bounds) + reach * float(imbalance.sum())
+    if is_balanced.all() and most < -10.0 * _BALANCE * float(z @ np.abs(bounds)):
+        raise _empty(rows, z)
+
+
+def _empty(rows: UnitRows, conflict: Array) -> EmptySetError:
+    """Returns the error with Farkas' proof, an irreducible one."""
+    A, b = rows.given
+    value = float(conflict @ rows.b) / float(conflict.sum())
+    radius = value if rows.A[conflict > 0.0].any() else -math.inf
+    return EmptySetError(A, b, radius, rows.as_given(conflict))
 
 
 def chebyshev_ball(A: ArrayLike, b: ArrayLike) -> tuple[Array, float]:

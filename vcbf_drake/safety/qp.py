@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import math
 from typing import NamedTuple
@@ -12,17 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.solvers import MathematicalProgram, MathematicalProgramResult
 
 from vcbf_drake.checks import Array, require
-from vcbf_drake.safety.active_set import Projection
 from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
+from vcbf_drake.safety.polytope import UnitRows, minimise_linear, nearest_point
 from vcbf_drake.safety.programs import EllipsoidProgram, NearestPointProgram
-from vcbf_drake.safety.projection import UnitRows, minimise_linear, nearest_in
 
-# Where the rows that a solution touches are made of numbers this small, in the QP's
-# coordinates, it is solved again in coordinates of their size.
-_SMALL = 1e-3
 # The least slack or violation leaves a set without interior. Its rows are opened by
-# this distance, in normalised inputs.
+# this distance, relative to their sizes.
 MARGIN = 1e-10
 
 
@@ -62,12 +58,11 @@ class VolumeRow:
 
 @dataclass(frozen=True)
 class Frame:
-    """The coordinates z of a QP, u = origin + size * scale * z.
+    """The coordinates z of a QP, u = origin + scale * z, and its cost.
 
     Attributes:
-        origin: Shape (m,); the input set's center, as a rule.
+        origin: The input set's, shape (m,).
         scale: The input set's, shape (m,).
-        size: 1, as a rule.
         metric: The cost is |metric (z - reference)|^2; no singular value is below 1,
             shape (m, m). None for the identity.
         cost_unit: The divisor of the cost for that.
@@ -75,13 +70,12 @@ class Frame:
 
     origin: Array
     scale: Array
-    size: float = 1.0
     metric: Array | None = None
     cost_unit: float = 1.0
 
     @staticmethod
     def of(input_set: InputSet, weights: ArrayLike | None = None) -> Frame:
-        """Returns the frame of the normalised inputs.
+        """Returns the frame of an input set.
 
         Args:
             input_set: The input set.
@@ -91,7 +85,7 @@ class Frame:
         Raises:
             ValueError: W has another shape or is not positive definite.
         """
-        frame = Frame(input_set.center, input_set.scale)
+        frame = Frame(input_set.origin, input_set.scale)
         if weights is None or not np.size(weights):
             return frame
         m, W = input_set.num_inputs, np.array(weights, dtype=float)
@@ -109,38 +103,9 @@ class Frame:
         least = float(np.linalg.eigvalsh(W)[0])
         return replace(frame, metric=np.linalg.cholesky(W / least).T, cost_unit=least)
 
-    @property
-    def reach(self) -> float:
-        """The bound of coordinates in a bounded input set that contains the origin."""
-        return 2.0 / self.size
-
     def input(self, z: Array) -> Array:
         """Returns u of z, shape (m,)."""
-        return self.origin + self.size * self.scale * z[: len(self.scale)]
-
-    def finer(
-        self, feasible: FeasibleSet, u: Array, touched: Iterable[int]
-    ) -> Frame | None:
-        """Returns coordinates of the size of some barrier rows; None if this is that.
-
-        With very large limits, the numbers of barrier rows and their differences are
-        negligible in normalised inputs.
-
-        Args:
-            feasible: The feasible set.
-            u: An input near the rows, shape (m,).
-            touched: Indices of them, among the barriers'.
-        """
-        size, reach = math.inf, np.abs(u)
-        for i in touched:
-            a = np.abs(feasible.rows.A[i])
-            length = math.hypot(*(a * self.scale).tolist())
-            terms = abs(float(feasible.bound[i])) + float(a @ reach)
-            if terms > 0.0 and length > 0.0:
-                size = min(size, terms / length)
-        if not 0.0 < size < _SMALL * self.size:
-            return None
-        return replace(self, origin=feasible.input_set.project(u), size=size)
+        return self.origin + self.scale * z[: len(self.scale)]
 
 
 class QP(NamedTuple):
@@ -195,15 +160,15 @@ class QP(NamedTuple):
             further_rows=(),
         )
 
-    def solved(self, solver: str) -> Projection:
-        """Returns the minimiser z, shape (d,), and the multipliers of its unit rows.
+    def solved(self, solver: str) -> Array:
+        """Returns the minimiser z, shape (d,).
 
         Raises:
             EmptySetError: No point satisfies the hard rows, certified.
         """
         A, reference, back = self.as_projection()
-        found = nearest_in(UnitRows(A, self.b), reference, self.num_firm, solver)
-        return found if back is None else found._replace(point=back @ found.point)
+        y = nearest_point(A, self.b, reference, self.num_firm, solver)
+        return y if back is None else back @ y
 
     def relaxed(self) -> QP:
         """Returns the QP whose hard volume row gives way by the least (E55).
@@ -214,9 +179,10 @@ class QP(NamedTuple):
         """
         i, b = self.num_hard - 1, self.b.copy()
         row, others = self.A[i], self.A[:i]
-        z = minimise_linear(row, others, b[:i], self.num_firm, self.frame.reach)
-        length = float(UnitRows(self.A[i : i + 1], b[i : i + 1]).length[0])
-        b[i] = max(b[i], float(row @ z) + MARGIN * length)
+        z = minimise_linear(row, others, b[:i], self.num_firm)
+        volume = UnitRows(row[None], b[[i]])
+        margin = MARGIN * float(volume.length[0] * volume.sizes(z)[0])
+        b[i] = max(b[i], float(row @ z) + margin)
         return self._replace(b=b)
 
     def as_projection(self) -> tuple[Array, Array, Array | None]:
@@ -247,13 +213,12 @@ def state_qp(
         exact_slack: Whether the volume row is hard; else it gives way at its penalty.
     """
     inputs, costs, cut = feasible.input_set, feasible.costs, feasible.cut
-    z = inputs.normalised_near(reference)
+    z = (inputs.near(reference) - frame.origin) / inputs.units
     limits, sides = inputs.limiting
-    rows = [limits, feasible.normals[cut]]
-    distances = [sides, feasible.distance[cut]]
-    if frame.origin is not inputs.center:
-        z = z - inputs.normalised(frame.origin)
-        distances = _distances(feasible, frame)
+    distance = feasible.bound[cut]
+    if inputs.fixed:
+        distance = distance - feasible.rows.A[cut] @ frame.origin
+    rows, distances = [limits, feasible.normals[cut]], [sides, distance]
     further = [] if volume_row is None else [volume_row]
     names: tuple[str | int, ...] = () if volume_row is None else ("volume",)
     for i in costs.soft:
@@ -266,8 +231,6 @@ def state_qp(
         rows.append((row.a * frame.scale)[None])
         distances.append(np.array([row.c - row.a @ frame.origin]))
     b = np.concatenate(distances)
-    if frame.size != 1.0:
-        z, b = z / frame.size, b / frame.size
     is_hard = exact_slack and volume_row is not None
     yielding = further[is_hard:]
     qp = QP(
@@ -293,7 +256,7 @@ def _with_slacks(qp: QP, yielding: Sequence[VolumeRow]) -> QP:
     frame, m, count = qp.frame, len(qp.reference), len(yielding)
     root = np.sqrt([row.slack_penalty / frame.cost_unit for row in yielding])
     linear = np.array([row.linear_penalty for row in yielding])
-    away = linear / (2.0 * frame.cost_unit * frame.size * root)
+    away = linear / (2.0 * frame.cost_unit * root)
     slopes = np.concatenate([np.zeros((qp.num_hard, count)), np.diag(1.0 / root)])
     is_kept = linear > 0.0
     signs = np.hstack([np.zeros((count, m)), np.eye(count)])[is_kept]
@@ -304,18 +267,6 @@ def _with_slacks(qp: QP, yielding: Sequence[VolumeRow]) -> QP:
         reference=np.append(qp.reference, away),
         further_rows=(*qp.further_rows, *names),
     )
-
-
-def _distances(feasible: FeasibleSet, frame: Frame) -> list[Array]:
-    """The distances of limits and relevant barrier rows from a frame's origin.
-
-    From the rows as given: where two large numbers cancel, little is left.
-    """
-    inputs, cut = feasible.input_set, feasible.cut
-    length = np.linalg.norm(inputs.A * frame.scale, axis=1)
-    limits = (inputs.b - inputs.A @ frame.origin) / np.where(length > 0.0, length, 1.0)
-    barriers = feasible.bound[cut] - feasible.rows.A[cut] @ frame.origin
-    return [limits[inputs.limits], barriers]
 
 
 @dataclass(frozen=True)
@@ -359,23 +310,21 @@ class TickPrograms:
         rows = UnitRows(A, qp.b)
         nearest = NearestPointProgram(*A.shape)
         nearest.state(rows.A, rows.b, reference)
-        (limits, sides), (cut, A, b) = (
-            feasible.input_set.limiting,
-            feasible.cut_by(widening),
-        )
+        inputs, (cut, A, b) = feasible.input_set, feasible.cut_by(widening)
+        first, k = inputs.limits, feasible.num_input_rows
+        limits, sides = inputs.A_normalised[first], inputs.b_normalised[first]
         unit = UnitRows(np.concatenate([limits, A]), np.concatenate([sides, b]))
         cone = None
         if A.shape[1] > 1:
             largest = EllipsoidProgram(len(unit.b), unit.A.shape[1], 1e-9)
             largest.state(unit.A, unit.b)
             cone = largest.program
-        first, k = feasible.input_set.limits.tolist(), feasible.num_input_rows
-        qp_rows = (*first, *(k + qp.cut).tolist(), *qp.further_rows)
+        qp_rows = (*first.tolist(), *(k + qp.cut).tolist(), *qp.further_rows)
         return TickPrograms(
             nearest.program,
             tuple(row if isinstance(row, str) else names[row] for row in qp_rows),
             cone,
-            tuple(names[i] for i in (*first, *(k + cut).tolist())),
+            tuple(names[i] for i in (*first.tolist(), *(k + cut).tolist())),
             qp,
         )
 

@@ -19,6 +19,7 @@ from pydrake.systems.framework import (
 from vcbf_drake.barriers import Barrier, BarrierRows, BarrierSet, StateInputLimit
 from vcbf_drake.checks import Array, require
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
+from vcbf_drake.errors import EmptySetError
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.backup_rows import BackupRows, manoeuvres_of
 from vcbf_drake.safety.cached_system import CachedSystem
@@ -38,7 +39,7 @@ from vcbf_drake.safety.feasible_set import (
     pack_feasible_set,
 )
 from vcbf_drake.safety.input_set import InputSet, check_inputs
-from vcbf_drake.safety.projection import proof_of_conflict
+from vcbf_drake.safety.polytope import nearest_point
 from vcbf_drake.safety.qp import Frame, TickPrograms
 from vcbf_drake.safety.settings import METHODS, FilterSettings
 from vcbf_drake.safety.volume import Volume, VolumeMeasure, threshold_of, volume_row
@@ -268,13 +269,14 @@ class SafetyFilter(CachedSystem):
 
         None are named where none surely do.
         """
-        inputs, limiting = self.input_set, np.isfinite(b).nonzero()[0]
-        num_firm = int(np.sum(limiting < len(inputs.b)))
-        near = inputs.project(np.zeros(inputs.num_inputs))
-        proof = proof_of_conflict(A[limiting], b[limiting], num_firm, near)
-        if proof is None:
-            return ()
-        return tuple(self.row_names[row] for row in limiting[proof > 0.0])
+        limiting = np.isfinite(b).nonzero()[0]
+        num_firm = int(np.sum(limiting < len(self.input_set.b)))
+        try:
+            near = self.input_set.project(np.zeros(self.input_set.num_inputs))
+            nearest_point(A[limiting], b[limiting], near, num_firm)
+        except EmptySetError as error:
+            return tuple(self.row_names[limiting[row]] for row in error.conflict)
+        return ()
 
     def knowledge(self, context: Context) -> DisturbanceKnowledge:
         """Returns the knowledge of the disturbance that this method uses."""
