@@ -159,9 +159,10 @@ def test_optimality_conditions(m):
         assert max(conditions(A, b, e)) < 1e-8
         # Contact points lie on the rows that touch, at B times a unit vector.
         touching = e.multipliers > 0.0
-        on_row = np.sum(A * e.contact_points, axis=1) - b
+        contacts = e.contact_points(A)
+        on_row = np.sum(A * contacts, axis=1) - b
         assert np.abs(on_row[touching]).max() < 1e-9
-        v = np.linalg.solve(e.shape, (e.contact_points - e.center).T)
+        v = np.linalg.solve(e.shape, (contacts - e.center).T)
         np.testing.assert_allclose(np.linalg.norm(v, axis=0), 1.0, rtol=1e-9)
 
 
@@ -204,7 +205,7 @@ def test_gradient_against_central_differences(scale):
         A, b = random_polytope(rng, m)
         b = b * scale
         e = inscribed_ellipsoid(A, b)
-        dV_dA, dV_db = e.volume_gradient()
+        dV_dA, dV_db = e.volume_gradient(A)
         dA, db = rng.standard_normal(A.shape), rng.standard_normal(len(b)) * scale
         slope = np.sum(dV_dA * dA) + dV_db @ db
 
@@ -224,8 +225,9 @@ def test_gradient_against_central_differences(scale):
 
 
 def test_gradient_of_interval():
-    e = inscribed_ellipsoid([[2.0], [-0.5], [0.1]], [2.0, 1.0, 9.0])  # [-2, 1]
-    dV_dA, dV_db = e.volume_gradient()
+    A = np.array([[2.0], [-0.5], [0.1]])
+    e = inscribed_ellipsoid(A, [2.0, 1.0, 9.0])  # [-2, 1]
+    dV_dA, dV_db = e.volume_gradient(A)
     np.testing.assert_allclose(dV_db, [0.5, 2.0, 0.0])
     np.testing.assert_allclose(dV_dA[:, 0], [-0.5, 4.0, 0.0])
 
@@ -241,7 +243,7 @@ def test_rows_of_zeros():
     A = np.vstack([box_rows(2), np.zeros(2)])
     e = inscribed_ellipsoid(A, [1.0, 1.0, 1.0, 1.0, 0.0])
     assert e.multipliers[4] == 0.0 and e.log_det == pytest.approx(0.0, abs=1e-9)
-    np.testing.assert_array_equal(e.volume_gradient()[0][4], 0.0)
+    np.testing.assert_array_equal(e.volume_gradient(A)[0][4], 0.0)
     with pytest.raises(EmptySetError) as raised:
         inscribed_ellipsoid(A, [1.0, 1.0, 1.0, 1.0, -1.0])
     assert raised.value.inradius == -np.inf
@@ -413,7 +415,6 @@ def test_cut_box_agrees_with_all_rows_at_once(m):
         A, b = cut_rows(rng, m, int(rng.integers(0, 6)))
         e = solver.solve(A, b)
         rows, bounds = np.vstack([box_rows(m), A]), np.append(np.ones(2 * m), b)
-        np.testing.assert_array_equal(e.rows, rows)
         oracle = inscribed_ellipsoid(rows, bounds)
         assert e.log_det == pytest.approx(oracle.log_det, abs=1e-8)
         np.testing.assert_allclose(e.shape, oracle.shape, atol=1e-7)
@@ -421,9 +422,7 @@ def test_cut_box_agrees_with_all_rows_at_once(m):
         # Of a row of zeros (E56) says nothing.
         live = np.linalg.norm(rows, axis=1) > 0.0
         assert (e.multipliers[~live] == 0.0).all()
-        part = type(e)(
-            e.center, e.shape, e.log_det, e.multipliers[live], 0.0, rows[live]
-        )
+        part = e._replace(multipliers=e.multipliers[live])
         assert max(conditions(rows[live], bounds[live], part)) < 1e-8
         lower, upper = exact_bounds(rows, bounds, e)
         assert -e.certified_gap - 1e-15 <= lower
@@ -518,7 +517,7 @@ def test_cut_box_gradient_against_central_differences():
         dA = np.c_[direction, np.zeros(3)]  # The decoupled input stays decoupled.
         h = 1e-4 * size
         e = solver.solve(A, b)
-        points = e.contact_points[6:]
+        points = e.contact_points(A)
         slope = e.multipliers[6:] @ (db - np.sum(dA * points, axis=1))
         coarse, fine = (
             (

@@ -166,7 +166,9 @@ class BarrierSet:
             arguments = (*point, *each.constants)
             lists.append(_evaluate(each.gradient, arguments, shape[1] * shape[2]))
         gradients = np.array(lists, dtype=float).reshape(shape)
-        gradients[np.isnan(numbers[rows, 0])] = np.nan
+        for gradient, row in zip(gradients, rows, strict=True):
+            if math.isnan(numbers[row, 0]):
+                gradient[:] = np.nan
         gradients.flags.writeable = False
         return gradients
 

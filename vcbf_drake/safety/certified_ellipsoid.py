@@ -16,10 +16,14 @@ from vcbf_drake.checks import Array
 
 # Largest certified error of log det B, hence of the volume's relative error.
 ACCEPTED_GAP = 1e-7
+# The least divisor.
+_SHORTEST = 1e-300
 # Newton's method stops below this gap.
 TARGET_GAP = 1e-9
-# Without any bound after so many steps it hardly ever finds one.
-_PATIENCE = 3
+# It takes so many steps at most; without any bound after a few it hardly finds one.
+_STEPS, _PATIENCE = 7, 3
+# The ratio of axes up to which its bound is as good as itself, and what exp allows.
+_LARGE_RATIO, _LARGE = 1e6, 700.0
 
 
 class Ellipsoid(NamedTuple):
@@ -32,7 +36,6 @@ class Ellipsoid(NamedTuple):
         multipliers: lambda >= 0 of (E56), d(log det B)/db, in the units of the rows
             as given and exactly 0 for rows that do not touch, shape (n,).
         certified_gap: No ellipsoid inside has a log det larger by more than this.
-        rows: A as given, shape (n, m).
     """
 
     center: Array
@@ -40,7 +43,6 @@ class Ellipsoid(NamedTuple):
     log_det: float
     multipliers: Array
     certified_gap: float
-    rows: Array
 
     @property
     def shape(self) -> Array:
@@ -53,36 +55,32 @@ class Ellipsoid(NamedTuple):
         half = 0.5 * len(self.center)
         return math.pi**half / math.gamma(half + 1.0) * math.exp(self.log_det)
 
-    def contact_point(self, a: Array) -> Array:
-        """Returns c + B^2 a / |B a|, shape (m,): its point furthest along a row (E57).
-
-        Args:
-            a: The row, shape (m,).
-        """
-        reach = a @ self.frame
-        point: Array = self.center + self.frame @ reach / math.sqrt(reach @ reach)
-        return point
-
-    @property
-    def contact_points(self) -> Array:
-        """The points p_i = c + B^2 a_i / |B a_i| furthest along each row, (n, m) (E57).
+    def contact_points(self, A: Array) -> Array:
+        """Returns the points c + B^2 a_i / |B a_i| furthest along rows, (k, m) (E57).
 
         Rows with a positive multiplier touch the ellipsoid there. A row of zeros has no
         such point and gets the centre.
-        """
-        reach = self.rows @ self.frame
-        length = np.linalg.norm(reach, axis=1, keepdims=True)
-        return self.center + reach / np.where(length > 0.0, length, 1.0) @ self.frame.T
 
-    def volume_gradient(self) -> tuple[Array, Array]:
+        Args:
+            A: The rows a_i, shape (k, m).
+        """
+        reach = A @ self.frame
+        length = np.maximum(np.sqrt(np.vecdot(reach, reach)), _SHORTEST)
+        points: Array = self.center + reach / length[:, None] @ self.frame.T
+        return points
+
+    def volume_gradient(self, A: Array) -> tuple[Array, Array]:
         """Returns dV/dA (n, m) and dV/db (n,) of the volume V (E57).
 
         dV = V sum_i lambda_i (db_i - da_i p_i), p_i the contact points. Where more rows
         touch than determine the ellipsoid, as with a row given twice, V has one-sided
         derivatives only, and this is a supergradient of log V in b.
+
+        Args:
+            A: The rows of the set, shape (n, m).
         """
         dV_db = self.volume * self.multipliers
-        return -dV_db[:, None] * self.contact_points, dV_db
+        return -dV_db[:, None] * self.contact_points(A), dV_db
 
 
 def symmetric(frames: Array) -> Array:
@@ -96,13 +94,41 @@ def symmetric(frames: Array) -> Array:
 
 
 def polish(
-    A: Array,
-    b: Array,
-    center: Array,
-    frame: Array,
-    multipliers: Array,
+    A: Array, b: Array, center: Array, frame: Array, multipliers: Array
 ) -> Ellipsoid | None:
-    """Semismooth Newton's method on the optimality conditions (E56).
+    """Makes a proposal exact by Newton's method, one step at least, and certifies it.
+
+    The gap says little of the multipliers: its error is the square of theirs.
+
+    Args:
+        A: The rows, of unit length, shape (n, m).
+        b: Their right-hand sides, shape (n,).
+        center: c of the proposal, shape (m,).
+        frame: F with F F' = B^2, shape (m, m).
+        multipliers: Multipliers of the rows, shape (n,).
+
+    Returns:
+        The best ellipsoid with a bound; None without one.
+    """
+    best, least = None, math.inf
+    for step in range(1, _STEPS + 1):
+        try:
+            center, frame, multipliers = _step(A, b, center, frame, multipliers)
+        except np.linalg.LinAlgError:
+            break
+        found = certified(A, b, center, frame, multipliers)
+        is_exact = least <= ACCEPTED_GAP  # Before: what is left may be rounding.
+        if found and found.certified_gap < least:
+            best, least = found, found.certified_gap
+        if least <= TARGET_GAP or is_exact or (step == _PATIENCE and best is None):
+            break
+    return best
+
+
+def _step(
+    A: Array, b: Array, center: Array, frame: Array, multipliers: Array
+) -> tuple[Array, Array, Array]:
+    """A semismooth Newton step on the optimality conditions (E56).
 
     In the coordinates in which the ellipsoid is the unit ball, with the rows' unit
     normals n_i, their excess distance e_i = (b_i - a_i c) / |B a_i| - 1 and their
@@ -118,75 +144,65 @@ def polish(
         n_i' D n_i + n_i' d = e_i   for the rows that take part,
 
     which determines v, and w_i becomes v_i - w_i n_i' d.
-
-    The gap says little of the multipliers: its error is the square of theirs. So one
-    step at least is taken.
-
-    Args:
-        A: The rows, of unit length, shape (n, m).
-        b: Their right-hand sides, shape (n,).
-        center: c of the proposal, shape (m,).
-        frame: F with F F' = B^2, shape (m, m).
-        multipliers: Multipliers of the rows, shape (n,).
-
-    Returns:
-        The best ellipsoid with a bound; None without one.
     """
-    best, least = None, math.inf
-    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        for step in range(8):
-            n, length, e, w = _contacts(A, b, center, frame, multipliers)
-            if step > 0:
-                gap = _gap(n, e, w)
-                if gap < least:
-                    best, least = (center, frame, w / length, e), gap
-                if gap <= TARGET_GAP or (step == _PATIENCE and best is None):
-                    break
-            on = ((w > 0.0) | (e < 0.0)).nonzero()[0]
-            n, e, w = n[on], e[on], w[on]
-            cosine = n @ n.T
-            half = 0.5 * cosine * cosine
-            matrix = half - cosine
-            # Rows given twice make it singular; shifted, they share their weight.
-            matrix.flat[:: len(on) + 1] += 1e-10
-            we = w * e
-            try:
-                v = np.linalg.solve(matrix, 0.5 - e + half @ we)
-            except np.linalg.LinAlgError:
-                break
-            d = v @ n
-            multipliers = np.zeros(len(b))
-            multipliers[on] = np.maximum(v - w * (n @ d), 0.0) / length[on]
-            center = center + frame @ d
-            frame = 1.5 * frame - 0.5 * frame @ ((n.T * (v - we)) @ n)
-    return best and _inside(A, *best, least)
+    reach, length, e, w = _contacts(A, b, center, frame, multipliers)
+    on = ((w > 0.0) | (e < 0.0)).nonzero()[0]
+    e, w, length = e[on], w[on], length[on]
+    n = reach[on] / length[:, None]
+    cosine = n @ n.T
+    half = 0.5 * cosine * cosine
+    matrix = half - cosine
+    # Rows given twice make it singular; shifted, they share their weight.
+    matrix.flat[:: len(on) + 1] += 1e-10
+    we = w * e
+    v = np.linalg.solve(matrix, 0.5 - e + half @ we)
+    d = v @ n
+    multipliers = np.zeros(len(b))
+    multipliers[on] = np.maximum(v - w * (n @ d), 0.0) / length
+    turn = (n.T * (0.5 * (we - v))) @ n
+    return center + frame @ d, 1.5 * frame + frame @ turn, multipliers
 
 
 def certified(
     A: Array, b: Array, center: Array, frame: Array, multipliers: Array
 ) -> Ellipsoid | None:
-    """Returns the ellipsoid as it is with its certificate; None without a bound."""
-    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        n, length, e, w = _contacts(A, b, center, frame, multipliers)
-        gap = _gap(n, e, w)
-    return _inside(A, center, frame, w / length, e, gap) if gap < math.inf else None
+    """Returns the ellipsoid, scaled until it touches, and its certificate.
+
+    The gap gets the rounding of |B a_i| and b_i - a_i c added, which grows with the
+    ratio of the longest to the shortest axis, and that of log det B. None without a
+    bound.
+    """
+    reach, length, e, w = _contacts(A, b, center, frame, multipliers)
+    gap = _gap(reach / length[:, None], e, w)
+    if gap == math.inf:
+        return None
+    m, scale = len(center), 1.0 + min(e.tolist())
+    frame = scale * frame
+    log_det = float(np.linalg.slogdet(frame)[1])
+    size = math.sqrt(np.vdot(frame, frame) / m)
+    # A bound of the ratio (Guggenheimer, Edelman, Johnson 1995); the ratio itself takes
+    # longer.
+    ratio = 2.0 * math.exp(min(m * math.log(size) - log_det, _LARGE))
+    if ratio > _LARGE_RATIO:
+        ratio = float(np.linalg.cond(frame))
+    gap += 4e-16 * abs(log_det)
+    gap += 4e-16 * m * ratio * (1.0 + math.sqrt(center @ center) / size)
+    return Ellipsoid(center, frame, log_det, w / length, gap)
 
 
 def _contacts(
     A: Array, b: Array, center: Array, frame: Array, multipliers: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Unit normals n, lengths |B a_i|, excess distances e and weights w of `polish`."""
-    n = A @ frame
-    length = np.sqrt(np.vecdot(n, n))
-    n /= length[:, None]
+    """Rows a_i F, lengths |B a_i|, excess distances e and weights w of `_step`."""
+    reach = A @ frame
+    length = np.sqrt(np.vecdot(reach, reach))
     e = (b - A @ center) / length - 1.0
     w = multipliers * length
-    w[w <= e] = 0.0
-    return n, length, e, w
+    return reach, length, e, w * (w > e)
 
 
 def _gap(n: Array, e: Array, w: Array) -> float:
-    """Bounds log det B* - log det B by weak duality, in the coordinates of `polish`.
+    """Bounds log det B* - log det B by weak duality, in the coordinates of `_step`.
 
     There B = (1 + min e) I. For every ellipsoid (B, c) inside and S = sum w_i n_i n_i',
 
@@ -215,22 +231,6 @@ def _gap(n: Array, e: Array, w: Array) -> float:
     return m * math.log((total + imbalance * farthest) / (m * reach)) - log_det
 
 
-def _inside(
-    A: Array, center: Array, frame: Array, multipliers: Array, e: Array, gap: float
-) -> Ellipsoid:
-    """Scales the ellipsoid until it touches.
-
-    The gap gets the rounding of |B a_i| and b_i - a_i c added, which grows with the
-    ratio of the longest to the shortest axis, and that of log det B.
-    """
-    scale = 1.0 + float(e.min())
-    lengths = (scale * np.linalg.svd(frame, compute_uv=False)).tolist()
-    longest, shortest = lengths[0] + math.sqrt(center @ center), lengths[-1]
-    log_det = sum(map(math.log, lengths))
-    rounding = 4e-16 * (len(lengths) * longest / shortest + abs(log_det))
-    return Ellipsoid(center, scale * frame, log_det, multipliers, gap + rounding, A)
-
-
 def interval(A: Array, b: Array) -> Ellipsoid | None:
     """One input: the interval between the nearest bounds on either side."""
     rows = A[:, 0]
@@ -244,9 +244,7 @@ def interval(A: Array, b: Array) -> Ellipsoid | None:
     multipliers[[upper, lower]] = 0.5 / half
     center = np.array([0.5 * (bound[upper] + bound[lower])])
     rounding = 1e-15 * (1.0 + abs(float(center[0])) / half)
-    return Ellipsoid(
-        center, np.array([[half]]), math.log(half), multipliers, rounding, A
-    )
+    return Ellipsoid(center, np.array([[half]]), math.log(half), multipliers, rounding)
 
 
 def cut_box(a: Array, b: float) -> tuple[Array, Array, Array]:

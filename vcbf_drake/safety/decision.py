@@ -22,7 +22,7 @@ from vcbf_drake.safety.feasible_set import (
 )
 from vcbf_drake.safety.polytope import UnitRows, minimise_linear
 from vcbf_drake.safety.programs import DEFAULT_SOLVER
-from vcbf_drake.safety.qp import MARGIN, QP, Frame, VolumeRow, state_qp
+from vcbf_drake.safety.qp import MARGIN, QP, Frame, VolumeRow, soft_rows, state_qp
 
 InfeasiblePolicy = Literal["stop", "least_violation", "hold", "decay", "backup"]
 
@@ -171,8 +171,6 @@ def choose_input(
     if not (feasible.is_finite and np.isfinite(reference).all()):
         u = least_violation(feasible, frame, reference, held_input, solver)
         return FilterDecision(u, FilterStatus.FAILED)
-    if volume_row is not None and not volume_row.cuts(inputs):
-        volume_row = None
     qp = state_qp(feasible, frame, reference, volume_row, exact_slack)
     growing = decay_rates
     if growing is not None and growing.only_where_empty:
@@ -200,8 +198,7 @@ def choose_input(
     u, gave_way = frame.input(point), solved is not qp or not exact_slack
     slack = volume_row.slack(u) if volume_row and gave_way else 0.0
     status = FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
-    room = ((i, float(feasible.rows.A[i] @ u)) for i in feasible.costs.soft)
-    soft = tuple([min(0.0, float(feasible.bound[i]) - taken) for i, taken in room])
+    soft = tuple([row.slack(u) for row in soft_rows(feasible)])
     u = inputs.project(u)
     decay = 1.0 if growing is None else growing.factor(feasible, u)
     return FilterDecision(u, status, slack, soft_slacks=soft, decay=decay, qp=solved)

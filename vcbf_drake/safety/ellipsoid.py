@@ -44,6 +44,7 @@ _FARTHEST = 1e6
 _ROUNDING = 1e-15
 
 
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def inscribed_ellipsoid(A: ArrayLike, b: ArrayLike) -> Ellipsoid:
     """Returns the largest ellipsoid inside ``{u : A u <= b}``.
 
@@ -68,8 +69,7 @@ def inscribed_ellipsoid(A: ArrayLike, b: ArrayLike) -> Ellipsoid:
         if direction is not None:
             raise UnboundedSetError(*rows.given, direction)
         raise SolverError("no ellipsoid could be certified", *rows.given)
-    multipliers = rows.as_given(found.multipliers)
-    return found._replace(multipliers=multipliers, rows=rows.given[0])
+    return found._replace(multipliers=rows.as_given(found.multipliers))
 
 
 def _search(rows: UnitRows) -> Ellipsoid | None:
@@ -144,7 +144,7 @@ class InscribedEllipsoidSolver:
         self._is_box = input_set.is_box
         m = input_set.num_inputs
         self.free = (
-            Ellipsoid(np.zeros(m), np.eye(m), 0.0, np.full(2 * m, 0.5), 0.0, self._A)
+            Ellipsoid(np.zeros(m), np.eye(m), 0.0, np.full(2 * m, 0.5), 0.0)
             if self._is_box
             else inscribed_ellipsoid(self._A, self._b)
         )
@@ -152,12 +152,13 @@ class InscribedEllipsoidSolver:
         self.free.center.flags.writeable = False
         self.free.frame.flags.writeable = False
 
+    @np.errstate(over="ignore", divide="ignore", invalid="ignore")
     def solve(self, A: Array, b: Array) -> Ellipsoid:
         """Returns the largest ellipsoid in v of the input set with ``A v <= b``.
 
-        Its rows and multipliers are those of the input set, in the order of
+        Its multipliers are those of the input set's rows, in the order of
         `InputSet.A_normalised` (of a box +v_1, .., +v_m, -v_1, .., -v_m), and then
-        those given.
+        of those given.
 
         Args:
             A: The rows in normalised inputs, shape (N, m).
@@ -174,24 +175,26 @@ class InscribedEllipsoidSolver:
                 f"A has shape {A.shape} and b {b.shape}; they must be (N, m) and (N,)"
                 f" with m = {self._A.shape[1]}"
             )
-        rows, bounds = np.concatenate([self._A, A]), np.concatenate([self._b, b])
         length = np.sqrt(np.vecdot(A, A))
         if self._is_free(A, b, length):
             multipliers = np.concatenate([self.free.multipliers, np.zeros(len(b))])
-            return self.free._replace(multipliers=multipliers, rows=rows)
-        if not (length.all() and np.isfinite(length + b).all()):
+            return self.free._replace(multipliers=multipliers)
+        lengths = length.tolist()
+        is_plain = 0.0 < min(lengths) and math.isfinite(sum(lengths) + sum(b.tolist()))
+        if is_plain:
+            A, b = A / length[:, None], b / length
+        rows, bounds = np.concatenate([self._A, A]), np.concatenate([self._b, b])
+        if not is_plain:
             return inscribed_ellipsoid(rows, bounds)
         try:
-            found = self._cut(A / length[:, None], b / length)
-        except EmptySetError as error:
-            raise EmptySetError(rows, bounds, error.inradius) from None
-        except SolverError:
+            found = self._cut(rows, bounds)
+        except (EmptySetError, SolverError):
             radius = chebyshev_ball(rows, bounds)[1]
             if radius < THINNEST:
                 raise EmptySetError(rows, bounds, radius) from None
             raise
         found.multipliers[len(self._b) :] /= length
-        return found._replace(rows=rows)
+        return found
 
     def _is_free(self, A: Array, b: Array, length: Array) -> bool:
         """Whether the input set's own ellipsoid meets every row."""
@@ -201,14 +204,12 @@ class InscribedEllipsoidSolver:
         return bool((length <= b).all())
 
     def _cut(self, A: Array, b: Array) -> Ellipsoid:
-        """The same, of rows of unit length and with only the inputs that matter."""
+        """The same, of all rows, of unit length, with only the inputs that matter."""
         k, m = self._A.shape
-        cut = np.flatnonzero(A.any(axis=0))
+        cut = np.flatnonzero(A[k:].any(axis=0))
         if not self._is_box or len(cut) == m:
-            A, b = np.concatenate([self._A, A]), np.concatenate([self._b, b])
             return _of_rows(A, b, self._solver, self._is_box)
-        own = np.concatenate([cut, m + cut, np.arange(k, k + len(b))])
-        A, b = np.concatenate([self._A, A]), np.concatenate([self._b, b])
+        own = np.concatenate([cut, m + cut, np.arange(k, len(b))])
         found = _of_rows(A[own[:, None], cut], b[own], self._solver, True)
         center, frame = self.free.center.copy(), self.free.frame.copy()
         center[cut], frame[cut[:, None], cut] = found.center, found.frame

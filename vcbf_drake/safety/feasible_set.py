@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -181,6 +182,8 @@ def _of_bound(
     if costs.soft:
         distance[costs.soft] = np.inf
     farthest = input_set.farthest(normals)
+    # Sums, for what is not finite stays so in them.
+    total = float(np.add.reduce(normals, axis=None) + np.add.reduce(bound))
     return FeasibleSet(
         input_set=input_set,
         rows=rows,
@@ -191,7 +194,7 @@ def _of_bound(
         distance=distance,
         farthest=farthest,
         cut=(distance < farthest).nonzero()[0],
-        is_finite=bool(np.isfinite(normals).all() and np.isfinite(bound).all()),
+        is_finite=math.isfinite(total),
     )
 
 

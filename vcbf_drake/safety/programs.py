@@ -227,7 +227,7 @@ class EllipsoidProgram(FixedProgram):
     ) -> None:
         m = num_inputs
         self._row, self._column = np.tril_indices(m)
-        self._k = len(self._row)
+        self._k, self._lower = len(self._row), m * self._row + self._column
         name = solver if solver in CONE_SOLVERS else DEFAULT_SOLVER
         # A box is of unit size, and of few inputs it is solved as exactly without.
         is_plain = is_box and m <= FEW_INPUTS
@@ -287,7 +287,7 @@ class EllipsoidProgram(FixedProgram):
             return None
         x = result.get_x_val()
         L = np.zeros((m, m))
-        L[self._row, self._column] = x[:k]
+        L.put(self._lower, x[:k])
         diagonal = L.diagonal().tolist()
         if not min(diagonal) > 0.0:
             return None

@@ -22,8 +22,7 @@ from vcbf_drake.safety.programs import EllipsoidProgram, NearestPointProgram
 MARGIN = 1e-10
 
 
-@dataclass(frozen=True)
-class VolumeRow:
+class VolumeRow(NamedTuple):
     """A condition a u <= c that may give way: the volume barrier's, or a soft one.
 
     Attributes:
@@ -44,16 +43,11 @@ class VolumeRow:
     @property
     def is_finite(self) -> bool:
         """Whether every number in it is finite."""
-        return math.isfinite(self.c) and bool(np.isfinite(self.a).all())
+        return all(map(math.isfinite, (self.c, *self.a.tolist())))
 
     def slack(self, u: Array) -> float:
         """Returns the row's slack at an input, at most 0."""
         return self.unit * min(0.0, self.c - float(self.a @ u))
-
-    def cuts(self, input_set: InputSet) -> bool:
-        """Returns whether it excludes any input of the bounding box."""
-        farthest = float(input_set.farthest((self.a * input_set.scale)[None])[0])
-        return self.c - float(self.a @ input_set.center) < farthest
 
 
 @dataclass(frozen=True)
@@ -219,14 +213,9 @@ def state_qp(
     if inputs.fixed:
         distance = distance - feasible.rows.A[cut] @ frame.origin
     rows, distances = [limits, feasible.normals[cut]], [sides, distance]
-    further = [] if volume_row is None else [volume_row]
-    names: tuple[str | int, ...] = () if volume_row is None else ("volume",)
-    for i in costs.soft:
-        square, linear = costs.penalties[i], costs.linear_penalties[i]
-        bound = float(feasible.bound[i])
-        soft = VolumeRow(feasible.rows.A[i], bound, square, linear_penalty=linear)
-        further.append(soft)
-        names = (*names, feasible.num_input_rows + i)
+    further = [*([] if volume_row is None else [volume_row]), *soft_rows(feasible)]
+    names: list[str | int] = [] if volume_row is None else ["volume"]
+    names += [feasible.num_input_rows + i for i in costs.soft]
     for row in further:
         rows.append((row.a * frame.scale)[None])
         distances.append(np.array([row.c - row.a @ frame.origin]))
@@ -242,9 +231,23 @@ def state_qp(
         cut=cut,
         num_hard=len(b) - len(yielding),
         has_hard_volume=is_hard,
-        further_rows=names,
+        further_rows=tuple(names),
     )
     return _with_slacks(qp, yielding) if yielding else qp
+
+
+def soft_rows(feasible: FeasibleSet) -> list[VolumeRow]:
+    """Returns the soft barrier rows of a feasible set."""
+    costs, bound = feasible.costs, feasible.bound
+    return [
+        VolumeRow(
+            feasible.rows.A[i],
+            float(bound[i]),
+            costs.penalties[i],
+            linear_penalty=costs.linear_penalties[i],
+        )
+        for i in costs.soft
+    ]
 
 
 def _with_slacks(qp: QP, yielding: Sequence[VolumeRow]) -> QP:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import deepcopy
+import math
 from typing import NoReturn
 
 import numpy as np
@@ -342,7 +343,7 @@ class SafetyFilter(CachedSystem):
     def _calc_decision(self, context: Context) -> FilterDecision:
         reference, held = self._wanted_and_held(context)
         (x, t, seen), settings = self._situation(context), self.settings
-        if not np.isfinite(x).all():
+        if not all(map(math.isfinite, x.tolist())):
             return FilterDecision(self.input_set.project(held), FilterStatus.FAILED)
         feasible, row = self.feasible_set(context), None
         v = self.volume(context) if self.method.has_volume_row else None
@@ -367,13 +368,15 @@ class SafetyFilter(CachedSystem):
                 rates,
             )
 
-        decision = choose()
-        tick = Tick(self.barrier_rows(context), x, t, feasible.known, seen)
+        decision, holder = choose(), self.row_holder
         if self.method.has_volume_row and not is_known:
             # The tick fails, and takes the input of the QP without the row.
-            decision = FilterDecision(decision.input, FilterStatus.FAILED)
-        elif self.row_holder is not None:
-            decision = self.row_holder.lasting_decision(tick, decision, choose)
+            decision, holder = FilterDecision(decision.input, FilterStatus.FAILED), None
+        if holder is None and self.gate is None:
+            return decision
+        tick = Tick(self.barrier_rows(context), x, t, feasible.known, seen)
+        if holder is not None:
+            decision = holder.lasting_decision(tick, decision, choose)
         return decision if self.gate is None else self.gate.decide(tick, decision)
 
     def _wanted_and_held(self, context: Context) -> tuple[Array, Array]:

@@ -21,6 +21,8 @@ from vcbf_drake.typed import check_fields
 
 # The thresholds that a start can lead to: the least is a ball of this radius.
 _LEAST_RADIUS, _MOST_THRESHOLD = 1e-4, 0.02
+# The least divisor.
+_SHORTEST = 1e-300
 
 
 @dataclass
@@ -160,45 +162,53 @@ class VolumeMeasure:
         """
         if self._solver is None or not feasible.is_finite:
             return None
-        inputs, rows, known = self._input_set, feasible.rows, feasible.known
-        kappa, n = self._widening, rows.num_states
+        kappa, m = self._widening, self._input_set.num_inputs
         cut, A, b = feasible.cut_by(kappa)
-        found, touching = self._solver.free, list[int]()
-        determinant, is_of_set = math.exp(found.log_det), True
         try:
-            if len(cut):
-                found = self._solver.solve(A, b)
-                determinant, is_of_set = math.exp(found.log_det), kappa == 1.0
-                multipliers = found.multipliers[feasible.num_input_rows :]
-                weights = determinant / kappa * multipliers
-                touching = weights.nonzero()[0].tolist()
+            found = self._solver.solve(A, b) if len(cut) else self._solver.free
         except EmptySetError:
-            determinant, is_of_set = THINNEST**inputs.num_inputs, False
+            return self._constant(feasible, THINNEST**m, None)
         except (SolverError, np.linalg.LinAlgError):
             return None
-        extended, estimate, bound = np.zeros(n + 1), np.zeros(len(known.estimate)), 0.0
-        gradients = rows.gradients(cut[touching].tolist()) if touching else ()
-        for i, gradient in zip(touching, gradients, strict=True):
-            weight, w, margin = float(weights[i]), rows.w[cut[i]], known.estimate
-            w_norm = math.sqrt(w @ w)
-            if w_norm > 0.0:
-                margin = margin - known.bound / w_norm * w
-            v = kappa * found.contact_point(A[i])
-            contact = inputs.center + inputs.scale * v
-            # d(b + Lambda - A u) at the contact u, from the gradients of [A, b, w].
-            change = np.concatenate([-contact, (1.0,), margin]) @ gradient
-            extended += weight * change
-            estimate += weight * w
-            bound -= weight * w_norm
+        determinant = math.exp(found.log_det)
+        weights = found.multipliers[feasible.num_input_rows :]
+        touching = weights.nonzero()[0] if len(cut) else cut
+        ellipsoid = found if kappa == 1.0 or not len(cut) else None
+        if not len(touching):
+            return self._constant(feasible, determinant, ellipsoid)
+        weights = determinant / kappa * weights[touching]
+        inputs, rows, known = self._input_set, feasible.rows, feasible.known
+        barriers = cut[touching]
+        contacts = kappa * found.contact_points(A[touching])
+        w = rows.w[barriers]
+        w_norm = np.sqrt(np.vecdot(w, w))
+        direction = w / np.maximum(w_norm, _SHORTEST)[:, None]
+        # Of d(b + Lambda - A u) at the contacts u, from the gradients of [A, b, w].
+        change = np.empty((len(w), m + 1 + w.shape[1]))
+        change[:, :m] = -inputs.center - inputs.scale * contacts
+        change[:, m] = 1.0
+        change[:, m + 1 :] = known.estimate - known.bound * direction
+        gradients = rows.gradients(barriers.tolist())
+        by_entry = gradients.reshape(change.size, -1)
+        extended = (weights[:, None] * change).ravel() @ by_entry
         return Volume(
             determinant,
-            found if is_of_set else None,
-            extended[:n],
-            float(extended[n]),
-            estimate,
-            bound,
+            ellipsoid,
+            extended[:-1],
+            float(extended[-1]),
+            weights @ w,
+            -float(weights @ w_norm),
             determinant,
         )
+
+    @staticmethod
+    def _constant(
+        feasible: FeasibleSet, determinant: float, ellipsoid: Ellipsoid | None
+    ) -> Volume:
+        """A volume that no row that moves touches."""
+        n, q = feasible.rows.num_states, len(feasible.known.estimate)
+        still = np.zeros(n), 0.0, np.zeros(q), 0.0
+        return Volume(determinant, ellipsoid, *still, determinant)
 
     def ellipsoid(
         self, feasible: FeasibleSet, known: Volume | None
