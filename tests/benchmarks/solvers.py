@@ -86,7 +86,7 @@ def measured(solver: str, *kinds: list[Asked]) -> Iterator[tuple[float, int]]:
             proposal = program.solve(rows.A, rows.b, reference)
             spent.append(time.thread_time() - started)
             if proposal is not None:
-                near = (rows.b - rows.A @ proposal < REACH).nonzero()[0]
+                near = np.flatnonzero(rows.b - rows.A @ proposal < REACH).tolist()
                 found = nearest_by_active_set(rows.A, rows.b, reference, near)
                 count += is_optimal(found, rows, reference)
         yield 1e6 * float(np.percentile(spent, 10.0)), count

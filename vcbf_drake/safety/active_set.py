@@ -16,7 +16,6 @@ from operator import mul
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vcbf_drake.checks import Array
 
@@ -50,7 +49,7 @@ def nearest_by_active_set(
     A: Array,
     b: Array,
     reference: Array,
-    near: NDArray[np.intp] | None = None,
+    near: Sequence[int] | None = None,
     is_exact: bool = False,
 ) -> Projection:
     """Returns the point nearest to a reference.
@@ -64,15 +63,17 @@ def nearest_by_active_set(
             raises the cost, so that no choice of active rows comes twice. It takes
             about a hundred times longer than in floats.
     """
-    near = np.arange(len(b)) if near is None else near
-    rows, sides, from_ = A[near].tolist(), b[near].tolist(), reference.tolist()
+    rows, sides, from_ = A.tolist(), b.tolist(), reference.tolist()
+    near = range(len(b)) if near is None else near
+    rows, sides = [rows[i] for i in near], [sides[i] for i in near]
     if is_exact:
         rows = [list(map(Fraction, row)) for row in rows]
         sides, from_ = list(map(Fraction, sides)), list(map(Fraction, from_))
     face = _Face(rows, sides, from_, is_exact)
     found, proof = face.iterate(), None
     multipliers = np.zeros(len(b))
-    multipliers[near[face.rows]] = face.multipliers
+    for row, y in zip(face.rows, face.multipliers, strict=True):
+        multipliers[near[row]] = y
     if found is not None:
         proof = np.zeros(len(b))
         proof[near] = found

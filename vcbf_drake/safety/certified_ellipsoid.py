@@ -128,17 +128,11 @@ def polish(
 def _step(
     A: Array, b: Array, center: Array, frame: Array, multipliers: Array
 ) -> tuple[Array, Array, Array]:
-    """A semismooth Newton step on the optimality conditions (E56).
+    """A semismooth Newton step on the optimality conditions (E73).
 
-    In the coordinates in which the ellipsoid is the unit ball, with the rows' unit
-    normals n_i, their excess distance e_i = (b_i - a_i c) / |B a_i| - 1 and their
-    weights w_i = lambda_i |B a_i|, the conditions read
-
-        sum w_i n_i n_i' = I,   sum w_i n_i = 0,   min(w_i, e_i) = 0.
-
-    A row takes part in a step when w_i > e_i; the weights of the others are zero. The
-    step moves the centre by d and the shape from I to I + D. The conditions, linear in
-    D, d and the change of w, ask for
+    The step moves the centre by d and the shape from I to I + D, in the coordinates in
+    which the ellipsoid is the unit ball. A row takes part when w_i > e_i; the weights
+    of the others are zero. The conditions, linear in D, d and the change of w, ask for
 
         2 D = I - sum (v_i - w_i e_i) n_i n_i',   d = sum v_i n_i,
         n_i' D n_i + n_i' d = e_i   for the rows that take part,
@@ -204,18 +198,10 @@ def _contacts(
 def _gap(n: Array, e: Array, w: Array) -> float:
     """Bounds log det B* - log det B by weak duality, in the coordinates of `_step`.
 
-    There B = (1 + min e) I. For every ellipsoid (B, c) inside and S = sum w_i n_i n_i',
-
-        sum w_i (1 + e_i) >= sum w_i (|B n_i| + n_i c) >= tr(S B) + c' sum w_i n_i
-
-    and tr(S B) >= m (det S det B)^(1/m). At the optimum S = I and sum w_i n_i vanishes;
-    until then, with the Frobenius norm r = |S - I| < 1,
-
-        log det S >= tr(S - I) - r^2 / (2 (1 - r)),
-
-    and |c| is bounded by c'S c = sum w_i (n_i c)^2 with -|c| <= n_i c <= 1 + e_i, to
-    2 sum w_i (1 + e_i) over 1 - r - |sum w_i n_i|. Taken as 0.05, well below what it
-    is, this also tells how exact the multipliers are.
+    There B = (1 + min e) I. With S = sum w_i n_i n_i' and r = |S - I|, the bound of
+    section 6 of docs/theory.md has log det S >= tr(S - I) - r^2 / (2 (1 - r)), and
+    |c| <= 2 sum w_i (1 + e_i) over 1 - r - |sum w_i n_i|. Taken as 0.05, well below
+    what it is, this also tells how exact the multipliers are.
     """
     m = n.shape[1]
     excess = (n.T * w) @ n
@@ -251,11 +237,7 @@ def cut_box(a: Array, b: float) -> tuple[Array, Array, Array]:
     """Returns the largest ellipsoid of a box that one row cuts, to be certified.
 
     Of the box |v_j| <= 1 and the row a v <= b, in closed form but for one root (E74).
-    With r = |B a|, rho_j = |a_j| / r and S_j = (1 - 4 w (1 - w) rho_j^2)^(1/2), its
-    half-widths are min(1, 1 / rho_j) and the row's weight is w. The far sides have the
-    weights w, or (1 + S_j) / 4 + w rho_j / 2, the near ones 0, or (1 + S_j) / 4 -
-    w rho_j / 2, and B^2 = Q (I - w u u') Q: u is the direction of Q a, and Q^2 is
-    diagonal, of 1 / (w rho_j^2), or 2 / (1 + S_j).
+    B^2 = Q (I - w u u') Q, with u the direction of Q a and Q^2 diagonal.
 
     Args:
         a: The row, of unit length and without zeros, shape (m,).

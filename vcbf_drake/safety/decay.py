@@ -107,7 +107,6 @@ class DecayRates:
             b=np.concatenate([qp.b[:n], most, np.zeros(count), qp.b[n:]]),
             reference=np.insert(qp.reference, m, np.zeros(count)),
             num_hard=n + 2 * count,
-            num_decays=count,
             further_rows=(*names, *names, *qp.further_rows),
         )
 

@@ -171,7 +171,8 @@ def choose_input(
     if not (feasible.is_finite and np.isfinite(reference).all()):
         u = least_violation(feasible, frame, reference, held_input, solver)
         return FilterDecision(u, FilterStatus.FAILED)
-    qp = state_qp(feasible, frame, reference, volume_row, exact_slack)
+    soft = soft_rows(feasible)
+    qp = state_qp(feasible, frame, reference, volume_row, exact_slack, soft)
     growing = decay_rates
     if growing is not None and growing.only_where_empty:
         growing = None
@@ -198,10 +199,12 @@ def choose_input(
     u, gave_way = frame.input(point), solved is not qp or not exact_slack
     slack = volume_row.slack(u) if volume_row and gave_way else 0.0
     status = FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
-    soft = tuple([row.slack(u) for row in soft_rows(feasible)])
+    soft_slacks = tuple([row.slack(u) for row in soft])
     u = inputs.project(u)
     decay = 1.0 if growing is None else growing.factor(feasible, u)
-    return FilterDecision(u, status, slack, soft_slacks=soft, decay=decay, qp=solved)
+    return FilterDecision(
+        u, status, slack, soft_slacks=soft_slacks, decay=decay, qp=solved
+    )
 
 
 def _solved(qp: QP, solver: str) -> tuple[Array, QP]:
@@ -237,7 +240,7 @@ def _fallback(
     if policy == "hold":
         return project(held_input), 1.0
     if policy == "decay" and rates is not None:
-        hard = state_qp(feasible, frame, reference).hard
+        hard = state_qp(feasible, frame, reference)
         try:
             z = rates.grown(hard, feasible).solved(solver)
         except (EmptySetError, SolverError, LinAlgError):
@@ -263,7 +266,7 @@ def least_violation(
     """
     u = held_input
     if feasible.is_finite and np.isfinite(reference).all():
-        qp = state_qp(feasible, frame, reference).hard
+        qp = state_qp(feasible, frame, reference)
         with suppress(EmptySetError, SolverError, LinAlgError):
             u = frame.input(_least_violation(feasible, qp, solver))
     return feasible.input_set.project(u)

@@ -214,17 +214,10 @@ class PackedFeasibleSet(NamedTuple):
     center: Array
 
 
-def pack_feasible_set(A: Array, b: Array, frame: Array, center: Array) -> Array:
-    """Returns a feasible set and an ellipsoid {frame v + center} as one vector.
-
-    The frame need not be symmetric; `unpack_feasible_set` makes it so, of a whole log
-    at once.
-    """
-    return np.concatenate([A.ravel(), b, frame.ravel(), center])
-
-
 def unpack_feasible_set(packed: Array, num_inputs: int) -> PackedFeasibleSet:
     """Takes apart one value, or an array of values, of the ``feasible_set`` port.
+
+    A value is A, b, F with F F' = B^2, and the center, one after the other.
 
     Args:
         packed: Shape (..., size of the port).

@@ -174,7 +174,8 @@ def nearest_point(
     program = NearestPointProgram.of_size(*A.shape, solver)
     proposal, touched = program.solve(rows.A, rows.b, reference), None
     if proposal is not None:
-        touched = (rows.b - rows.A @ proposal < REACH).nonzero()[0]
+        distances = (rows.b - rows.A @ proposal).tolist()
+        touched = [i for i, each in enumerate(distances) if each < REACH]
     for near in (touched, None):
         found = nearest_by_active_set(rows.A, rows.b, reference, near)
         if is_optimal(found, rows, reference):

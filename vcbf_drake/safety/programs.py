@@ -7,8 +7,7 @@ exact and verifies them.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
-from functools import lru_cache
+from functools import cached_property, lru_cache
 import logging
 import math
 from threading import Lock, local
@@ -118,21 +117,35 @@ class FixedProgram:
     @classmethod
     def of_size(cls, *size: Any) -> Self:
         """Returns the program of this size (its constructor's arguments), kept."""
-        return cast("Self", _kept(cast("Hashable", cls), *size))
+        kind: Any = cls
+        return cast("Self", _kept(kind, *size))
+
+    @cached_property
+    def _start(self) -> Array:
+        return np.zeros(self.program.num_vars())
 
     def _solve(self) -> MathematicalProgramResult:
-        start = np.zeros(self.program.num_vars())
         _ours.solving = True
         try:
-            return self._solver.Solve(self.program, start, self._options)
+            return self._solver.Solve(self.program, self._start, self._options)
         finally:
             _ours.solving = False
 
+    def _point(self) -> Array | None:
+        result = self._solve()
+        point: Array = result.get_x_val()
+        return point if result.is_success() else None
+
+    def _add_rows(self, count: int) -> tuple[Any, Array]:
+        """Adds rows without an effect; returns them and their lower bounds."""
+        below, dense = np.full(count, -np.inf), np.ones((count, len(self.variables)))
+        rows = self.program.AddLinearConstraint(dense, below, -below, self.variables)
+        return rows.evaluator(), below
+
 
 @lru_cache(maxsize=512)
-def _kept(kind: Any, *size: Any) -> FixedProgram:
-    program: FixedProgram = kind(*size)
-    return program
+def _kept(kind: Any, *size: Any) -> Any:
+    return kind(*size)
 
 
 class LinearProgram(FixedProgram):
@@ -145,22 +158,16 @@ class LinearProgram(FixedProgram):
 
     def __init__(self, num_rows: int, num_variables: int) -> None:
         super().__init__(num_variables, ClpSolver(), SolverOptions())
-        v, self._below = self.variables, np.full(num_rows, -np.inf)
-        self._cost = self.program.AddLinearCost(
-            np.zeros(num_variables), 0.0, v
-        ).evaluator()
-        self._rows = self.program.AddLinearConstraint(
-            np.ones((num_rows, num_variables)), self._below, self._below, v
-        ).evaluator()
+        zero, v = np.zeros(num_variables), self.variables
+        self._cost = self.program.AddLinearCost(zero, 0.0, v).evaluator()
+        self._rows, self._below = self._add_rows(num_rows)
 
     def solve(self, cost: Array, A: Array, b: Array) -> Array | None:
         """Returns a minimiser; None without one."""
         with self._lock:
             self._cost.UpdateCoefficients(cost, 0.0)
             self._rows.UpdateCoefficients(A, self._below, b)
-            result = self._solve()
-        point: Array = result.get_x_val()
-        return point if result.is_success() else None
+            return self._point()
 
 
 class NearestPointProgram(FixedProgram):
@@ -178,14 +185,11 @@ class NearestPointProgram(FixedProgram):
         # On some QPs Clarabel cycles; on others it is done after a dozen.
         options = _options(solver, 1e-9, max_iter=30)
         super().__init__(num_variables, SOLVERS[solver](), options)
-        v, self._identity = self.variables, np.eye(num_variables)
-        self._below = np.full(num_rows, -np.inf)
+        self._identity, zero = np.eye(num_variables), np.zeros(num_variables)
         self._cost = self.program.AddQuadraticCost(
-            self._identity, np.zeros(num_variables), v, is_convex=True
+            self._identity, zero, self.variables, is_convex=True
         ).evaluator()
-        self._rows = self.program.AddLinearConstraint(
-            np.ones((num_rows, num_variables)), self._below, np.zeros(num_rows), v
-        ).evaluator()
+        self._rows, self._below = self._add_rows(num_rows)
 
     def state(self, A: Array, b: Array, reference: Array) -> None:
         """Overwrites the program's data."""
@@ -197,9 +201,7 @@ class NearestPointProgram(FixedProgram):
         """Returns a minimiser; None without one."""
         with self._lock:
             self.state(A, b, reference)
-            result = self._solve()
-        point: Array = result.get_x_val()
-        return point if result.is_success() else None
+            return self._point()
 
 
 class EllipsoidProgram(FixedProgram):

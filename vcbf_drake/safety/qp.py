@@ -52,19 +52,24 @@ class VolumeRow(NamedTuple):
 
 @dataclass(frozen=True)
 class Frame:
-    """The coordinates z of a QP, u = origin + scale * z, and its cost.
+    """The coordinates z of a QP, in which its cost is a distance.
+
+    u = origin + scale * (inverse z): without weights of the cost, the inverse is the
+    identity.
 
     Attributes:
         origin: The input set's, shape (m,).
         scale: The input set's, shape (m,).
-        metric: The cost is |metric (z - reference)|^2; no singular value is below 1,
-            shape (m, m). None for the identity.
+        metric: R with R'R = S W S / cost_unit, S of the scale and W the weights; no
+            singular value is below 1, shape (m, m). None for the identity.
+        inverse: Its inverse.
         cost_unit: The divisor of the cost for that.
     """
 
     origin: Array
     scale: Array
     metric: Array | None = None
+    inverse: Array | None = None
     cost_unit: float = 1.0
 
     @staticmethod
@@ -95,20 +100,26 @@ class Frame:
         W = input_set.scale[:, None] * W * input_set.scale
         W[input_set.scale == 0.0, input_set.scale == 0.0] = 1.0
         least = float(np.linalg.eigvalsh(W)[0])
-        return replace(frame, metric=np.linalg.cholesky(W / least).T, cost_unit=least)
+        metric = np.linalg.cholesky(W / least).T
+        return replace(
+            frame, metric=metric, inverse=np.linalg.inv(metric), cost_unit=least
+        )
 
     def input(self, z: Array) -> Array:
-        """Returns u of z, shape (m,)."""
-        return self.origin + self.scale * z[: len(self.scale)]
+        """Returns u of z, whose first entries are the inputs', shape (m,)."""
+        z = z[: len(self.scale)]
+        return self.origin + self.scale * (
+            z if self.inverse is None else self.inverse @ z
+        )
 
 
 class QP(NamedTuple):
-    """min 1/2 |R (z - reference)|^2 subject to ``A z <= b``.
+    """min 1/2 |z - reference|^2 subject to ``A z <= b``.
 
     The variables are the inputs in the coordinates of a frame, the growth of decay
     rates that may grow and, for each row that gives way at a penalty, sqrt(M) times its
-    slack; R is the frame's metric. The rows are the feasible set's that can matter, the
-    volume row or the limits of decay rates, and those that give way.
+    slack. The rows are the feasible set's that can matter, the volume row or the limits
+    of decay rates, and those that give way.
 
     Attributes:
         frame: The coordinates.
@@ -120,7 +131,6 @@ class QP(NamedTuple):
         num_hard: The number of first rows, which do not give way.
         has_hard_volume: Whether the last of those is the volume row.
         further_rows: The rows after the feasible set's: "volume", or an index there.
-        num_decays: The number of variables, after the inputs, that are growths (E69).
     """
 
     frame: Frame
@@ -132,7 +142,6 @@ class QP(NamedTuple):
     num_hard: int
     has_hard_volume: bool = False
     further_rows: tuple[str | int, ...] = ()
-    num_decays: int = 0
 
     @property
     def is_met(self) -> bool:
@@ -140,29 +149,13 @@ class QP(NamedTuple):
         m = len(self.frame.scale)
         return bool((self.A[:, :m] @ self.reference[:m] <= self.b).all())
 
-    @property
-    def hard(self) -> QP:
-        """The QP of the rows that never give way."""
-        n = self.num_hard - self.has_hard_volume
-        d = len(self.frame.scale) + self.num_decays
-        return self._replace(
-            A=self.A[:n, :d],
-            b=self.b[:n],
-            reference=self.reference[:d],
-            num_hard=n,
-            has_hard_volume=False,
-            further_rows=(),
-        )
-
     def solved(self, solver: str) -> Array:
         """Returns the minimiser z, shape (d,).
 
         Raises:
             EmptySetError: No point satisfies the hard rows, certified.
         """
-        A, reference, back = self.as_projection()
-        y = nearest_point(A, self.b, reference, self.num_firm, solver)
-        return y if back is None else back @ y
+        return nearest_point(self.A, self.b, self.reference, self.num_firm, solver)
 
     def relaxed(self) -> QP:
         """Returns the QP whose hard volume row gives way by the least (E55).
@@ -179,16 +172,6 @@ class QP(NamedTuple):
         b[i] = max(b[i], float(row @ z) + margin)
         return self._replace(b=b)
 
-    def as_projection(self) -> tuple[Array, Array, Array | None]:
-        """Returns rows and reference in y = R z, and R^-1 (None for the identity)."""
-        metric = self.frame.metric
-        if metric is None:
-            return self.A, self.reference, None
-        R, m = np.eye(len(self.reference)), len(metric)
-        R[:m, :m] = metric
-        back = np.asarray(np.linalg.inv(R), dtype=float)
-        return self.A @ back, R @ self.reference, back
-
 
 def state_qp(
     feasible: FeasibleSet,
@@ -196,6 +179,7 @@ def state_qp(
     reference: Array,
     volume_row: VolumeRow | None = None,
     exact_slack: bool = True,
+    soft: Sequence[VolumeRow] = (),
 ) -> QP:
     """Returns the tick's QP.
 
@@ -205,34 +189,28 @@ def state_qp(
         reference: The controller's input, finite, shape (m,).
         volume_row: The volume barrier's row, finite; None where it has none.
         exact_slack: Whether the volume row is hard; else it gives way at its penalty.
+        soft: The soft barrier rows: all of them, or none for the hard rows alone.
     """
-    inputs, costs, cut = feasible.input_set, feasible.costs, feasible.cut
+    inputs, cut = feasible.input_set, feasible.cut
     z = (inputs.near(reference) - frame.origin) / inputs.units
     limits, sides = inputs.limiting
     distance = feasible.bound[cut]
     if inputs.fixed:
         distance = distance - feasible.rows.A[cut] @ frame.origin
     rows, distances = [limits, feasible.normals[cut]], [sides, distance]
-    further = [*([] if volume_row is None else [volume_row]), *soft_rows(feasible)]
+    further = [*([] if volume_row is None else [volume_row]), *soft]
     names: list[str | int] = [] if volume_row is None else ["volume"]
-    names += [feasible.num_input_rows + i for i in costs.soft]
+    names += [feasible.num_input_rows + i for i in feasible.costs.soft[: len(soft)]]
     for row in further:
         rows.append((row.a * frame.scale)[None])
         distances.append(np.array([row.c - row.a @ frame.origin]))
-    b = np.concatenate(distances)
+    A, b = np.concatenate(rows), np.concatenate(distances)
+    if frame.metric is not None:
+        A, z = A @ frame.inverse, frame.metric @ z
     is_hard = exact_slack and volume_row is not None
     yielding = further[is_hard:]
-    qp = QP(
-        frame=frame,
-        A=np.concatenate(rows),
-        b=b,
-        reference=z,
-        num_firm=len(sides),
-        cut=cut,
-        num_hard=len(b) - len(yielding),
-        has_hard_volume=is_hard,
-        further_rows=tuple(names),
-    )
+    num_hard = len(b) - len(yielding)
+    qp = QP(frame, A, b, z, len(sides), cut, num_hard, is_hard, tuple(names))
     return _with_slacks(qp, yielding) if yielding else qp
 
 
@@ -277,16 +255,14 @@ class TickPrograms:
     """The QP and the cone program of one control tick, as MathematicalPrograms.
 
     Both are stated anew, with rows of unit length as the filter's solver was given
-    them; nobody else holds them. The inputs are normalised, v with u = center + scale v
-    (see `InputSet`), unless the cost has weights or limits are very large.
+    them; nobody else holds them.
 
     Attributes:
-        qp: min 1/2 |z - reference|^2 subject to ``A z <= b``; z is v, followed by the
-            scaled slack of every row that gives way at a penalty.
+        qp: min 1/2 |z - reference|^2 subject to ``A z <= b``: see `QP`.
         qp_rows: The meaning of each of its rows.
         ellipsoid: max (det L)^(1/P) subject to |L'a_i| + a_i d <= b_i (E48), the set's
-            largest ellipsoid {L w + d : |w| <= 1}; None for a single input, whose
-            largest interval needs no program.
+            largest ellipsoid {L w + d : |w| <= 1} in normalised inputs; None for a
+            single input, whose largest interval needs no program.
         ellipsoid_rows: The meaning of each of its rows.
         solved: The QP that it states.
     """
@@ -309,18 +285,15 @@ class TickPrograms:
             names: The names of the feasible set's rows.
             widening: kappa of the volume barrier.
         """
-        A, reference, _ = qp.as_projection()
-        rows = UnitRows(A, qp.b)
-        nearest = NearestPointProgram(*A.shape)
-        nearest.state(rows.A, rows.b, reference)
+        rows, nearest = UnitRows(qp.A, qp.b), NearestPointProgram(*qp.A.shape)
+        nearest.state(rows.A, rows.b, qp.reference)
         inputs, (cut, A, b) = feasible.input_set, feasible.cut_by(widening)
-        first, k = inputs.limits, feasible.num_input_rows
+        first, k, cone = inputs.limits, feasible.num_input_rows, None
         limits, sides = inputs.A_normalised[first], inputs.b_normalised[first]
-        unit = UnitRows(np.concatenate([limits, A]), np.concatenate([sides, b]))
-        cone = None
-        if A.shape[1] > 1:
-            largest = EllipsoidProgram(len(unit.b), unit.A.shape[1], 1e-9)
-            largest.state(unit.A, unit.b)
+        rows = UnitRows(np.concatenate([limits, A]), np.concatenate([sides, b]))
+        if inputs.num_inputs > 1:
+            largest = EllipsoidProgram(len(rows.b), inputs.num_inputs, 1e-9)
+            largest.state(rows.A, rows.b)
             cone = largest.program
         qp_rows = (*first.tolist(), *(k + qp.cut).tolist(), *qp.further_rows)
         return TickPrograms(
@@ -333,8 +306,7 @@ class TickPrograms:
 
     def input(self, result: MathematicalProgramResult) -> Array:
         """Returns the input u of a solution of the QP, shape (m,)."""
-        y, back = result.get_x_val(), self.solved.as_projection()[2]
-        return self.solved.frame.input(y if back is None else back @ y)
+        return self.solved.frame.input(result.get_x_val())
 
     def log_det(self, result: MathematicalProgramResult) -> float:
         """Returns log det B of a solution of the cone program, in normalised inputs."""

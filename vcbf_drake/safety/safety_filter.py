@@ -20,7 +20,6 @@ from pydrake.systems.framework import (
 from vcbf_drake.barriers import Barrier, BarrierRows, BarrierSet, StateInputLimit
 from vcbf_drake.checks import Array, require
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
-from vcbf_drake.errors import EmptySetError
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.backup_rows import BackupRows, manoeuvres_of
 from vcbf_drake.safety.cached_system import CachedSystem
@@ -37,10 +36,9 @@ from vcbf_drake.safety.feasible_set import (
     DisturbanceKnowledge,
     FeasibleSet,
     feasible_set,
-    pack_feasible_set,
 )
 from vcbf_drake.safety.input_set import InputSet, check_inputs
-from vcbf_drake.safety.polytope import nearest_point
+from vcbf_drake.safety.polytope import emptiness_certificate
 from vcbf_drake.safety.qp import Frame, TickPrograms
 from vcbf_drake.safety.settings import METHODS, FilterSettings
 from vcbf_drake.safety.volume import Volume, VolumeMeasure, threshold_of, volume_row
@@ -271,13 +269,9 @@ class SafetyFilter(CachedSystem):
         None are named where none surely do.
         """
         limiting = np.isfinite(b).nonzero()[0]
-        num_firm = int(np.sum(limiting < len(self.input_set.b)))
-        try:
-            near = self.input_set.project(np.zeros(self.input_set.num_inputs))
-            nearest_point(A[limiting], b[limiting], near, num_firm)
-        except EmptySetError as error:
-            return tuple(self.row_names[limiting[row]] for row in error.conflict)
-        return ()
+        proof = emptiness_certificate(A[limiting], b[limiting])
+        conflict = () if proof is None else proof.conflict
+        return tuple(self.row_names[limiting[row]] for row in conflict)
 
     def knowledge(self, context: Context) -> DisturbanceKnowledge:
         """Returns the knowledge of the disturbance that this method uses."""
@@ -393,7 +387,8 @@ class SafetyFilter(CachedSystem):
     def _calc_packed_feasible_set(self, context: Context, output: BasicVector) -> None:
         feasible, known = self.feasible_set(context), self.volume(context)
         frame, center = self._measure.ellipsoid(feasible, known)
-        output.SetFromVector(pack_feasible_set(feasible.A, feasible.b, frame, center))
+        A, b = feasible.A, feasible.b
+        output.SetFromVector(np.concatenate([A.ravel(), b, frame.ravel(), center]))
 
 
 def _missing(setting: str) -> NoReturn:

@@ -120,7 +120,7 @@ class Volume(NamedTuple):
 
     def above(self, threshold: float) -> Volume:
         """Returns V_v, where this is det B: less its threshold xi."""
-        return self._replace(value=self.value - threshold)
+        return Volume(self.value - threshold, *self[1:])
 
     @property
     def is_on_plateau(self) -> bool:
