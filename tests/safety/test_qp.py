@@ -225,7 +225,7 @@ def test_a_volume_row_that_holds_after_all_has_no_slack(monkeypatch):
     def at_the_second(A, b, *others):
         attempts.append(others)
         if len(attempts) == 1:
-            raise EmptySetError(A, b, -1e-9)
+            raise EmptySetError(A, b, -1e-9, np.eye(len(b))[-1])
         return nearest_point(A, b, *others)
 
     monkeypatch.setattr(qp, "nearest_point", at_the_second)

@@ -208,7 +208,7 @@ def choose_input(
 
 
 def _solved(qp: QP, solver: str) -> tuple[Array, QP]:
-    """A QP's minimiser; a hard volume row is relaxed if it leaves none.
+    """A QP's minimiser; a hard volume row that leaves none is relaxed.
 
     Raises:
         EmptySetError: No input satisfies the rows that never give way, certified.
@@ -216,8 +216,8 @@ def _solved(qp: QP, solver: str) -> tuple[Array, QP]:
     """
     try:
         return qp.solved(solver), qp
-    except EmptySetError:
-        if not qp.has_hard_volume:
+    except EmptySetError as error:
+        if not (qp.has_hard_volume and qp.num_hard - 1 in error.conflict):
             raise
     relaxed = qp.relaxed()
     try:

@@ -188,7 +188,9 @@ class InscribedEllipsoidSolver:
             return inscribed_ellipsoid(rows, bounds)
         try:
             found = self._cut(rows, bounds)
-        except (EmptySetError, SolverError):
+        except EmptySetError as error:
+            raise EmptySetError(rows, bounds, error.inradius) from None
+        except SolverError:
             radius = chebyshev_ball(rows, bounds)[1]
             if radius < THINNEST:
                 raise EmptySetError(rows, bounds, radius) from None
@@ -206,9 +208,10 @@ class InscribedEllipsoidSolver:
     def _cut(self, A: Array, b: Array) -> Ellipsoid:
         """The same, of all rows, of unit length, with only the inputs that matter."""
         k, m = self._A.shape
-        cut = np.flatnonzero(A[k:].any(axis=0))
-        if not self._is_box or len(cut) == m:
+        matters = [any(column) for column in A[k:].T.tolist()]
+        if not self._is_box or all(matters):
             return _of_rows(A, b, self._solver, self._is_box)
+        cut = np.flatnonzero(matters)
         own = np.concatenate([cut, m + cut, np.arange(k, len(b))])
         found = _of_rows(A[own[:, None], cut], b[own], self._solver, True)
         center, frame = self.free.center.copy(), self.free.frame.copy()
@@ -226,10 +229,11 @@ def _of_rows(A: Array, b: Array, solver: str, is_box: bool) -> Ellipsoid:
     elif is_box and len(b) == 2 * m + 1 and b[-1] + np.abs(A[-1]).sum() > THINNEST:
         found = certified(A, b, *cut_box(A[-1], float(b[-1])))
     else:
-        tolerance, kept = _FAST_TOLERANCE, np.arange(len(b))
+        kept: NDArray[np.intp] | slice = slice(None)
+        tolerance, multipliers = _FAST_TOLERANCE, np.zeros(len(b))
         if m > FEW_INPUTS:
             tolerance, kept = _CAREFUL_TOLERANCE, _tightest(A, b, 2 * m * is_box)
-        rows, bounds, multipliers = A[kept], b[kept], np.zeros(len(b))
+        rows, bounds = A[kept], b[kept]
         program = EllipsoidProgram.of_size(*rows.shape, tolerance, solver, is_box)
         if guess := program.solve(rows, bounds):
             multipliers[kept] = guess[2]

@@ -124,11 +124,7 @@ class UnitRows:
         return self.A[~self.is_blank], self.b[~self.is_blank]
 
     def sizes(self, near: Array) -> Array:
-        """Returns the sizes of rows near a point, at most 1, shape (n,) (E72).
-
-        Far beyond a row that is short beside the others its size is what a distance
-        from it is to be compared with.
-        """
+        """Returns the sizes of rows near a point, at most 1, shape (n,) (E72)."""
         return np.minimum(np.abs(self.b) + np.abs(self.A) @ np.abs(near), 1.0)
 
     def as_given(self, multipliers: Array) -> Array:
@@ -172,11 +168,10 @@ def nearest_point(
     """
     rows = UnitRows(A, b)
     program = NearestPointProgram.of_size(*A.shape, solver)
-    proposal, touched = program.solve(rows.A, rows.b, reference), None
-    if proposal is not None:
-        distances = (rows.b - rows.A @ proposal).tolist()
-        touched = [i for i, each in enumerate(distances) if each < REACH]
-    for near in (touched, None):
+    proposal = program.solve(rows.A, rows.b, reference)
+    distances = [] if proposal is None else (rows.b - rows.A @ proposal).tolist()
+    touched = [i for i, each in enumerate(distances) if each < REACH]
+    for near in (touched, range(len(b))):
         found = nearest_by_active_set(rows.A, rows.b, reference, near)
         if is_optimal(found, rows, reference):
             return found.point
@@ -204,20 +199,23 @@ def minimise_linear(
     rows = UnitRows(A, b)
     firm = len(b) if num_firm is None else num_firm
     cost = cost / (float(np.linalg.norm(cost)) or 1.0)
-    found = LinearProgram.of_size(*A.shape).solve(_SHARPNESS * cost, rows.A, rows.b)
-    point = np.zeros(len(cost)) if found is None else found
+    proposal = LinearProgram.of_size(*A.shape).solve(_SHARPNESS * cost, rows.A, rows.b)
+    point = np.zeros(len(cost)) if proposal is None else proposal
     for step in _STEPS:
-        bounds = _opened(rows, firm, point, _LP_OPENING)
-        nearest = nearest_by_active_set(rows.A, bounds, point - step * cost)
-        _raise_if_empty(nearest, rows, bounds)
-        point, multipliers = nearest.point, nearest.multipliers / step
-        slack = bounds - rows.A @ point
+        found = nearest_by_active_set(rows.A, rows.b, point - step * cost)
+        if found.conflict is not None:
+            break
+        point, multipliers = found.point, found.multipliers / step
+        slack = rows.b - rows.A @ point
         # No point's cost is lower by more than weak duality allows (E75, weak duality).
         pull = np.abs(cost + multipliers @ rows.A) @ (_EXTENT + np.abs(point))
         gap = float(multipliers @ np.abs(slack) + pull)
-        size = float(multipliers @ np.abs(bounds) + np.abs(cost) @ np.abs(point))
+        size = float(multipliers @ np.abs(rows.b) + np.abs(cost) @ np.abs(point))
+        size = min(size, 1.0 + abs(float(cost @ point)))
         if gap <= _LP_GAP * size and (slack >= -_EXCESS * rows.sizes(point)).all():
             return point
+    bounds = _opened(rows, firm, found.point, _LP_OPENING)
+    _raise_if_empty(found, rows, bounds)
     point = _in_rationals(rows, bounds, -_DOWNHILL * cost)
     if np.abs(point).max() > _FARTHEST:
         raise SolverError("a linear program without a least", A, b)
