@@ -187,7 +187,7 @@ def _claim(directory: Path, settings: Settings) -> dict[str, Any]:
     """Returns the settings, after checking that the directory is for none but them."""
     claimed = dataclasses.asdict(settings) | {
         "versions": {name: version(name) for name in ("drake", "numpy")},
-        "code": _fingerprint(),
+        "code": code_fingerprint(),
     }
     path = directory / "settings.json"
     if path.exists() and json.loads(path.read_text()) != claimed:
@@ -200,8 +200,8 @@ def _claim(directory: Path, settings: Settings) -> dict[str, Any]:
     return claimed
 
 
-def _fingerprint() -> str:
-    """A hash of the code that simulates: what two versions ran must not be mixed."""
+def code_fingerprint() -> str:
+    """Returns a hash of the code that simulates: two versions' runs must not mix."""
     package, digest = Path(vcbf_drake.__file__).parent, hashlib.sha256()
     for path in sorted(package.rglob("*")):
         inside = path.relative_to(package)

@@ -12,6 +12,7 @@ import sys
 
 from tests.properties.campaign import run_properties
 from tests.properties.report import property_headline, property_markdown
+from vcbf_drake.errors import ScenarioError
 
 QUICK = 4000
 
@@ -32,13 +33,13 @@ def main() -> int:
     )
     options = parser.parse_args()
     ticks = QUICK if options.quick else options.ticks
-    counts = run_properties(
-        ticks,
-        options.out / "properties.jsonl",
-        options.seed,
-        options.workers,
-        progress=_show_progress,
-    )
+    path = options.out / "properties.jsonl"
+    try:
+        counts = run_properties(
+            ticks, path, options.seed, options.workers, progress=_show_progress
+        )
+    except ScenarioError as error:
+        parser.error(str(error))
     command = f"python -m tests.properties --ticks {ticks} --seed {options.seed}"
     page = options.out / "properties.md"
     page.write_text(property_markdown(counts, options.seed, command), encoding="utf-8")

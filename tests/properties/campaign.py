@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from examples.paper.archive import code_fingerprint
 from tests.properties.decision_check import UNSOLVED, Tick, broken_promises
 from tests.properties.hostile_states import PLANTS, random_decision
 from tests.properties.hostile_ticks import KINDS, random_input_set, random_tick
@@ -145,16 +146,17 @@ def run_properties(
         progress: Called after each block with the fraction that is done.
 
     Raises:
-        ScenarioError: The file holds something else than records of this campaign.
+        ScenarioError: The file holds something else than records of this campaign, or
+            those of other code.
     """
-    path = Path(path)
+    path, mine = Path(path), {"seed": seed, "code": code_fingerprint()}
     path.parent.mkdir(parents=True, exist_ok=True)
     wanted = range(-(-examples // BLOCK))
-    records = {record["block"]: record for record in _read(path, seed)}
+    records = {record["block"]: record for record in _read(path, mine)}
     missing = [block for block in wanted if block not in records]
     with path.open("a", encoding="utf-8", newline="\n") as file:
         for record in _run(missing, seed, workers):
-            file.write(json.dumps(record) + "\n")
+            file.write(json.dumps(record | mine) + "\n")
             file.flush()
             records[record["block"]] = record
             if progress is not None:
@@ -193,7 +195,6 @@ def run_block(seed: int, block: int) -> Record:
             failures.append({"number": number, "kind": kind, "broken": promises})
     return {
         "block": block,
-        "seed": seed,
         "statuses": [[*key, count] for key, count in sorted(statuses.items())],
         "broken": [[*key, count] for key, count in sorted(broken.items())],
         "failures": failures,
@@ -210,7 +211,7 @@ def _total(records: Iterable[Record]) -> PropertyCounts:
     return total
 
 
-def _read(path: Path, seed: int) -> Iterator[Record]:
+def _read(path: Path, mine: Record) -> Iterator[Record]:
     content = path.read_bytes() if path.exists() else b""
     lines = content.split(b"\n")
     if lines[-1]:  # It was cut short.
@@ -218,12 +219,12 @@ def _read(path: Path, seed: int) -> Iterator[Record]:
     for number, line in enumerate(lines[:-1], start=1):
         try:
             record = json.loads(line)
-            is_mine = record["seed"] == seed and isinstance(record["block"], int)
-        except (ValueError, KeyError, TypeError):
+            found = {key: record.get(key) for key in mine}
+            record["block"] = int(record["block"])
+        except (AttributeError, ValueError, KeyError, TypeError):
             raise ScenarioError(f"{path}:{number}: not a block of examples") from None
-        if not is_mine:
+        if found != mine:
             raise ScenarioError(
-                f"{path}:{number}: a block of seed {record['seed']}, not {seed};"
-                " use another file"
+                f"{path}:{number}: a block of {found}, not {mine}; use another file"
             )
         yield record

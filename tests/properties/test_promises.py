@@ -11,13 +11,19 @@ from hypothesis.extra.numpy import arrays
 import numpy as np
 import pytest
 
-from tests.properties.campaign import ALL_KINDS, decide, make_example
+from tests.properties.campaign import (
+    ALL_KINDS,
+    decide,
+    make_example,
+    run_properties,
+)
 from tests.properties.decision_check import (
     POLICIES,
     UNSOLVED,
     Tick,
     broken_promises,
 )
+from vcbf_drake.errors import ScenarioError
 from vcbf_drake.safety import FilterStatus, InputSet
 from vcbf_drake.safety.qp import VolumeRow
 
@@ -202,3 +208,19 @@ def test_a_failure_is_counted_only_where_all_data_are_numbers():
     assert broken_promises(example.tick, failed) == (UNSOLVED,)
     without_rates = dataclasses.replace(example.tick, rates=np.array([0.1, np.nan]))
     assert broken_promises(without_rates, failed) == ()
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        ('{"block": 0, "seed": 0, "code": "another"}', "'code': 'another'"),
+        ('{"block": 0, "seed": 0}', "'code': None"),
+        ('{"block": 0, "seed": 1}', "'seed': 1"),
+        ("[]", "not a block"),
+    ],
+)
+def test_records_of_other_code_or_seeds_are_refused(tmp_path, line, reason):
+    path = tmp_path / "properties.jsonl"
+    path.write_text(line + "\n")
+    with pytest.raises(ScenarioError, match=reason):
+        run_properties(1, path)
