@@ -39,11 +39,12 @@ def suboptimality(
         enough: A bound below this ends the search for a better one.
     """
     slack = h - G @ point
+    nearest = np.argsort(slack, kind="stable")  # The rows that matter come first.
     best = float(np.abs(gradient) @ reach)  # Without any multipliers.
     for search in (_in_floats, _in_rationals):
         for tolerance in _TOUCHING:
             if best > enough:
-                touching = np.flatnonzero(slack <= tolerance)
+                touching = nearest[slack[nearest] <= tolerance]
                 found = search(gradient, G, h, point, touching, reach, enough)
                 best = min(best, found)
     return best

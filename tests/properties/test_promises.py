@@ -120,6 +120,20 @@ def test_what_was_found(number):
     assert make_example(0, number).broken == ()
 
 
+# Far references, rows that only make up for rounding, and two that the checker missed.
+# fmt: off
+FOUND_LATER = (
+    23397, 76793, 147964, 161465, 357577, 425645, 427129, 490913, 492789, 565323,
+    754729, 842061, 842602, 876431, 937877, 964463, 984427, 991133,
+)
+# fmt: on
+
+
+@pytest.mark.parametrize("number", FOUND_LATER)
+def test_what_was_found_later(number):
+    assert make_example(2026, number).broken == ()
+
+
 @pytest.mark.parametrize("number", [1501, 3433, 3811, 8809, 14367])
 def test_slabs_that_are_empty_or_not_by_a_rounding(number):
     assert make_example(3, number).broken == ()

@@ -36,8 +36,8 @@ _EXCESS = 0.1 * FEASIBILITY_TOLERANCE
 _GAP = 1e-9
 # Multipliers of unit rows, scaled to sum 1, balance when |A'y| is below this.
 _BALANCE = 1e-12
-# Rows of a conflict that are lighter have no part in it.
-_LIGHTEST = 1e-10
+# Rows of a conflict that are lighter have no part in it, in floats and in rationals.
+_LIGHTEST, _NOISE = 1e-10, 1e-14
 # The relative accuracy of A v, compared with its terms.
 _ROUNDING = 1e-15
 # Rows this close to a solver's answer may be active.
@@ -229,11 +229,14 @@ def _in_rationals(rows: UnitRows, b: Array, reference: Array) -> Array:
         EmptySetError: No point satisfies the rows.
     """
     found = nearest_by_active_set(rows.A, b, reference, is_exact=True)
-    # Without rows that only make up for the rounding of the others, if that is a proof.
-    _raise_if_empty(found, rows, b)
-    if found.conflict is not None:
-        raise _empty(rows, found.conflict)
-    return found.point
+    if found.conflict is None:
+        return found.point
+    # Rows that only make up for the rounding of the others are not named: without them
+    # the proof holds for all points that are no further away than the rows.
+    z = found.conflict / found.conflict.sum()
+    heavy, reach = np.where(z > _NOISE * z.max(), z, 0.0), max(1.0, np.abs(b).max())
+    most = heavy @ b + reach * np.abs(heavy @ rows.A).sum()
+    raise _empty(rows, heavy if most < 0.5 * (z @ b) else z)
 
 
 def _opened(rows: UnitRows, num_firm: int, near: Array, opening: float) -> Array:
@@ -257,7 +260,7 @@ def is_optimal(found: Projection, rows: UnitRows, reference: Array) -> bool:
     away, size = math.sqrt(pull @ pull), math.sqrt(v @ v)
     rounding = _ROUNDING * (np.abs(rows.b) + size)
     gap = float(y @ (slack + rounding) + 0.5 * (error @ error))
-    if not gap <= _GAP * away * (away + size):
+    if not gap <= _GAP * min(1.0 + away, away * (away + size)):
         return False
     return min(slack.tolist(), default=0.0) >= 0.0 or bool(
         (slack >= -_EXCESS * rows.sizes(v)).all()
@@ -269,9 +272,6 @@ def _raise_if_empty(found: Projection, rows: UnitRows, bounds: Array) -> None:
 
     That is z of sum 1 with z'A = 0 to rounding, and z'b < 0 of the opened rows, for
     points that are no further away than the rows.
-
-    Raises:
-        EmptySetError: No point satisfies the rows.
     """
     if found.conflict is None:
         return
