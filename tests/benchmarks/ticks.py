@@ -15,8 +15,8 @@ from vcbf_drake.barriers.functions import as_expressions
 from vcbf_drake.checks import Array
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety import FilterSettings, InputSet, SafetyFilter, VolumeBarrier
-from vcbf_drake.safety.ellipsoid import InscribedEllipsoidSolver
 from vcbf_drake.safety.programs import SOLVERS
+from vcbf_drake.safety.volume import VolumeMeasure
 
 STAGES = ("rows", "feasible set", "volume", "QP", "tick")
 Times = Mapping[str, tuple[float, float]]
@@ -138,7 +138,7 @@ def agents_time(num_inputs: int, num_pairs: int, ticks: int) -> float:
     """
     generator, m = np.random.default_rng(0), num_inputs
     box, spent = InputSet.box(-np.ones(m), np.ones(m)), []
-    solver = InscribedEllipsoidSolver(box)
+    measure = VolumeMeasure(box)
     for _ in range(ticks + 1):
         A = np.zeros((num_pairs, m))
         for row in A.reshape(num_pairs, m // 2, 2):
@@ -147,7 +147,7 @@ def agents_time(num_inputs: int, num_pairs: int, ticks: int) -> float:
             row[pair[0]] = np.cos(angle), np.sin(angle)
             row[pair[1]] = -row[pair[0]]
         b = generator.uniform(0.1, 1.0, num_pairs)
-        spent.append(_timed(partial(solver.solve, A, b)))
+        spent.append(_timed(partial(measure.largest, A, b)))
     return float(1e6 * np.percentile(spent[1:], 10.0))
 
 

@@ -24,13 +24,13 @@ from vcbf_drake.safety import (
     SafetyFilter,
     VolumeBarrier,
     decision,
-    ellipsoid,
 )
 from vcbf_drake.safety.programs import (
     EllipsoidProgram,
     FixedProgram,
     NearestPointProgram,
 )
+from vcbf_drake.safety.volume import VolumeMeasure
 
 LIMITS = InputSet.box([-0.05, -0.2, -0.02], [0.25, 0.2, 0.02])
 
@@ -78,7 +78,7 @@ def test_every_answer_is_a_solved_programs(monkeypatch, capsys):
     for kind in (NearestPointProgram, EllipsoidProgram):
         monkeypatch.setattr(kind, "solve", counted(kind, kind.solve))
     cut = Counter()
-    chosen, largest = decision.choose_input, ellipsoid.InscribedEllipsoidSolver.solve
+    chosen, largest = decision.choose_input, VolumeMeasure.largest
 
     def choose(*arguments):
         before = solved[NearestPointProgram]
@@ -98,7 +98,7 @@ def test_every_answer_is_a_solved_programs(monkeypatch, capsys):
         return found
 
     monkeypatch.setattr("vcbf_drake.safety.safety_filter.choose_input", choose)
-    monkeypatch.setattr(ellipsoid.InscribedEllipsoidSolver, "solve", solve)
+    monkeypatch.setattr(VolumeMeasure, "largest", solve)
     scenario = load_scenario("blimp-multiple-obstacles", {"method": "dob-vcbf-qp"})
     assert simulate(scenario).summary["outcome"] == "reached"
     with capsys.disabled():

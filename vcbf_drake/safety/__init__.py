@@ -1,7 +1,6 @@
 """The mathematics of one control tick, and the Drake system that runs it."""
 
 from vcbf_drake.safety.assumptions import Assumption, assumptions
-from vcbf_drake.safety.certified_ellipsoid import Ellipsoid
 from vcbf_drake.safety.decision import (
     INFEASIBLE_POLICIES,
     FilterDecision,
@@ -10,7 +9,7 @@ from vcbf_drake.safety.decision import (
     RowHolder,
     Tick,
 )
-from vcbf_drake.safety.ellipsoid import inscribed_ellipsoid
+from vcbf_drake.safety.ellipsoid import Ellipsoid, inscribed_ellipsoid
 from vcbf_drake.safety.feasible_set import (
     DisturbanceKnowledge,
     FeasibleSet,

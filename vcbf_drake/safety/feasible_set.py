@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.checks import Array
-from vcbf_drake.safety.certified_ellipsoid import symmetric
+from vcbf_drake.safety.ellipsoid import symmetric
 from vcbf_drake.safety.input_set import InputSet
 
 

@@ -11,10 +11,15 @@ import numpy as np
 from vcbf_drake.checks import Array, check_parameter, require
 from vcbf_drake.errors import EmptySetError, SolverError, VcbfError
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety.certified_ellipsoid import Ellipsoid
-from vcbf_drake.safety.ellipsoid import THINNEST, InscribedEllipsoidSolver
+from vcbf_drake.safety.ellipsoid import (
+    THINNEST,
+    Ellipsoid,
+    ellipsoid_of_unit_rows,
+    inscribed_ellipsoid,
+)
 from vcbf_drake.safety.feasible_set import DisturbanceKnowledge, FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
+from vcbf_drake.safety.polytope import chebyshev_ball
 from vcbf_drake.safety.programs import DEFAULT_SOLVER
 from vcbf_drake.safety.qp import VolumeRow
 from vcbf_drake.typed import check_fields
@@ -140,16 +145,28 @@ class VolumeMeasure:
     Args:
         input_set: The inputs before any row cuts them.
         widening: kappa.
-        solver: The name of the solver that proposes ellipsoids.
+        solver: The name of the solver that proposes ellipsoids; where it takes no cone
+            programs, `DEFAULT_SOLVER` does.
+
+    Attributes:
+        free: The ellipsoid of the input set alone, where it is bounded.
     """
+
+    free: Ellipsoid
 
     def __init__(
         self, input_set: InputSet, widening: float = 1.0, solver: str = DEFAULT_SOLVER
     ) -> None:
-        self._input_set, self._widening = input_set, widening
-        self._solver = None
-        if input_set.is_bounded:
-            self._solver = InscribedEllipsoidSolver(input_set, solver)
+        self._input_set, self._widening, self._solver = input_set, widening, solver
+        if not input_set.is_bounded:
+            return
+        m, A, b = input_set.num_inputs, input_set.A_normalised, input_set.b_normalised
+        if input_set.is_box:
+            self.free = Ellipsoid(np.zeros(m), np.eye(m), 0.0, np.full(2 * m, 0.5), 0.0)
+        else:
+            self.free = inscribed_ellipsoid(A, b)
+        # Every answer on the plateau shares these.
+        self.free.center.flags.writeable = self.free.frame.flags.writeable = False
 
     def __call__(self, feasible: FeasibleSet) -> Volume | None:
         """Returns det B and its derivatives, by the envelope theorem (E58).
@@ -160,12 +177,12 @@ class VolumeMeasure:
         Args:
             feasible: The feasible set.
         """
-        if self._solver is None or not feasible.is_finite:
+        if not (self._input_set.is_bounded and feasible.is_finite):
             return None
         kappa, m = self._widening, self._input_set.num_inputs
         cut, A, b = feasible.cut_by(kappa)
         try:
-            found = self._solver.solve(A, b) if len(cut) else self._solver.free
+            found = self.largest(A, b) if len(cut) else self.free
         except EmptySetError:
             return self._constant(feasible, THINNEST**m, None)
         except (SolverError, np.linalg.LinAlgError):
@@ -224,14 +241,75 @@ class VolumeMeasure:
         inputs, m = self._input_set, self._input_set.num_inputs
         found = known.ellipsoid if known else None
         try:
-            if not found and self._solver:
-                found = self._solver.solve(*feasible.cut_by(1.0)[1:])
+            if not found and inputs.is_bounded:
+                found = self.largest(*feasible.cut_by(1.0)[1:])
         except (VcbfError, ValueError, np.linalg.LinAlgError):
             pass
         if found is None:
             return np.full((m, m), np.nan), np.full(m, np.nan)
         frame = inputs.scale[:, None] * found.frame
         return frame, inputs.center + inputs.scale * found.center
+
+    @np.errstate(over="ignore", divide="ignore", invalid="ignore")
+    def largest(self, A: Array, b: Array) -> Ellipsoid:
+        """Returns the largest ellipsoid in v of a bounded input set with ``A v <= b``.
+
+        When the input set's own meets every row, it is the answer: the plateau. Its
+        multipliers are those of `InputSet.A_normalised` (of a box +v_1, .., +v_m, -v_1,
+        .., -v_m), and then of the rows given.
+
+        Args:
+            A: The rows in normalised inputs, shape (N, m).
+            b: The right-hand sides, shape (N,).
+
+        Raises:
+            EmptySetError: Input set and rows have no interior in common, or one too
+                thin (an inradius below 1e-7) to be certified.
+            SolverError: No ellipsoid could be certified.
+            ValueError: Numbers that are not finite.
+        """
+        inputs, free, k = self._input_set, self.free, len(self.free.multipliers)
+        length = reach = np.sqrt(np.vecdot(A, A))
+        if not inputs.is_box:
+            reach = np.linalg.norm(A @ free.frame, axis=1)
+        if (reach <= b - A @ free.center).all():
+            multipliers = np.concatenate([free.multipliers, np.zeros(len(b))])
+            return free._replace(multipliers=multipliers)
+        lengths = length.tolist()
+        is_plain = 0.0 < min(lengths) and math.isfinite(sum(lengths) + sum(b.tolist()))
+        if is_plain:
+            A, b = A / length[:, None], b / length
+        A = np.concatenate([inputs.A_normalised, A])
+        b = np.concatenate([inputs.b_normalised, b])
+        if not is_plain:
+            return inscribed_ellipsoid(A, b)
+        try:
+            found = self._cut(A, b)
+        except SolverError:
+            radius = chebyshev_ball(A, b)[1]
+            if radius < THINNEST:
+                raise EmptySetError(A, b, radius) from None
+            raise
+        found.multipliers[k:] /= length
+        return found
+
+    def _cut(self, A: Array, b: Array) -> Ellipsoid:
+        """The same, of all rows, of unit length.
+
+        An input of a box that no other row mentions is an axis, of half-length 1.
+        """
+        is_box, m = self._input_set.is_box, A.shape[1]
+        matters = [any(column) for column in A[2 * m :].T.tolist()]
+        if not is_box or all(matters):
+            return ellipsoid_of_unit_rows(A, b, self._solver, is_box)
+        cut = np.flatnonzero(matters)
+        own = np.concatenate([cut, m + cut, np.arange(2 * m, len(b))])
+        found = ellipsoid_of_unit_rows(A[own[:, None], cut], b[own], self._solver, True)
+        center, frame = self.free.center.copy(), self.free.frame.copy()
+        center[cut], frame[cut[:, None], cut] = found.center, found.frame
+        multipliers = np.full(len(b), 0.5)
+        multipliers[own] = found.multipliers
+        return found._replace(center=center, frame=frame, multipliers=multipliers)
 
 
 def volume_row(
