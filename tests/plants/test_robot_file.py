@@ -50,8 +50,8 @@ def damping_force(plant: MultibodyPlant) -> np.ndarray:
 @pytest.mark.parametrize("file", [ARM, CART_POLE, PLANAR])
 def test_masses_and_dampings_scale(file: str) -> None:
     weld = "base" if file == ARM else ""
-    whole = RobotFile(file, weld).plant()
-    heavy = RobotFile(file, weld, mass=1.3, drag=0.5).plant()
+    whole = RobotFile(file, weld=weld).parse()
+    heavy = RobotFile(file, weld=weld, mass=1.3, drag=0.5).parse()
     M = mass_matrix(whole)
     np.testing.assert_allclose(mass_matrix(heavy), 1.3 * M, rtol=1e-12, atol=1e-15)
     damp = damping_force(whole)
@@ -62,14 +62,17 @@ def test_masses_and_dampings_scale(file: str) -> None:
 
 def test_joints_may_be_fixed_and_motors_chosen() -> None:
     plant = RobotFile(
-        ARM, "base", ["joint_2", "joint_4"], ["joint_6", "joint_7"]
-    ).plant()
+        ARM,
+        weld="base",
+        actuators=["joint_2", "joint_4"],
+        fixed=["joint_6", "joint_7"],
+    ).parse()
     assert plant.num_positions() == 5
     motors = map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
     assert [each.joint().name() for each in motors] == ["joint_2", "joint_4"]
     assert plant.GetEffortUpperLimits().tolist() == [300.0, 170.0]
     # All masses are still there.
-    whole = RobotFile(ARM, "base").plant()
+    whole = RobotFile(ARM, weld="base").parse()
     masses = [sum(each.default_mass() for each in bodies_of(p)) for p in (plant, whole)]
     assert masses[0] == pytest.approx(masses[1])
 
@@ -79,9 +82,9 @@ def test_motors_of_a_file_without_them_keep_its_efforts(tmp_path: Path) -> None:
     start, end = text.index("<transmission"), text.rindex("</transmission>")
     file = tmp_path / "planar_arm.urdf"
     file.write_text(text[:start] + text[end + len("</transmission>") :])
-    plant = RobotFile(str(file), actuators=["shoulder"]).plant()
+    plant = RobotFile(str(file), actuators=["shoulder"]).parse()
     assert plant.GetEffortUpperLimits().tolist() == [80.0]
-    plant = RobotFile(str(file)).plant()  # A motor at each.
+    plant = RobotFile(str(file)).parse()  # A motor at each.
     assert plant.GetEffortUpperLimits().tolist() == [80.0, 40.0]
 
 
@@ -118,7 +121,7 @@ def test_packages_around_the_file_are_known(tmp_path: Path) -> None:
         "<sdf version='1.7'><model name='two'><include><uri>package://mine/sdf/cart.sdf"
         "</uri></include></model></sdf>"
     )
-    assert RobotFile(str(tmp_path / "two.sdf")).plant().num_positions() == 2
+    assert RobotFile(str(tmp_path / "two.sdf")).parse().num_positions() == 2
 
 
 def test_joints_that_mimic_others_have_to_be_fixed(tmp_path: Path) -> None:
@@ -127,8 +130,8 @@ def test_joints_that_mimic_others_have_to_be_fixed(tmp_path: Path) -> None:
     file = tmp_path / "mimic.urdf"
     file.write_text(text.replace(mark, f"{mark}<mimic joint='shoulder'/>"))
     with pytest.raises(InvalidValueError, match=r"^fixed: joints that mimic .* elbow$"):
-        RobotFile(str(file)).plant()
-    plant = RobotFile(str(file), fixed=["elbow"]).plant()
+        RobotFile(str(file)).parse()
+    plant = RobotFile(str(file), fixed=["elbow"]).parse()
     assert plant.GetStateNames() == ["mimic_shoulder_q", "mimic_shoulder_w"]
 
 
@@ -142,13 +145,16 @@ def test_joints_that_mimic_others_have_to_be_fixed(tmp_path: Path) -> None:
         ),
         (RobotFile(__file__), "a URDF or SDFormat file"),
         (RobotFile(ARM), "it does not move: .* body base .*; weld: base fixes the"),
-        (RobotFile(ARM, "base", fixed=["joint_9"]), "fixed: 'joint_9'; .* joint_1"),
+        (
+            RobotFile(ARM, weld="base", fixed=["joint_9"]),
+            "fixed: 'joint_9'; .* joint_1",
+        ),
         (RobotFile(PLANAR, weld="stand"), "weld: 'stand'; .* has fixed it already"),
     ],
 )
 def test_wrong_files_are_refused_in_one_line(robot: RobotFile, message: str) -> None:
     with pytest.raises(InvalidValueError, match=message) as caught:
-        robot.plant()
+        robot.parse()
     assert "\n" not in str(caught.value)
 
 

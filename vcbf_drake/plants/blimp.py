@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.common.containers import namedview
 from pydrake.math import cos, sin
 from pydrake.systems.framework import BasicVector_, LeafSystem_, System
 from pydrake.systems.scalar_conversion import TemplateSystem
@@ -37,13 +36,6 @@ from vcbf_drake.typed import (
     check_type,
     typed,
 )
-
-# Position and inertial velocity [m, m/s], heading and its rate [rad, rad/s].
-BlimpState = namedview(
-    "BlimpState", ["x", "y", "z", "yaw", "vx", "vy", "vz", "yaw_rate"]
-)
-# Forces along the body's forward axis and up [N], moment about the vertical [N m].
-BlimpInput = namedview("BlimpInput", ["surge_force", "heave_force", "yaw_moment"])
 
 
 @dataclass
@@ -89,41 +81,6 @@ class BlimpParameters(Checked):
         ]
 
 
-def _blimp_state_rate(
-    state: Sequence[Any],
-    force: Sequence[Any],
-    disturbance: Sequence[Any],
-    parameters: Sequence[Any],
-) -> list[Any]:
-    """The right-hand side of (E76, the blimp), for unequal surge and sway too."""
-    _, _, _, yaw, vx, vy, vz, r = state
-    f_x, f_z, tau = force
-    d_x, d_y, d_z = disturbance
-    mass, added_x, added_y, added_z, D_x, D_y, D_z, I_z, D_r = parameters
-    m_x, m_y, m_z = mass + added_x, mass + added_y, mass + added_z
-    c, s = cos(yaw), sin(yaw)
-
-    # What unequal surge and sway add to (E76), in body axes: surge and sway
-    # accelerations and the Munk moment. Equal ones make the factors exact zeros, so
-    # that a symbolic f is then free of yaw and yaw rate.
-    surge, sway = c * vx + s * vy, c * vy - s * vx
-    a_surge = (m_y - m_x) / m_x * (r * sway)
-    a_sway = (m_y - m_x) / m_y * (r * surge) + (D_x / m_x - D_y / m_y) * sway
-    munk_moment = (m_x - m_y) * (surge * sway)
-
-    thrust = f_x / m_x + a_surge
-    return [
-        vx,
-        vy,
-        vz,
-        r,
-        c * thrust - s * a_sway - D_x / m_x * vx + d_x,
-        s * thrust + c * a_sway - D_x / m_x * vy + d_y,
-        (f_z - D_z * vz) / m_z + d_z,
-        (tau + munk_moment - D_r * r) / I_z,
-    ]
-
-
 # With the scope given, Drake need not inspect the stack for it, which is slow.
 @TemplateSystem.define(  # type: ignore[untyped-decorator]
     "Blimp_", scope=sys.modules[__name__]
@@ -142,10 +99,10 @@ def Blimp_(T: type) -> type:
         The context holds the physical parameters, in the order of BlimpParameters.
         """
 
-        state_names = BlimpState.get_fields()
+        state_names = ("x", "y", "z", "yaw", "vx", "vy", "vz", "yaw_rate")
         wrapped_states = ("yaw",)
         state_units = (*3 * ("m",), "rad", *3 * ("m/s",), "rad/s")
-        input_names = BlimpInput.get_fields()
+        input_names = ("surge_force", "heave_force", "yaw_moment")
         input_units = ("N", "N", "N m")
         disturbance_names = ("d_x", "d_y", "d_z")
         disturbance_units = 3 * ("m/s²",)
@@ -178,16 +135,34 @@ def Blimp_(T: type) -> type:
             ]
 
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
+            """The right-hand side of (E76), for unequal surge and sway too."""
+            state = context.get_continuous_state_vector().CopyToVector()
+            _, _, _, yaw, vx, vy, vz, r = state.tolist()
+            f_x, f_z, tau = self._input.Eval(context).tolist()
             disturbed = self._disturbance.HasValue(context)
-            state_rate = _blimp_state_rate(
-                state=context.get_continuous_state_vector().CopyToVector().tolist(),
-                force=self._input.Eval(context).tolist(),
-                disturbance=(
-                    self._disturbance.Eval(context).tolist() if disturbed else 3 * [0.0]
-                ),
-                parameters=context.get_numeric_parameter(0).CopyToVector().tolist(),
-            )
-            derivatives.get_mutable_vector().SetFromVector(np.array(state_rate))
+            d = self._disturbance.Eval(context).tolist() if disturbed else 3 * [0.0]
+            p = context.get_numeric_parameter(0).CopyToVector().tolist()
+            mass, added_x, added_y, added_z, D_x, D_y, D_z, I_z, D_r = p
+            m_x, m_y, m_z = mass + added_x, mass + added_y, mass + added_z
+            c, s = cos(yaw), sin(yaw)
+
+            # What unequal surge and sway add to (E76), in body axes: surge and sway
+            # accelerations and the Munk moment. Equal ones make the factors exact
+            # zeros, so that a symbolic f is then free of yaw and yaw rate.
+            surge, sway = c * vx + s * vy, c * vy - s * vx
+            a_surge = (m_y - m_x) / m_x * (r * sway)
+            a_sway = (m_y - m_x) / m_y * (r * surge) + (D_x / m_x - D_y / m_y) * sway
+            munk_moment = (m_x - m_y) * (surge * sway)
+
+            thrust = f_x / m_x + a_surge
+            rate = [
+                *(vx, vy, vz, r),
+                c * thrust - s * a_sway - D_x / m_x * vx + d[0],
+                s * thrust + c * a_sway - D_x / m_x * vy + d[1],
+                (f_z - D_z * vz) / m_z + d[2],
+                (tau + munk_moment - D_r * r) / I_z,
+            ]
+            derivatives.get_mutable_vector().SetFromVector(np.array(rate))
 
     return Impl
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.common.containers import namedview
 from pydrake.math import cos, sin
 from pydrake.systems.framework import BasicVector_, LeafSystem_, System
 from pydrake.systems.scalar_conversion import TemplateSystem
@@ -36,11 +35,6 @@ from vcbf_drake.typed import (
     check_type,
     typed,
 )
-
-# Position [m], signed forward speed [m/s], heading [rad].
-CarState = namedview("CarState", ["x", "y", "speed", "heading"])
-# Force along the heading [N], rate of the heading [rad/s].
-CarInput = namedview("CarInput", ["acceleration_force", "turn_rate"])
 
 
 @dataclass
@@ -72,10 +66,10 @@ def Car_(T: type) -> type:
         The context holds the mass [kg] as its one parameter.
         """
 
-        state_names = CarState.get_fields()
+        state_names = ("x", "y", "speed", "heading")
         wrapped_states = ("heading",)
         state_units = ("m", "m", "m/s", "rad")
-        input_names = CarInput.get_fields()
+        input_names = ("acceleration_force", "turn_rate")
         input_units = ("N", "rad/s")
         disturbance_names = ("d",)
         disturbance_units = ("m/s²",)

@@ -17,7 +17,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import System
 
 from vcbf_drake.barriers import Barrier, StateInputLimit
-from vcbf_drake.checks import Array, check_parameter, require
+from vcbf_drake.checks import Array, check_parameter, finite_array, require
 from vcbf_drake.errors import InvalidValueError, below
 from vcbf_drake.model.interface import (
     find_input_port,
@@ -26,7 +26,7 @@ from vcbf_drake.model.interface import (
 )
 from vcbf_drake.plants.shapes import Part
 from vcbf_drake.plants.vehicle import Vehicle, channels_of
-from vcbf_drake.typed import check_fields, members_of, tag_of
+from vcbf_drake.typed import check_fields, check_type, members_of, tag_of
 
 _SCALARS = (float, int, bool, str, types.NoneType)
 _LARGEST = 1e15  # Of a scenario's numbers, and of what its plant makes of them.
@@ -36,21 +36,26 @@ _COLOR = re.compile("#[0-9a-fA-F]{6}")
 def checked_plant(vehicle: Vehicle) -> System:
     """Returns a vehicle's plant after checks of parameters, channels and position."""
     _check_parameters(vehicle)
-    plant = vehicle.make_plant()
-    _require(isinstance(plant, System), "make_plant()", plant, "a Drake System")
-    size = state_port_of(plant).size()
+    plant, at = vehicle.make_plant(), getattr(vehicle, "position", None)
     with below("vehicle"):
+        require(isinstance(plant, System), "make_plant()", plant, "a Drake System")
+        indices = range(state_port_of(plant).size())
         channels_of(plant)
-    rule = f"indices of the state, whole numbers from 0 to {size - 1}"
-    turn, at = vehicle.heading, getattr(vehicle, "position", None)
-    if turn is not None:
-        _require(_is_index(turn, size), "heading", turn, f"None, or one of the {rule}")
-    if not callable(at):
-        found = at if isinstance(at, Sequence) else ()
-        known = all(_is_index(i, size) for i in found) and len({*found}) == len(found)
-        rule = f"1 to 3 different {rule}, or a function of the state"
-        _require(known and 1 <= len(found) <= 3, "position", at, rule)
+        rule = f"indices of the state, whole numbers from 0 to {indices[-1]}"
+        turn = vehicle.heading
+        known = turn is None or (_are_whole([turn]) and turn in indices)
+        require(known, "heading", turn, f"None, or one of the {rule}")
+        if not callable(at):
+            found = [*at] if isinstance(at, Sequence) else []
+            known = _are_whole(found) and {*found} <= {*indices}
+            known = known and 1 <= len({*found}) == len(found) <= 3
+            rule = f"1 to 3 different {rule}, or a function of the state"
+            require(known, "position", at, rule)
     return plant
+
+
+def _are_whole(values: Sequence[Any]) -> bool:
+    return all(isinstance(v, Integral) and not isinstance(v, bool) for v in values)
 
 
 def num_coordinates(vehicle: Vehicle, state: Sequence[float]) -> int:
@@ -58,13 +63,10 @@ def num_coordinates(vehicle: Vehicle, state: Sequence[float]) -> int:
     at = vehicle.position
     if not callable(at):
         return len(at)
+    path, rule = ("vehicle", "position(state)"), "1 to 3 finite numbers"
     found = at(np.array(state, dtype=float))
-    try:
-        place = np.asarray(found, dtype=float)
-    except (TypeError, ValueError):
-        place = np.zeros(0)
-    known = place.ndim == 1 and 1 <= place.size <= 3 and bool(np.isfinite(place).all())
-    _require(known, "position(state)", found, "1 to 3 finite numbers")
+    place = finite_array(found, path, 1, rule)
+    require(1 <= place.size <= 3, path, found, rule)
     return place.size
 
 
@@ -76,27 +78,15 @@ def check_returns(
     `inputs` are the least and the greatest inputs.
     """
     _check_motion(vehicle, state, inputs)
-    _check_controller(vehicle.make_controller(target), vehicle.make_plant())
-    rule = "a StateInputLimit or a Barrier, as barriers(gains) of a StateLimit makes"
-    _check_list("barriers()", vehicle.barriers(), Barrier | StateInputLimit, rule)
-    pose, poses = vehicle.pose(state), vehicle.poses(state)
-    rule = "a RigidTransform"
-    _require(isinstance(pose, RigidTransform), "pose(state)", pose, rule)
-    known = isinstance(poses, dict) and all(
-        isinstance(each, RigidTransform) for each in poses.values()
-    )
-    _require(known, "poses(state)", poses, f"a dict of names, each with {rule}")
-    _check_parts(vehicle.geometry("#000000"), [*poses])
-
-
-def _require(allowed: bool, member: str, value: object, rule: str) -> None:
-    require(allowed, ("vehicle", member), value, rule)
-
-
-def _check_list(member: str, found: Any, kind: Any, rule: str) -> None:
-    _require(isinstance(found, list | tuple), member, found, "a list")
-    for i, each in enumerate(found):
-        _require(isinstance(each, kind), f"{member}[{i}]", each, rule)
+    with below("vehicle"):
+        _check_controller(vehicle.make_controller(target), vehicle.make_plant())
+        check_type("barriers()", vehicle.barriers(), list[Barrier | StateInputLimit])
+        check_type("pose(state)", vehicle.pose(state), RigidTransform)
+        poses = vehicle.poses(state)
+        check_type("poses(state)", poses, dict)
+        for name, pose in poses.items():
+            check_type(("poses(state)", name), pose, RigidTransform)
+        _check_parts(vehicle.geometry("#000000"), [*poses])
 
 
 def _check_parameters(vehicle: Vehicle) -> None:
@@ -114,11 +104,9 @@ def _check_parameters(vehicle: Vehicle) -> None:
     for each in fields(kind):
         if not _is_parameter(hints[each.name]):
             name = str(each.type).removeprefix("<class '").removesuffix("'>")
-            raise InvalidValueError(
-                ("vehicle", each.name),
-                f"of type {name}; it must be float, int, bool, str, a list or tuple of"
-                " one of these, or a dataclass of such fields",
-            )
+            problem = f"of type {name}; it must be float, int, bool, str, a list or"
+            problem += " tuple of one of these, or a dataclass of such fields"
+            raise InvalidValueError(("vehicle", each.name), problem)
     with below("vehicle"):
         check_fields(vehicle)
         _check_numbers(vehicle)
@@ -137,11 +125,6 @@ def _is_member(hint: Any) -> bool:
         hints = get_type_hints(hint)
         return all(_is_parameter(hints[each.name]) for each in fields(hint))
     return hint in _SCALARS or get_origin(hint) is Literal
-
-
-def _is_index(value: Any, size: int) -> bool:
-    is_whole = isinstance(value, Integral) and not isinstance(value, bool)
-    return is_whole and 0 <= int(value) < size
 
 
 def _check_motion(vehicle: Vehicle, state: Array, inputs: Sequence[Array]) -> None:
@@ -185,7 +168,7 @@ def _check_numbers(made: Any) -> None:
 
 def _check_controller(controller: Any, plant: System) -> None:
     where = "make_controller(target)"
-    _require(isinstance(controller, System), where, controller, "a Drake System")
+    require(isinstance(controller, System), where, controller, "a Drake System")
     inputs = map(controller.get_input_port, range(controller.num_input_ports()))
     outputs = map(controller.get_output_port, range(controller.num_output_ports()))
     for kind, ports, name, size in (
@@ -194,18 +177,18 @@ def _check_controller(controller: Any, plant: System) -> None:
     ):
         found = {port.get_name(): port.size() for port in ports}
         rule = f"a system with {kind} port {name} of size {size}"
-        _require(found.get(name) == size, f"{where}: {kind} ports", found, rule)
+        require(found.get(name) == size, f"{where}, {kind} ports", found, rule)
 
 
 def _check_parts(parts: Any, bodies: Sequence[str]) -> None:
-    _check_list("geometry(color)", parts, Part, "a Part")
+    check_type("geometry(color)", parts, list[Part])
     for i, part in enumerate(parts):
-        place = f"geometry(color)[{i}]"
+        place = "geometry(color)", i
         known = part.color is None or bool(_COLOR.fullmatch(str(part.color)))
         rule = "hexadecimal, #rrggbb, or None"
-        _require(known, f"{place}.color", part.color, rule)
+        require(known, (*place, "color"), part.color, rule)
         rule = f"a body of poses(state): {', '.join(map(repr, bodies))}"
-        _require(part.body in bodies, f"{place}.body", part.body, rule)
+        require(part.body in bodies, (*place, "body"), part.body, rule)
         if isinstance(part.shape, Mesh | Convex) and part.shape.source().is_path():
             file = Path(part.shape.source().path())
-            _require(file.is_file(), f"{place}.shape", str(file), "a file that exists")
+            require(file.is_file(), (*place, "shape"), str(file), "a file that exists")

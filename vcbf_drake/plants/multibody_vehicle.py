@@ -18,7 +18,6 @@ from pydrake.systems.framework import System
 from vcbf_drake.barriers import Barrier, StateInputLimit, StateLimit
 from vcbf_drake.checks import Array, check_finite, check_parameter, require_choice
 from vcbf_drake.errors import below
-from vcbf_drake.files import IS_FILE
 from vcbf_drake.model.interface import unit_quaternions
 from vcbf_drake.model.position import Position, frames_of, point_position
 from vcbf_drake.plants.robot_controllers import (
@@ -30,34 +29,26 @@ from vcbf_drake.plants.robot_controllers import (
 from vcbf_drake.plants.robot_file import RobotFile, bodies_of, joints_of
 from vcbf_drake.plants.shapes import Part
 from vcbf_drake.plants.vehicle import Vehicle
-from vcbf_drake.typed import NotNegative, Positive, check_fields
+from vcbf_drake.typed import Positive, check_fields
 
 _BALL = 0.02  # The radius of the ball that marks the point in pictures [m].
 
 
 @dataclass
-class MultibodyVehicle(Vehicle):
+class MultibodyVehicle(RobotFile, Vehicle):
     """A robot from a URDF or SDFormat file, on a base that is fixed or floats.
 
     One of Drake's own controllers takes a point of it to the target; ranges and speeds
     of the joints as the file has them are barriers, its efforts the input set.
 
     Attributes:
-        file: Path of the file, relative to the scenario's, or ``package://NAME/...``.
         frame: The body or frame of the point that moves to the target.
         point: Coordinates of the point in that frame [m].
-        weld: The body to fix to the world; empty if the file fixes one, or the base
-            floats.
-        actuators: The actuated joints; empty for those of the file, or all joints if it
-            declares none.
-        fixed: The locked joints, for example a gripper's.
         controller: Drake's controller, towards a posture with the point at the target.
         posture: Positions near which a posture is chosen if several reach the target,
             (nq,); empty for 0.1 each.
         range_gains: K of (E4, gains and decay rates) for the joints' ranges.
         speed_gain: k_1 of (E4) for their speeds [1/s].
-        mass: Ratio of masses and inertias to those of the file.
-        drag: Ratio of joint dampings to those of the file.
     """
 
     # The new keys of values in older files.
@@ -66,20 +57,14 @@ class MultibodyVehicle(Vehicle):
         "damping": "vehicle.controller.damping",
     }
 
-    file: str = field(metadata=IS_FILE)
     frame: str
     point: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
-    weld: str = ""
-    actuators: list[str] = field(default_factory=list)
-    fixed: list[str] = field(default_factory=list)
     controller: InverseDynamics | JointStiffness | Lqr = field(
         default_factory=InverseDynamics
     )
     posture: list[float] = field(default_factory=list)
     range_gains: list[float] = field(default_factory=lambda: [10.0, 25.0])
     speed_gain: Positive = 10.0
-    mass: Positive = 1.0
-    drag: NotNegative = 1.0
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -96,18 +81,13 @@ class MultibodyVehicle(Vehicle):
     def __getstate__(self) -> dict[str, Any]:
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
-    @property
-    def _robot(self) -> RobotFile:
-        changes = self.actuators, self.fixed, self.mass, self.drag
-        return RobotFile(self.file, self.weld, *changes)
-
     def make_plant(self) -> MultibodyPlant:
         """Returns the robot's plant: the same one at every call."""
         return self._plant
 
     @cached_property
     def _plant(self) -> MultibodyPlant:
-        return self._robot.plant()
+        return self.parse()
 
     @cached_property
     def _place(self) -> Any:
@@ -171,7 +151,7 @@ class MultibodyVehicle(Vehicle):
         A body without geometry that Drake draws is shown as rods between its joints.
         """
         scene_graph = SceneGraph()
-        plant = self._robot.plant(scene_graph)
+        plant = self.parse(scene_graph)
         inspector = scene_graph.model_inspector()
         parts = [Part("point", Sphere(_BALL), color)]
         for body in bodies_of(plant):

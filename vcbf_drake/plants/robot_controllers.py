@@ -24,6 +24,7 @@ from pydrake.systems.primitives import ConstantVectorSource
 from vcbf_drake.checks import Array, check_finite, require
 from vcbf_drake.errors import InvalidValueError
 from vcbf_drake.model.interface import actuators_of
+from vcbf_drake.plants.controllers import StateFeedback
 from vcbf_drake.plants.robot_file import how_to_fix
 from vcbf_drake.plants.vehicle import channels_of
 from vcbf_drake.typed import Checked, NotNegative, Positive
@@ -175,11 +176,9 @@ class Lqr(Checked):
             problem = f"!Lqr: {str(error).splitlines()[0]}"
             rule = "one for a robot that its motors can hold at the target"
             require(False, ("vehicle", "controller"), problem, rule)
-        builder = DiagramBuilder()
-        builder.AddNamedSystem("lqr", law)
-        builder.ExportInput(law.get_input_port(), "state")
-        builder.ExportOutput(law.get_output_port(), "reference")
-        return builder.Build()
+        return StateFeedback(
+            lambda x: law.D() @ x + law.y0(), len(Q), plant.num_actuators()
+        )
 
 
 def is_driven(plant: MultibodyPlant) -> bool:

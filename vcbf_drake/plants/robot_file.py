@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 import logging
@@ -22,10 +22,11 @@ from pydrake.multibody.tree import Joint, ModelInstanceIndex, RigidBody
 
 from vcbf_drake.checks import Array, require, require_choice
 from vcbf_drake.errors import InvalidValueError
+from vcbf_drake.files import IS_FILE
 from vcbf_drake.model.interface import actuators_of
+from vcbf_drake.typed import NotNegative, Positive
 
-_KINDS = (".urdf", ".sdf", ".xml", ".yaml")  # The formats that Drake's Parser reads.
-_CHANGEABLE = (".urdf", ".sdf")
+_KINDS = (".urdf", ".sdf")
 _STL = ".stl"
 _CELLS = 100  # The resolution of a drawn mesh: positions along its longest side.
 # The meshes that are drawn: those of Meshcat, and STL, which is converted.
@@ -34,40 +35,53 @@ _LOGGER = logging.getLogger("vcbf_drake")
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
-@dataclass(frozen=True)
+@dataclass
 class RobotFile:
-    """A robot's file, and the changes made to it, as in `MultibodyVehicle`."""
+    """A robot's file, and the changes made to it.
 
-    file: str
-    weld: str = ""
-    actuators: Sequence[str] = ()
-    fixed: Sequence[str] = ()
-    mass: float = 1.0
-    drag: float = 1.0
+    Attributes:
+        file: Path of the file, relative to the scenario's, or ``package://NAME/...``.
+        weld: The body to fix to the world; empty if the file fixes one, or the base
+            floats.
+        actuators: The actuated joints; empty for those of the file, or all joints if it
+            declares none.
+        fixed: The locked joints, for example a gripper's.
+        mass: Ratio of masses and inertias to those of the file.
+        drag: Ratio of joint dampings to those of the file.
+    """
 
-    def plant(self, scene_graph: SceneGraph | None = None) -> MultibodyPlant:
+    file: str = field(metadata=IS_FILE)
+    weld: str = field(default="", kw_only=True)
+    actuators: list[str] = field(default_factory=list, kw_only=True)
+    fixed: list[str] = field(default_factory=list, kw_only=True)
+    mass: Positive = field(default=1.0, kw_only=True)
+    drag: NotNegative = field(default=1.0, kw_only=True)
+
+    def parse(self, scene_graph: SceneGraph | None = None) -> MultibodyPlant:
         """Returns the robot's continuous plant, with its geometry for a scene graph."""
         plant = MultibodyPlant(0.0)
         if scene_graph is not None:
             plant.RegisterAsSourceForSceneGraph(scene_graph)
         parser = Parser(plant)
         path = self._path(parser.package_map())
+        shown = None if scene_graph is None else parser.package_map()
         try:
+            robot = ElementTree.parse(path).getroot()
+            efforts = dict(_efforts(robot))
+            self._change(robot, path, shown)
+            text = ElementTree.tostring(robot, "unicode")
             with _warned_once(self.file):
-                if path.suffix in _CHANGEABLE:
-                    shown = None if scene_graph is None else parser.package_map()
-                    text = self._changed(path, shown)
-                    parser.AddModelsFromString(text, path.suffix[1:])
-                else:
-                    self._require_unchanged()
-                    parser.AddModels(str(path))
+                parser.AddModelsFromString(text, path.suffix[1:])
         except InvalidValueError:
             raise
         except (RuntimeError, ValueError, ElementTree.ParseError) as error:
             problem = f"{self.file!r}; Drake does not read it: {error}"
             raise InvalidValueError("file", " ".join(problem.split())) from None
-        self._choose_actuators(plant, path)
+        self._choose_actuators(plant, efforts)
         self._weld(plant)
+        for joint in joints_of(plant):
+            damping = self.drag * joint.default_damping_vector()
+            joint.set_default_damping_vector(damping)
         try:
             plant.Finalize()
             context = plant.CreateDefaultContext()
@@ -108,25 +122,18 @@ class RobotFile:
                 packages.Add(above.name, str(above))
         return path
 
-    def _require_unchanged(self) -> None:
-        is_changed = self.fixed or self.mass != 1.0 or self.drag != 1.0
-        rule = "URDF or SDFormat, where mass, drag or fixed change something"
-        require(not is_changed, "file", self.file, rule)
+    def _change(self, robot: Element, path: Path, packages: PackageMap | None) -> None:
+        """Fixes joints, scales masses and finds meshes.
 
-    def _changed(self, path: Path, packages: PackageMap | None) -> str:
-        """The file's text with joints fixed, other masses and other dampings.
-
-        It keeps only geometry that can be drawn, or none without packages: Drake would
+        Only geometry that can be drawn is kept, or none without packages: Drake would
         reject a file for some other geometry.
         """
-        robot = ElementTree.parse(path).getroot()
         if robot.tag == "robot" and not robot.get("name"):
             robot.set("name", path.stem)
         self._fix_joints(robot)
-        scales = dict.fromkeys(("mass", "inertia", *_INERTIA), self.mass)
-        scales |= dict.fromkeys(("dynamics", "damping"), self.drag)
         for each in robot.iter():
-            _multiply(each, scales.get(each.tag, 1.0))
+            if each.tag in ("mass", "inertia", *_INERTIA) and self.mass != 1.0:
+                _multiply(each, self.mass)
             if "://" not in (url := each.get("filename", "://")):
                 each.set("filename", (path.parent / url).resolve().as_uri())
             if each.tag == "uri" and "://" not in (each.text or "://"):
@@ -136,7 +143,6 @@ class RobotFile:
         if rods:
             drawn, names = ", ".join(_DRAWN), ", ".join(rods)
             _tell(f"{self.file}: meshes that are drawn are {drawn}; rods for {names}")
-        return ElementTree.tostring(robot, "unicode")
 
     def _fix_joints(self, robot: Element) -> None:
         """Fixes joints; Drake has those that mimic others only in discrete time."""
@@ -163,16 +169,20 @@ class RobotFile:
             problem = "joints that mimic others move in discrete time alone; add"
             raise InvalidValueError("fixed", f"{problem} {', '.join(mimics)}")
 
-    def _choose_actuators(self, plant: MultibodyPlant, path: Path) -> None:
+    def _choose_actuators(
+        self, plant: MultibodyPlant, efforts: Mapping[str, float]
+    ) -> None:
         """Gives a motor to the chosen joints alone."""
-        joints = {each.name(): each for each in joints_of(plant) if _is_single(each)}
+        joints = {
+            each.name(): each for each in joints_of(plant) if each.num_velocities() == 1
+        }
         has = {each.joint().name(): each for each in actuators_of(plant)}
         wanted = self.actuators or [*has] or [*joints]
         require(bool(wanted), "file", self.file, "a robot with joints that move")
         for name in wanted:
             require_choice("actuators", name, [*joints])
             if name not in has:
-                effort = _efforts(path).get(name, math.inf)
+                effort = efforts.get(name, math.inf)
                 plant.AddJointActuator(name, joints[name], effort)
         for name, actuator in has.items():
             if name not in wanted:
@@ -233,31 +243,21 @@ def joints_of(plant: MultibodyPlant) -> list[Joint]:
     return [plant.get_joint(index) for index in plant.GetJointIndices()]
 
 
-def _is_single(joint: Joint) -> bool:
-    return bool(joint.num_velocities() == 1)
-
-
 def _multiply(element: Element, factor: float) -> None:
     """Multiplies an element's numbers: attributes in URDF, its text in SDFormat."""
-    if factor == 1.0:
-        return
-    for name in set(element.keys()) & {"value", "damping", *_INERTIA}:
+    for name in set(element.keys()) & {"value", *_INERTIA}:
         element.set(name, repr(factor * float(element.attrib[name])))
     if (element.text or "").strip():
         element.text = repr(factor * float(str(element.text)))
 
 
-def _efforts(path: Path) -> dict[str, float]:
+def _efforts(robot: Element) -> Iterator[tuple[str, float]]:
     """The effort limits of a file's joints, which Drake keeps only for motors."""
-    if path.suffix not in _CHANGEABLE:
-        return {}
-    found = {}
-    for joint in ElementTree.parse(path).getroot().iter("joint"):
+    for joint in robot.iter("joint"):
         for limit in joint.iter("limit"):
             effort = limit.get("effort") or limit.findtext("effort")
             if effort is not None and float(effort) > 0.0:
-                found[str(joint.get("name"))] = float(effort)
-    return found
+                yield str(joint.get("name")), float(effort)
 
 
 def _draw(link: Element, packages: PackageMap | None) -> bool:
