@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 import warnings
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.symbolic import Expression
 
 from vcbf_drake.checks import Array
@@ -83,15 +84,14 @@ def require_agreement(
     """
     compared = passed_over = 0
     for point in points:
-        expected, found = _numbers(origin, point), _numbers(derived, point)
-        if expected is None or found is None or not np.isfinite(expected).all():
+        values = _values(derived, origin, point)
+        if values is None:
             passed_over += 1
             continue
-        found = np.broadcast_to(found, expected.shape)
+        expected, found, differs = values
         compared += 1
         if compared == 1:
             _require_repeatable(origin, point, expected, describe, names)
-        differs = ~(np.abs(found - expected) <= _tolerance(found, expected))
         if differs.any():
             rounding = _rounding(derived, point, found)
             rounding = np.fmax(rounding, _rounding(origin, point, expected))
@@ -153,6 +153,18 @@ def _numbers(function: NumberFunction, point: Array) -> Array | None:
         return None
 
 
+def _values(
+    derived: NumberFunction, origin: NumberFunction, point: Array
+) -> tuple[Array, Array, NDArray[np.bool_]] | None:
+    """The right values, those found and where they differ; None without values."""
+    expected, found = _numbers(origin, point), _numbers(derived, point)
+    if expected is None or found is None or not np.isfinite(expected).all():
+        return None
+    found = np.broadcast_to(found, expected.shape)
+    tolerance = _TOLERANCE * np.fmax(np.abs(found), np.abs(expected))
+    return expected, found, ~(np.abs(found - expected) <= tolerance)
+
+
 def _agree_nearby(
     derived: NumberFunction, origin: NumberFunction, point: Array
 ) -> bool:
@@ -160,18 +172,10 @@ def _agree_nearby(
     random = np.random.default_rng(0)
     for _ in range(8):
         beside = point + 1e-3 * random.normal(size=point.shape)
-        expected, found = _numbers(origin, beside), _numbers(derived, beside)
-        if expected is None or found is None:
-            return False
-        found = np.broadcast_to(found, expected.shape)
-        if not (np.abs(found - expected) <= _tolerance(found, expected)).all():
+        values = _values(derived, origin, beside)
+        if values is None or values[2].any():
             return False
     return True
-
-
-def _tolerance(found: Array, expected: Array) -> Array:
-    tolerance: Array = _TOLERANCE * np.fmax(np.abs(found), np.abs(expected))
-    return tolerance
 
 
 def _rounding(function: NumberFunction, point: Array, values: Array) -> Array:

@@ -247,9 +247,9 @@ class ControlAffineModel:
             difference[..., state] -= period * turns
         return difference
 
-    def _periods(self, wrapped_states: Sequence[str] | Mapping[str, float]) -> Array:
+    def _periods(self, wrapped_states: Mapping[str, float]) -> Array:
         periods = np.full(self.num_states, np.inf)
-        for state, period in wrapping(wrapped_states).items():
+        for state, period in wrapped_states.items():
             is_period = isinstance(period, Real) and float(period) > 0.0
             if state not in self.state_names or not is_period:
                 raise ModelError(

@@ -186,23 +186,23 @@ def _with_ports(system: System, problem: str) -> str:
     return f"{name_of(system)}: {problem}; its vector input ports are {there}"
 
 
-def actuators_of(system: System) -> list[Any]:
-    """Returns the joint actuators of a MultibodyPlant; none of any other System."""
+def actuators_of(system: System, port: Port = None) -> list[Any]:
+    """Returns the joint actuators of a MultibodyPlant, or those that a port drives.
+
+    There are none of any other System, and none behind a port of another kind.
+    """
     if not hasattr(system, "GetJointActuatorIndices"):
         return []
-    return [system.get_joint_actuator(i) for i in system.GetJointActuatorIndices()]
+    found = [system.get_joint_actuator(i) for i in system.GetJointActuatorIndices()]
+    if port is None or not found or port is system.get_actuation_input_port():
+        return found
+    of_instance = system.get_actuation_input_port
+    return [each for each in found if port is of_instance(each.model_instance())]
 
 
 def effort_limits_of(system: System, port: Port) -> Array:
     """Returns the effort limits at which a MultibodyPlant clamps inputs, (m,)."""
-    actuators = actuators_of(system)
-    if actuators and port is not system.get_actuation_input_port():
-        actuators = [
-            each
-            for each in actuators
-            if port is system.get_actuation_input_port(each.model_instance())
-        ]
-    limits = [each.effort_limit() for each in actuators]
+    limits = [each.effort_limit() for each in actuators_of(system, port)]
     return np.array(limits or [np.inf] * port.size())
 
 

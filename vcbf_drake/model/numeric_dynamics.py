@@ -16,7 +16,6 @@ from pydrake.autodiffutils import (
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     JacobianWrtVariable,
-    ModelInstanceIndex,
     MultibodyForces_,
 )
 
@@ -24,6 +23,7 @@ from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.interface import (
     Port,
+    actuators_of,
     copy_values,
     effort_limits_of,
     name_of,
@@ -277,18 +277,8 @@ def _force_map(plant: Any, port: Any) -> Array | None:
         return np.zeros((plant.num_velocities(), 0))
     if port is plant.get_applied_generalized_force_input_port():
         return np.eye(plant.num_velocities())
-    if not plant.num_actuated_dofs():
-        return None
-    matrix: Array = plant.MakeActuationMatrix()
-    if port is plant.get_actuation_input_port():
-        return matrix
-    for index in range(plant.num_model_instances()):
-        instance = ModelInstanceIndex(index)
-        actuators = plant.GetJointActuatorIndices(instance)
-        if actuators and port is plant.get_actuation_input_port(instance):
-            starts = [plant.get_joint_actuator(i).input_start() for i in actuators]
-            return matrix[:, starts]
-    return None
+    columns = [each.input_start() for each in actuators_of(plant, port)]
+    return plant.MakeActuationMatrix()[:, columns] if columns else None
 
 
 def plant_of(system: Any) -> Any:

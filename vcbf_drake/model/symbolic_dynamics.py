@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from pydrake.multibody.tree import BodyIndex
-from pydrake.symbolic import Expression, Variable
+from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 from pydrake.systems.framework import Context, System
 
 from vcbf_drake.checks import Array
@@ -62,9 +62,9 @@ def symbolic_dynamics(
 
     time = Variable("t")
     x = np.array([Variable(state) for state in state_names])
-    rate = np.array([Variable(f"d{state}/dt") for state in state_names])
-    u = _variables("u", input_port.size())
-    d = _variables("d", disturbance_port.size() if disturbance_port else 0)
+    rate = MakeVectorVariable(len(x), "rate")
+    u = MakeVectorVariable(input_port.size(), "u")
+    d = MakeVectorVariable(disturbance_port.size() if disturbance_port else 0, "d")
     if context is not None:
         copy_values(system, context, symbolic, target)
     target.SetTime(Expression(time))
@@ -190,10 +190,6 @@ def to_symbolic(system: System, name: str) -> Any:
     for actuator in actuators_of(symbolic):
         actuator.set_effort_limit(np.inf)  # A clamped input is not affine.
     return symbolic
-
-
-def _variables(prefix: str, size: int) -> Expressions:
-    return np.array([Variable(f"{prefix}{i}") for i in range(size)], dtype=object)
 
 
 # Expressions leave floating-point flags that NumPy takes for its own.
