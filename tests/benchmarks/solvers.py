@@ -16,7 +16,7 @@ import numpy as np
 from tests.properties.campaign import make_example
 from vcbf_drake import load_scenario, simulate
 from vcbf_drake.checks import Array
-from vcbf_drake.safety import qp
+from vcbf_drake.safety import decision
 from vcbf_drake.safety.active_set import nearest_by_active_set
 from vcbf_drake.safety.polytope import REACH, UnitRows, is_optimal, nearest_point
 from vcbf_drake.safety.programs import SOLVERS, NearestPointProgram, check_solver
@@ -64,7 +64,7 @@ def asked_of_qp(run: Callable[[], object]) -> list[Asked]:
         asked.append((UnitRows(A, b), reference))
         return found
 
-    with patch.object(qp, "nearest_point", remember):
+    with patch.object(decision, "nearest_point", remember):
         run()
     return asked
 

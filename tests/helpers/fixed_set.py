@@ -10,7 +10,7 @@ import numpy as np
 from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.checks import Array
 from vcbf_drake.safety import DisturbanceKnowledge, InputSet
-from vcbf_drake.safety.feasible_set import FeasibleSet, RowCosts, feasible_set
+from vcbf_drake.safety.qp import FeasibleSet, RowCosts, feasible_set
 
 
 def normalised(feasible: FeasibleSet) -> tuple[Array, Array]:

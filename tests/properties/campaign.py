@@ -24,7 +24,7 @@ from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.safety import DisturbanceKnowledge, FilterDecision, InputSet
 from vcbf_drake.safety.decision import choose_input
-from vcbf_drake.safety.feasible_set import RowCosts, feasible_set
+from vcbf_drake.safety.qp import RowCosts, feasible_set
 from vcbf_drake.studies.executors import new_pool
 
 # The kinds of rows, and the states of each plant, take turns.

@@ -9,7 +9,7 @@ import pytest
 from tests.helpers.fixed_set import normalised
 from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.safety import DisturbanceKnowledge, InputSet, disturbance_margin
-from vcbf_drake.safety.feasible_set import RowCosts, feasible_set
+from vcbf_drake.safety.qp import RowCosts, feasible_set
 
 TRIANGLE = InputSet([[1.0, 1.0], [-1.0, 1.0], [0.0, -1.0]], [3.0, 1.0, 2.0])
 BOX = InputSet.box([-1.0, -0.2], [3.0, 0.6])

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from vcbf_drake.safety.feasible_set import unpack_feasible_set
+from vcbf_drake.safety.volume import unpack_feasible_set
 
 
 def test_a_packed_set_comes_back_with_a_symmetric_shape():

@@ -12,13 +12,12 @@ from vcbf_drake.safety import (
     FilterStatus,
     InputSet,
     chebyshev_ball,
+    decision as decision_module,
     polytope,
-    qp,
 )
 from vcbf_drake.safety.decision import choose_input, least_violation
-from vcbf_drake.safety.feasible_set import RowCosts, feasible_set
 from vcbf_drake.safety.polytope import nearest_point
-from vcbf_drake.safety.qp import Frame, VolumeRow
+from vcbf_drake.safety.qp import Frame, RowCosts, VolumeRow, feasible_set
 
 BOX = InputSet.box([-1.0, -2.0], [3.0, 2.0])
 ORIGIN = np.zeros(2)
@@ -203,7 +202,7 @@ def test_no_answer_at_all_is_a_failure(monkeypatch):
         attempts.append(arguments)
         return nearest_point(*arguments) if len(attempts) > 1 else failing()
 
-    monkeypatch.setattr(qp, "nearest_point", but_the_first)
+    monkeypatch.setattr(decision_module, "nearest_point", but_the_first)
     feasible = set_of([[1.0, 0.0], [-1.0, 0.0]], [-0.5, 0.2])
     decision = choose(feasible, [0.0, 0.5])
     assert decision.status == FilterStatus.FAILED and decision.conflict == ()
@@ -228,7 +227,7 @@ def test_a_volume_row_that_holds_after_all_has_no_slack(monkeypatch):
             raise EmptySetError(A, b, -1e-9, np.eye(len(b))[-1])
         return nearest_point(A, b, *others)
 
-    monkeypatch.setattr(qp, "nearest_point", at_the_second)
+    monkeypatch.setattr(decision_module, "nearest_point", at_the_second)
     row = VolumeRow(a=np.array([1.0, 0.0]), c=-0.5, slack_penalty=1e3)
     decision = choose(set_of([0.0, 1.0], 1.0), [-0.8, 1.5], row)
     assert decision.status == FilterStatus.FILTERED and decision.slack == 0.0
@@ -244,8 +243,8 @@ def test_without_limits_and_hard_rows_the_least_violation_is_none():
 
 
 def test_without_any_solver_the_held_input_acts(monkeypatch):
-    monkeypatch.setattr(qp, "nearest_point", failing)
-    monkeypatch.setattr(qp, "minimise_linear", failing)
+    monkeypatch.setattr(decision_module, "nearest_point", failing)
+    monkeypatch.setattr(decision_module, "minimise_linear", failing)
     decision = choose(set_of([1.0, 1.0], -1.0), [2.0, 1.0], held_input=[-9.0, 0.5])
     assert decision.status == FilterStatus.FAILED
     np.testing.assert_allclose(decision.input, [-1.0, 0.5])

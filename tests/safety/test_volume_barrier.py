@@ -21,7 +21,7 @@ from vcbf_drake import (
 )
 from vcbf_drake.barriers import BarrierRows, BarrierSet
 from vcbf_drake.safety import DisturbanceKnowledge, VolumeBarrier
-from vcbf_drake.safety.feasible_set import feasible_set
+from vcbf_drake.safety.qp import feasible_set
 from vcbf_drake.safety.volume import Volume, VolumeMeasure, volume_row
 from vcbf_drake.simulation import load_scenario, make_loop, shipped_scenarios
 

@@ -11,7 +11,7 @@ from tests.helpers.volume_rate import volume_rate
 from vcbf_drake import Blimp, ControlAffineModel, InputSet, SphereObstacle
 from vcbf_drake.barriers import BarrierRows, BarrierSet
 from vcbf_drake.safety import DisturbanceKnowledge, VolumeBarrier
-from vcbf_drake.safety.feasible_set import feasible_set
+from vcbf_drake.safety.qp import feasible_set
 from vcbf_drake.safety.volume import VolumeMeasure
 from vcbf_drake.simulation import load_scenario, make_loop, simulate
 

@@ -19,7 +19,7 @@ from vcbf_drake.between_ticks.interval import Interval, Number
 from vcbf_drake.checks import Array
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.decision import FilterDecision, FilterStatus, Tick
-from vcbf_drake.safety.feasible_set import DisturbanceKnowledge
+from vcbf_drake.safety.qp import DisturbanceKnowledge
 
 _Pair: TypeAlias = tuple[Array, Array]  # Middles and radii of intervals.
 

@@ -10,15 +10,9 @@ from vcbf_drake.safety.decision import (
     Tick,
 )
 from vcbf_drake.safety.ellipsoid import Ellipsoid, inscribed_ellipsoid
-from vcbf_drake.safety.feasible_set import (
-    DisturbanceKnowledge,
-    FeasibleSet,
-    PackedFeasibleSet,
-    disturbance_margin,
-    unpack_feasible_set,
-)
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.polytope import chebyshev_ball, emptiness_certificate
+from vcbf_drake.safety.qp import DisturbanceKnowledge, FeasibleSet, disturbance_margin
 from vcbf_drake.safety.safety_filter import SafetyFilter
 from vcbf_drake.safety.settings import (
     BETWEEN_TICKS,
@@ -28,7 +22,12 @@ from vcbf_drake.safety.settings import (
     FilterSettings,
     Method,
 )
-from vcbf_drake.safety.volume import Volume, VolumeBarrier
+from vcbf_drake.safety.volume import (
+    PackedFeasibleSet,
+    Volume,
+    VolumeBarrier,
+    unpack_feasible_set,
+)
 
 __all__ = [
     "BETWEEN_TICKS",

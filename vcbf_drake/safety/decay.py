@@ -11,8 +11,7 @@ import numpy as np
 
 from vcbf_drake.barriers import Barrier
 from vcbf_drake.checks import Array
-from vcbf_drake.safety.feasible_set import FeasibleSet
-from vcbf_drake.safety.qp import QP
+from vcbf_drake.safety.qp import QP, FeasibleSet
 
 # The share of itself by which a level may fall in a period, to first order.
 _LARGEST_STEP = 0.9

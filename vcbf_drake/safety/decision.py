@@ -2,29 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from enum import IntEnum
+from functools import partial
 import math
 from typing import Literal, NamedTuple, Protocol, get_args
 
 import numpy as np
-from numpy.linalg import LinAlgError
+from pydrake.solvers import MathematicalProgram, MathematicalProgramResult
 
 from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import EmptySetError, SolverError
 from vcbf_drake.safety.decay import DecayRates
-from vcbf_drake.safety.feasible_set import (
+from vcbf_drake.safety.polytope import UnitRows, minimise_linear, nearest_point
+from vcbf_drake.safety.programs import (
+    DEFAULT_SOLVER,
+    EllipsoidProgram,
+    NearestPointProgram,
+)
+from vcbf_drake.safety.qp import (
+    QP,
     DisturbanceKnowledge,
     FeasibleSet,
+    Frame,
+    VolumeRow,
     disturbance_margin,
+    state_qp,
 )
-from vcbf_drake.safety.polytope import UnitRows, minimise_linear
-from vcbf_drake.safety.programs import DEFAULT_SOLVER
-from vcbf_drake.safety.qp import MARGIN, QP, Frame, VolumeRow, soft_rows, state_qp
 
 InfeasiblePolicy = Literal["stop", "least_violation", "hold", "decay", "backup"]
+
+# The least slack or violation leaves a set without interior. Its rows are opened by
+# this distance, relative to their sizes.
+_MARGIN = 1e-10
 
 INFEASIBLE_POLICIES: tuple[InfeasiblePolicy, ...] = get_args(InfeasiblePolicy)
 
@@ -75,6 +88,71 @@ class FilterDecision(NamedTuple):
     backup: float = 0.0
     is_certified: bool | None = None
     qp: QP | None = None
+
+
+@dataclass(frozen=True)
+class TickPrograms:
+    """The QP and the cone program of one control tick, as MathematicalPrograms.
+
+    Both are stated anew, with rows of unit length as the filter's solver was given
+    them; nobody else holds them.
+
+    Attributes:
+        qp: min 1/2 |z - reference|^2 subject to ``A z <= b``: see `QP`.
+        qp_rows: The meaning of each of its rows.
+        ellipsoid: max (det L)^(1/P) subject to |L'a_i| + a_i d <= b_i (E48), the set's
+            largest ellipsoid {L w + d : |w| <= 1} in normalised inputs; None for a
+            single input, whose largest interval needs no program.
+        ellipsoid_rows: The meaning of each of its rows.
+        solved: The QP that it states.
+    """
+
+    qp: MathematicalProgram
+    qp_rows: tuple[str, ...]
+    ellipsoid: MathematicalProgram | None
+    ellipsoid_rows: tuple[str, ...]
+    solved: QP
+
+    @staticmethod
+    def of(
+        qp: QP, feasible: FeasibleSet, names: Sequence[str], widening: float
+    ) -> TickPrograms:
+        """States the programs of a tick.
+
+        Args:
+            qp: The QP that was solved.
+            feasible: The feasible set whose ellipsoid was found.
+            names: The names of the feasible set's rows.
+            widening: kappa of the volume barrier.
+        """
+        rows, nearest = UnitRows(qp.A, qp.b), NearestPointProgram(*qp.A.shape)
+        nearest.state(rows.A, rows.b, qp.reference)
+        inputs, (cut, A, b) = feasible.input_set, feasible.cut_by(widening)
+        first, k, cone = inputs.limits, feasible.num_input_rows, None
+        limits, sides = inputs.A_normalised[first], inputs.b_normalised[first]
+        rows = UnitRows(np.concatenate([limits, A]), np.concatenate([sides, b]))
+        if inputs.num_inputs > 1:
+            largest = EllipsoidProgram(len(rows.b), inputs.num_inputs, 1e-9)
+            largest.state(rows.A, rows.b)
+            cone = largest.program
+        qp_rows = (*first.tolist(), *(k + qp.cut).tolist(), *qp.further_rows)
+        return TickPrograms(
+            nearest.program,
+            tuple(row if isinstance(row, str) else names[row] for row in qp_rows),
+            cone,
+            tuple(names[i] for i in (*first.tolist(), *(k + cut).tolist())),
+            qp,
+        )
+
+    def input(self, result: MathematicalProgramResult) -> Array:
+        """Returns the input u of a solution of the QP, shape (m,)."""
+        return self.solved.frame.input(result.get_x_val())
+
+    def log_det(self, result: MathematicalProgramResult) -> float:
+        """Returns log det B of a solution of the cone program, in normalised inputs."""
+        row, column = np.tril_indices(len(self.solved.frame.scale))
+        diagonal = result.get_x_val()[: len(row)][row == column]
+        return float(np.log(diagonal).sum())
 
 
 class Tick(NamedTuple):
@@ -168,10 +246,10 @@ def choose_input(
     """
     inputs = feasible.input_set
     frame = frame or Frame.of(inputs)
+    fallback = partial(least_violation, feasible, frame, reference, held_input, solver)
     if not (feasible.is_finite and np.isfinite(reference).all()):
-        u = least_violation(feasible, frame, reference, held_input, solver)
-        return FilterDecision(u, FilterStatus.FAILED)
-    soft = soft_rows(feasible)
+        return FilterDecision(fallback(), FilterStatus.FAILED)
+    soft = feasible.soft_rows()
     qp = state_qp(feasible, frame, reference, volume_row, exact_slack, soft)
     growing = decay_rates
     if growing is not None and growing.only_where_empty:
@@ -183,19 +261,24 @@ def choose_input(
         return FilterDecision(reference, FilterStatus.REFERENCE, qp=qp)
     try:
         point, solved = _solved(qp, solver)
+    except SolverError:
+        return FilterDecision(fallback(), FilterStatus.FAILED)
     except EmptySetError as error:
         # Rows of the feasible set all: those that may give way are in no conflict, and
         # those that limit decay rates say nothing beside the rows that these belong to.
         kept = feasible.cutting
         conflict = tuple(kept[[i for i in error.conflict if i < len(kept)]].tolist())
-        u, decay = _fallback(
-            feasible, frame, policy, decay_rates, reference, held_input, solver
-        )
+        u, decay = None, 1.0
+        if policy == "hold":
+            u = inputs.project(held_input)
+        elif policy == "decay" and decay_rates is not None:
+            hard = decay_rates.grown(state_qp(feasible, frame, reference), feasible)
+            with suppress(EmptySetError):  # No rate may help.
+                u = inputs.project(frame.input(_nearest(hard, solver)))
+                decay = decay_rates.factor(feasible, u)
+        u = fallback() if u is None else u
         status = FilterStatus.INFEASIBLE
         return FilterDecision(u, status, conflict=conflict, decay=decay)
-    except (SolverError, LinAlgError):
-        u = least_violation(feasible, frame, reference, held_input, solver)
-        return FilterDecision(u, FilterStatus.FAILED)
     u, gave_way = frame.input(point), solved is not qp or not exact_slack
     slack = volume_row.slack(u) if volume_row and gave_way else 0.0
     status = FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
@@ -207,48 +290,34 @@ def choose_input(
     )
 
 
+def _nearest(qp: QP, solver: str) -> Array:
+    """A QP's minimiser z; `EmptySetError` where its rows have no point, certified."""
+    return nearest_point(qp.A, qp.b, qp.reference, qp.num_firm, solver)
+
+
 def _solved(qp: QP, solver: str) -> tuple[Array, QP]:
-    """A QP's minimiser; a hard volume row that leaves none is relaxed.
+    """A QP's minimiser; a hard volume row without one gives way by the least (E55).
 
     Raises:
         EmptySetError: No input satisfies the rows that never give way, certified.
         SolverError: The least slack was not verified.
     """
+    i = qp.num_hard - 1
     try:
-        return qp.solved(solver), qp
+        return _nearest(qp, solver), qp
     except EmptySetError as error:
-        if not (qp.has_hard_volume and qp.num_hard - 1 in error.conflict):
+        if not (qp.has_hard_volume and i in error.conflict):
             raise
-    relaxed = qp.relaxed()
+    row, b = qp.A[i], qp.b.copy()
+    z = minimise_linear(row, qp.A[:i], b[:i], qp.num_firm)
+    volume = UnitRows(row[None], b[[i]])
+    margin = _MARGIN * float(volume.length[0] * volume.sizes(z)[0])
+    b[i] = max(b[i], float(row @ z) + margin)
+    relaxed = qp._replace(b=b)
     try:
-        return relaxed.solved(solver), relaxed
+        return _nearest(relaxed, solver), relaxed
     except EmptySetError as error:
         raise SolverError("no least slack was verified", qp.A, qp.b) from error
-
-
-def _fallback(
-    feasible: FeasibleSet,
-    frame: Frame,
-    policy: InfeasiblePolicy,
-    rates: DecayRates | None,
-    reference: Array,
-    held_input: Array,
-    solver: str,
-) -> tuple[Array, float]:
-    """The policy's input where the rows have none, and its factor omega (E69)."""
-    project = feasible.input_set.project
-    if policy == "hold":
-        return project(held_input), 1.0
-    if policy == "decay" and rates is not None:
-        hard = state_qp(feasible, frame, reference)
-        try:
-            z = rates.grown(hard, feasible).solved(solver)
-        except (EmptySetError, SolverError, LinAlgError):
-            pass  # No rate helps.
-        else:
-            u = project(frame.input(z))
-            return u, rates.factor(feasible, u)
-    return least_violation(feasible, frame, reference, held_input, solver), 1.0
 
 
 def least_violation(
@@ -267,13 +336,13 @@ def least_violation(
     u = held_input
     if feasible.is_finite and np.isfinite(reference).all():
         qp = state_qp(feasible, frame, reference)
-        with suppress(EmptySetError, SolverError, LinAlgError):
-            u = frame.input(_least_violation(feasible, qp, solver))
+        with suppress(EmptySetError, SolverError):
+            u = frame.input(_nearest(_eased(qp, feasible), solver))
     return feasible.input_set.project(u)
 
 
-def _least_violation(feasible: FeasibleSet, qp: QP, solver: str) -> Array:
-    """Min t subject to weight_i (a_i u - b_i) <= t, t >= 0, and then the nearest z."""
+def _eased(qp: QP, feasible: FeasibleSet) -> QP:
+    """The QP whose barrier rows give way by the least t, weight (a u - b) <= t."""
     A, b, k, m = qp.A.copy(), qp.b.copy(), qp.num_firm, len(qp.frame.scale)
     cut, weight = feasible.cut, feasible.costs.weights[feasible.cut]
     # t is counted in units of the heaviest row's distance, and from where no input is
@@ -287,6 +356,6 @@ def _least_violation(feasible: FeasibleSet, qp: QP, solver: str) -> Array:
     give = np.concatenate([np.zeros(k), np.ones(len(weight))])
     rows = np.vstack([np.column_stack([A, -give]), -last])
     z = minimise_linear(last, rows, np.append(b, 0.0))[:-1]
-    margin = MARGIN * UnitRows(A[k:], b[k:]).sizes(z)
+    margin = _MARGIN * UnitRows(A[k:], b[k:]).sizes(z)
     b[k:] += np.max(A[k:] @ z - b[k:], initial=0.0) + margin
-    return qp._replace(A=A, b=b).solved(solver)
+    return qp._replace(A=A, b=b)

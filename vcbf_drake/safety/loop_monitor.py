@@ -19,9 +19,8 @@ from vcbf_drake.disturbances import DisturbanceEstimate, DisturbanceObserver
 from vcbf_drake.safety.assumptions import start_assumptions
 from vcbf_drake.safety.cached_system import CachedSystem
 from vcbf_drake.safety.decision import FilterStatus
-from vcbf_drake.safety.feasible_set import unpack_feasible_set
 from vcbf_drake.safety.safety_filter import SafetyFilter
-from vcbf_drake.safety.volume import least_threshold
+from vcbf_drake.safety.volume import least_threshold, unpack_feasible_set
 
 _LOG = logging.getLogger("vcbf_drake")
 # The number of refused intervals, and their share of all, that are reported.

@@ -1,25 +1,77 @@
-"""The QP of a control tick: its coordinates, its rows and its MathematicalPrograms."""
+"""The inputs that a control tick may choose from, and the QP over them.
+
+Input limits and robust barrier rows are the feasible set; the QP has its rows that can
+matter, the volume row and those that give way, in coordinates in which its cost is a
+distance.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydrake.solvers import MathematicalProgram, MathematicalProgramResult
 
+from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.checks import Array, require
-from vcbf_drake.safety.feasible_set import FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
-from vcbf_drake.safety.polytope import UnitRows, minimise_linear, nearest_point
-from vcbf_drake.safety.programs import EllipsoidProgram, NearestPointProgram
 
-# The least slack or violation leaves a set without interior. Its rows are opened by
-# this distance, relative to their sizes.
-MARGIN = 1e-10
+
+class DisturbanceKnowledge(NamedTuple):
+    """The knowledge of the disturbance d at one time: ``|d - estimate| <= bound``.
+
+    Attributes:
+        estimate: The estimate, shape (q,) [m/s^2].
+        rate: The part of its time derivative that does not depend on the unknown
+            error, shape (q,) [m/s^3].
+        bound: The bound on the error's norm [m/s^2].
+        bound_rate: The bound's time derivative [m/s^3].
+        gain: The gain from the unknown error to the estimate's rate [1/s]:
+            d(estimate)/dt = rate + gain (d - estimate).
+    """
+
+    estimate: Array
+    rate: Array
+    bound: float
+    bound_rate: float
+    gain: float
+
+    @staticmethod
+    def constant(num_disturbances: int, bound: float) -> DisturbanceKnowledge:
+        """Returns the knowledge without an observer: a fixed ball around zero."""
+        zero = np.zeros(num_disturbances)
+        return DisturbanceKnowledge(zero, zero, bound, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class RowCosts:
+    """The costs of violated barrier rows.
+
+    Attributes:
+        weights: The weight of each violation where not all rows can hold, shape (N,).
+        penalties: For soft rows the penalty of their squared slack, else infinity,
+            shape (N,).
+        linear_penalties: For soft rows the penalty of the slack itself, shape (N,).
+    """
+
+    weights: Array
+    penalties: Array
+    linear_penalties: Array
+
+    @staticmethod
+    def equal(num_rows: int) -> RowCosts:
+        """Returns the costs of N hard rows that count alike."""
+        ones = np.ones(num_rows)
+        return RowCosts(ones, np.full(num_rows, np.inf), 0.0 * ones)
+
+    @cached_property
+    def soft(self) -> list[int]:
+        """Indices of the soft rows."""
+        return np.flatnonzero(np.isfinite(self.penalties)).tolist()
 
 
 class VolumeRow(NamedTuple):
@@ -32,6 +84,7 @@ class VolumeRow(NamedTuple):
         unit: The divisor of the row, which multiplies its slack.
         linear_penalty: N of (E71): the penalty of the slack itself, beside M times its
             square.
+        name: "volume", or the index of the feasible set's row that it is.
     """
 
     a: Array
@@ -39,6 +92,7 @@ class VolumeRow(NamedTuple):
     slack_penalty: float
     unit: float = 1.0
     linear_penalty: float = 0.0
+    name: str | int = "volume"
 
     @property
     def is_finite(self) -> bool:
@@ -50,16 +104,135 @@ class VolumeRow(NamedTuple):
         return self.unit * min(0.0, self.c - float(self.a @ u))
 
 
-@dataclass(frozen=True)
-class Frame:
-    """The coordinates z of a QP, in which its cost is a distance.
+class FeasibleSet(NamedTuple):
+    """The polytope ``{u : A u <= b}`` of (E46), with the barrier rows it came from.
 
-    u = origin + scale * (inverse z): without weights of the cost, the inverse is the
-    identity.
+    The first rows are the input set's, then follows one row per barrier.
 
     Attributes:
-        origin: The input set's, shape (m,).
-        scale: The input set's, shape (m,).
+        input_set: The input limits, for every state.
+        rows: The barrier rows.
+        bound: The right-hand side of each with its margin, b + Lambda, shape (N,).
+        known: The knowledge of the disturbance in the rows.
+        costs: The costs of violated rows.
+        normals: The barrier rows in normalised inputs v, u = center + scale v, (N, m).
+        distance: Their right-hand sides, shape (N,). The set takes no notice of soft
+            rows: there is infinity.
+        farthest: Their most on the inputs' bounding box, shape (N,).
+        cut: Indices of those that cut it; the others hold for every input.
+        is_finite: Whether every number in the rows is finite.
+    """
+
+    input_set: InputSet
+    rows: BarrierRows
+    bound: Array
+    known: DisturbanceKnowledge
+    costs: RowCosts
+    normals: Array
+    distance: Array
+    farthest: Array
+    cut: NDArray[np.intp]
+    is_finite: bool
+
+    @property
+    def A(self) -> Array:
+        """The rows, shape (k + N, m)."""
+        return np.concatenate([self.input_set.A, self.rows.A])
+
+    @property
+    def b(self) -> Array:
+        """Their right-hand sides, shape (k + N,)."""
+        b = np.where(np.isinf(self.costs.penalties), self.bound, np.inf)
+        return np.concatenate([self.input_set.b, b])
+
+    @property
+    def num_input_rows(self) -> int:
+        """The number k of rows that limit the input whatever the state."""
+        return len(self.input_set.b)
+
+    @property
+    def cutting(self) -> NDArray[np.intp]:
+        """Indices of the rows that matter: the limits, and barrier rows that cut."""
+        return np.concatenate([self.input_set.limits, self.num_input_rows + self.cut])
+
+    def tightened(self, reserve: Array) -> FeasibleSet:
+        """Returns the subset that leaves every barrier row a reserve, (N,) (E88)."""
+        return feasible_set(self.input_set, self.rows, self.known, self.costs, reserve)
+
+    def cut_by(self, widening: float) -> tuple[NDArray[np.intp], Array, Array]:
+        """Returns the barrier rows that cut the bounding box, taken so many times.
+
+        Their indices, and the rows in v / widening: normals (k, m), distances (k,).
+        """
+        cut, distance = self.cut, self.distance
+        if widening != 1.0:
+            distance = distance / widening
+            cut = (distance < self.farthest).nonzero()[0]
+        return cut, self.normals[cut], distance[cut]
+
+    def soft_rows(self) -> list[VolumeRow]:
+        """Returns the soft rows, which give way at their penalties."""
+        A, b, costs, k = self.rows.A, self.bound, self.costs, self.num_input_rows
+        squares, linear = costs.penalties, costs.linear_penalties
+        return [
+            VolumeRow(A[i], float(b[i]), squares[i], 1.0, linear[i], k + i)
+            for i in costs.soft
+        ]
+
+
+def disturbance_margin(rows: BarrierRows, known: DisturbanceKnowledge) -> Array:
+    """Returns Lambda, the certified lower bound of w'd per row (E44), shape (N,)."""
+    w_norm = np.sqrt(np.vecdot(rows.w, rows.w))
+    return rows.w @ known.estimate - w_norm * known.bound
+
+
+def feasible_set(
+    input_set: InputSet,
+    rows: BarrierRows,
+    known: DisturbanceKnowledge,
+    costs: RowCosts | None = None,
+    reserve: Array | float = 0.0,
+) -> FeasibleSet:
+    """Returns the feasible set of (E46): A u <= b + Delta b.
+
+    Args:
+        input_set: The inputs the actuators can produce.
+        rows: The barriers' rows at one state and time.
+        known: The knowledge of the disturbance there.
+        costs: The costs of violated rows; by default all are hard.
+        reserve: What is taken off each barrier row, not negative, shape (N,).
+    """
+    costs = costs or RowCosts.equal(len(rows.b))
+    bound = rows.b + disturbance_margin(rows, known) - reserve
+    normals = rows.A * input_set.scale
+    distance = bound - rows.A @ input_set.center
+    if costs.soft:
+        distance[costs.soft] = np.inf
+    farthest = input_set.farthest(normals)
+    # Sums, for what is not finite stays so in them.
+    total = float(np.add.reduce(normals, axis=None) + np.add.reduce(bound))
+    return FeasibleSet(
+        input_set=input_set,
+        rows=rows,
+        bound=bound,
+        known=known,
+        costs=costs,
+        normals=normals,
+        distance=distance,
+        farthest=farthest,
+        cut=(distance < farthest).nonzero()[0],
+        is_finite=math.isfinite(total),
+    )
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The coordinates z of a QP, u = origin + scale * (inverse z).
+
+    In them its cost is a distance.
+
+    Attributes:
+        origin, scale: The input set's, shape (m,).
         metric: R with R'R = S W S / cost_unit, S of the scale and W the weights; no
             singular value is below 1, shape (m, m). None for the identity.
         inverse: Its inverse.
@@ -130,7 +303,7 @@ class QP(NamedTuple):
         cut: Which barrier rows follow those.
         num_hard: The number of first rows, which do not give way.
         has_hard_volume: Whether the last of those is the volume row.
-        further_rows: The rows after the feasible set's: "volume", or an index there.
+        further_rows: The names of the rows after the feasible set's.
     """
 
     frame: Frame
@@ -149,29 +322,6 @@ class QP(NamedTuple):
         m = len(self.frame.scale)
         return bool((self.A[:, :m] @ self.reference[:m] <= self.b).all())
 
-    def solved(self, solver: str) -> Array:
-        """Returns the minimiser z, shape (d,).
-
-        Raises:
-            EmptySetError: No point satisfies the hard rows, certified.
-        """
-        return nearest_point(self.A, self.b, self.reference, self.num_firm, solver)
-
-    def relaxed(self) -> QP:
-        """Returns the QP whose hard volume row gives way by the least (E55).
-
-        Raises:
-            EmptySetError: No point satisfies the other hard rows, certified.
-            SolverError: The least slack was not verified.
-        """
-        i, b = self.num_hard - 1, self.b.copy()
-        row, others = self.A[i], self.A[:i]
-        z = minimise_linear(row, others, b[:i], self.num_firm)
-        volume = UnitRows(row[None], b[[i]])
-        margin = MARGIN * float(volume.length[0] * volume.sizes(z)[0])
-        b[i] = max(b[i], float(row @ z) + margin)
-        return self._replace(b=b)
-
 
 def state_qp(
     feasible: FeasibleSet,
@@ -189,7 +339,7 @@ def state_qp(
         reference: The controller's input, finite, shape (m,).
         volume_row: The volume barrier's row, finite; None where it has none.
         exact_slack: Whether the volume row is hard; else it gives way at its penalty.
-        soft: The soft barrier rows: all of them, or none for the hard rows alone.
+        soft: The soft barrier rows; none for the hard rows alone.
     """
     inputs, cut = feasible.input_set, feasible.cut
     z = (inputs.near(reference) - frame.origin) / inputs.units
@@ -199,8 +349,6 @@ def state_qp(
         distance = distance - feasible.rows.A[cut] @ frame.origin
     rows, distances = [limits, feasible.normals[cut]], [sides, distance]
     further = [*([] if volume_row is None else [volume_row]), *soft]
-    names: list[str | int] = [] if volume_row is None else ["volume"]
-    names += [feasible.num_input_rows + i for i in feasible.costs.soft[: len(soft)]]
     for row in further:
         rows.append((row.a * frame.scale)[None])
         distances.append(np.array([row.c - row.a @ frame.origin]))
@@ -209,23 +357,9 @@ def state_qp(
         A, z = A @ frame.inverse, frame.metric @ z
     is_hard = exact_slack and volume_row is not None
     yielding = further[is_hard:]
-    num_hard = len(b) - len(yielding)
-    qp = QP(frame, A, b, z, len(sides), cut, num_hard, is_hard, tuple(names))
+    num_hard, names = len(b) - len(yielding), tuple(row.name for row in further)
+    qp = QP(frame, A, b, z, len(sides), cut, num_hard, is_hard, names)
     return _with_slacks(qp, yielding) if yielding else qp
-
-
-def soft_rows(feasible: FeasibleSet) -> list[VolumeRow]:
-    """Returns the soft barrier rows of a feasible set."""
-    costs, bound = feasible.costs, feasible.bound
-    return [
-        VolumeRow(
-            feasible.rows.A[i],
-            float(bound[i]),
-            costs.penalties[i],
-            linear_penalty=costs.linear_penalties[i],
-        )
-        for i in costs.soft
-    ]
 
 
 def _with_slacks(qp: QP, yielding: Sequence[VolumeRow]) -> QP:
@@ -241,75 +375,10 @@ def _with_slacks(qp: QP, yielding: Sequence[VolumeRow]) -> QP:
     slopes = np.concatenate([np.zeros((qp.num_hard, count)), np.diag(1.0 / root)])
     is_kept = linear > 0.0
     signs = np.hstack([np.zeros((count, m)), np.eye(count)])[is_kept]
-    names = np.array(qp.further_rows, dtype=object)[-count:][is_kept]
+    names = [row.name for row in yielding if row.linear_penalty > 0.0]
     return qp._replace(
         A=np.vstack([np.hstack([qp.A, slopes]), signs]),
         b=np.append(qp.b, np.zeros(len(signs))),
         reference=np.append(qp.reference, away),
         further_rows=(*qp.further_rows, *names),
     )
-
-
-@dataclass(frozen=True)
-class TickPrograms:
-    """The QP and the cone program of one control tick, as MathematicalPrograms.
-
-    Both are stated anew, with rows of unit length as the filter's solver was given
-    them; nobody else holds them.
-
-    Attributes:
-        qp: min 1/2 |z - reference|^2 subject to ``A z <= b``: see `QP`.
-        qp_rows: The meaning of each of its rows.
-        ellipsoid: max (det L)^(1/P) subject to |L'a_i| + a_i d <= b_i (E48), the set's
-            largest ellipsoid {L w + d : |w| <= 1} in normalised inputs; None for a
-            single input, whose largest interval needs no program.
-        ellipsoid_rows: The meaning of each of its rows.
-        solved: The QP that it states.
-    """
-
-    qp: MathematicalProgram
-    qp_rows: tuple[str, ...]
-    ellipsoid: MathematicalProgram | None
-    ellipsoid_rows: tuple[str, ...]
-    solved: QP
-
-    @staticmethod
-    def of(
-        qp: QP, feasible: FeasibleSet, names: Sequence[str], widening: float
-    ) -> TickPrograms:
-        """States the programs of a tick.
-
-        Args:
-            qp: The QP that was solved.
-            feasible: The feasible set whose ellipsoid was found.
-            names: The names of the feasible set's rows.
-            widening: kappa of the volume barrier.
-        """
-        rows, nearest = UnitRows(qp.A, qp.b), NearestPointProgram(*qp.A.shape)
-        nearest.state(rows.A, rows.b, qp.reference)
-        inputs, (cut, A, b) = feasible.input_set, feasible.cut_by(widening)
-        first, k, cone = inputs.limits, feasible.num_input_rows, None
-        limits, sides = inputs.A_normalised[first], inputs.b_normalised[first]
-        rows = UnitRows(np.concatenate([limits, A]), np.concatenate([sides, b]))
-        if inputs.num_inputs > 1:
-            largest = EllipsoidProgram(len(rows.b), inputs.num_inputs, 1e-9)
-            largest.state(rows.A, rows.b)
-            cone = largest.program
-        qp_rows = (*first.tolist(), *(k + qp.cut).tolist(), *qp.further_rows)
-        return TickPrograms(
-            nearest.program,
-            tuple(row if isinstance(row, str) else names[row] for row in qp_rows),
-            cone,
-            tuple(names[i] for i in (*first.tolist(), *(k + cut).tolist())),
-            qp,
-        )
-
-    def input(self, result: MathematicalProgramResult) -> Array:
-        """Returns the input u of a solution of the QP, shape (m,)."""
-        return self.solved.frame.input(result.get_x_val())
-
-    def log_det(self, result: MathematicalProgramResult) -> float:
-        """Returns log det B of a solution of the cone program, in normalised inputs."""
-        row, column = np.tril_indices(len(self.solved.frame.scale))
-        diagonal = result.get_x_val()[: len(row)][row == column]
-        return float(np.log(diagonal).sum())

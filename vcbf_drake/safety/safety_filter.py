@@ -29,17 +29,18 @@ from vcbf_drake.safety.decision import (
     Gate,
     RowHolder,
     Tick,
+    TickPrograms,
     choose_input,
     least_violation,
 )
-from vcbf_drake.safety.feasible_set import (
-    DisturbanceKnowledge,
-    FeasibleSet,
-    feasible_set,
-)
 from vcbf_drake.safety.input_set import InputSet, check_inputs
 from vcbf_drake.safety.polytope import emptiness_certificate
-from vcbf_drake.safety.qp import Frame, TickPrograms
+from vcbf_drake.safety.qp import (
+    DisturbanceKnowledge,
+    FeasibleSet,
+    Frame,
+    feasible_set,
+)
 from vcbf_drake.safety.settings import METHODS, FilterSettings
 from vcbf_drake.safety.volume import Volume, VolumeMeasure, threshold_of, volume_row
 from vcbf_drake.typed import NotNegative, typed
@@ -386,9 +387,7 @@ class SafetyFilter(CachedSystem):
 
     def _calc_packed_feasible_set(self, context: Context, output: BasicVector) -> None:
         feasible, known = self.feasible_set(context), self.volume(context)
-        frame, center = self._measure.ellipsoid(feasible, known)
-        A, b = feasible.A, feasible.b
-        output.SetFromVector(np.concatenate([A.ravel(), b, frame.ravel(), center]))
+        output.SetFromVector(self._measure.packed(feasible, known))
 
 
 def _missing(setting: str) -> NoReturn:

@@ -20,8 +20,8 @@ from vcbf_drake.disturbances import (
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.decay import DEFAULT_PENALTY, DecayRates
 from vcbf_drake.safety.decision import InfeasiblePolicy
-from vcbf_drake.safety.feasible_set import FeasibleSet, RowCosts
 from vcbf_drake.safety.programs import DEFAULT_SOLVER, check_solver
+from vcbf_drake.safety.qp import FeasibleSet, RowCosts
 from vcbf_drake.safety.volume import VolumeBarrier
 from vcbf_drake.typed import (
     Checked,

@@ -16,12 +16,12 @@ from vcbf_drake.safety.ellipsoid import (
     Ellipsoid,
     ellipsoid_of_unit_rows,
     inscribed_ellipsoid,
+    symmetric,
 )
-from vcbf_drake.safety.feasible_set import DisturbanceKnowledge, FeasibleSet
 from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.polytope import chebyshev_ball
 from vcbf_drake.safety.programs import DEFAULT_SOLVER
-from vcbf_drake.safety.qp import VolumeRow
+from vcbf_drake.safety.qp import DisturbanceKnowledge, FeasibleSet, VolumeRow
 from vcbf_drake.typed import check_fields
 
 # The thresholds that a start can lead to: the least is a ball of this radius.
@@ -227,16 +227,12 @@ class VolumeMeasure:
         still = np.zeros(n), 0.0, np.zeros(q), 0.0
         return Volume(determinant, ellipsoid, *still, determinant)
 
-    def ellipsoid(
-        self, feasible: FeasibleSet, known: Volume | None
-    ) -> tuple[Array, Array]:
-        """Returns frame (m, m) and center (m,) of the largest ellipsoid of inputs.
-
-        The ellipsoid is that of the set without widening; nan where there is none.
+    def packed(self, feasible: FeasibleSet, known: Volume | None) -> Array:
+        """Returns the value of the port ``feasible_set``: see `unpack_feasible_set`.
 
         Args:
             feasible: The feasible set.
-            known: V_v, which may have found it already.
+            known: V_v, which may have found its ellipsoid already.
         """
         inputs, m = self._input_set, self._input_set.num_inputs
         found = known.ellipsoid if known else None
@@ -245,10 +241,11 @@ class VolumeMeasure:
                 found = self.largest(*feasible.cut_by(1.0)[1:])
         except (VcbfError, ValueError, np.linalg.LinAlgError):
             pass
-        if found is None:
-            return np.full((m, m), np.nan), np.full(m, np.nan)
-        frame = inputs.scale[:, None] * found.frame
-        return frame, inputs.center + inputs.scale * found.center
+        frame, center = np.full((m, m), np.nan), np.full(m, np.nan)
+        if found is not None:
+            frame = inputs.scale[:, None] * found.frame
+            center = inputs.center + inputs.scale * found.center
+        return np.concatenate([feasible.A.ravel(), feasible.b, frame.ravel(), center])
 
     @np.errstate(over="ignore", divide="ignore", invalid="ignore")
     def largest(self, A: Array, b: Array) -> Ellipsoid:
@@ -342,3 +339,36 @@ def volume_row(
     penalty = barrier.slack_penalty * volume.unit**2
     a = volume.state @ input_matrix / -volume.unit
     return VolumeRow(a, c, penalty, unit=volume.unit)
+
+
+class PackedFeasibleSet(NamedTuple):
+    """The ``feasible_set`` port's value, taken apart; leading axes are kept.
+
+    Attributes:
+        A: Rows in physical inputs, (..., rows, m).
+        b: Right-hand sides, (..., rows).
+        shape: The largest ellipsoid's symmetric B, (..., m, m); nan when empty.
+        center: Its center, (..., m); nan when empty.
+    """
+
+    A: Array
+    b: Array
+    shape: Array
+    center: Array
+
+
+def unpack_feasible_set(packed: Array, num_inputs: int) -> PackedFeasibleSet:
+    """Takes apart one value, or an array of values, of the ``feasible_set`` port.
+
+    A value is A, b and, of the largest ellipsoid without widening, F with F F' = B^2
+    and the center; nan where there is none.
+
+    Args:
+        packed: Shape (..., size of the port).
+        num_inputs: m.
+    """
+    *lead, size = packed.shape
+    m, rows = num_inputs, size // (num_inputs + 1) - num_inputs
+    A, b, frame, center = np.split(packed, np.cumsum([rows * m, rows, m * m]), axis=-1)
+    shape = symmetric(frame.reshape(*lead, m, m))
+    return PackedFeasibleSet(A.reshape(*lead, rows, m), b, shape, center)
