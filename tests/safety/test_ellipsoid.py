@@ -552,10 +552,10 @@ def test_cut_rows_that_are_not_finite_are_refused(bad):
     for place in ((0, 0), (1, 1)):
         rows = A.copy()
         rows[place] = bad
-        with pytest.raises(ValueError, match="must be finite"):
+        with pytest.raises(ValueError, match=r"must be .*finite"):
             solver.largest(rows, b)
     if bad != np.inf:  # A row with b_i = inf cuts nothing.
-        with pytest.raises(ValueError, match="must be finite"):
+        with pytest.raises(ValueError, match=r"must be .*finite"):
             solver.largest(A, np.array([0.1, bad]))
 
 

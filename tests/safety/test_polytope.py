@@ -150,11 +150,11 @@ def test_strip_has_a_ball_although_it_is_unbounded():
 @pytest.mark.parametrize(
     ("A", "b", "message"),
     [
-        ([1.0, 2.0], [1.0], r"A has shape \(2,\)"),
-        (np.zeros((2, 0)), np.zeros(2), r"A has shape \(2, 0\)"),
-        (BOX, [1.0, 2.0], r"b has shape \(2,\), must be \(4,\)"),
-        (BOX * np.nan, np.ones(4), r"A\[0, 0\] is nan, must be finite"),
-        (BOX, [1.0, 1.0, np.inf, 1.0], r"b\[2\] is inf, must be finite"),
+        ([1.0, 2.0], [1.0], r"A: \[1.0, 2.0\]; it must be rows \(n, m\) of finite"),
+        (np.zeros((2, 0)), np.zeros(2), r"A: \[\[\], \[\]\]; it must be .* m >= 1"),
+        (BOX, [1.0, 2.0], r"b: \[1.0, 2.0\]; it must be finite, one a row of A"),
+        (BOX * np.nan, np.ones(4), r"A: \[\[nan, .*; it must be .* finite numbers"),
+        (BOX, [1.0, 1.0, np.inf, 1.0], r"b: .*inf, 1.0\]; it must be finite"),
     ],
 )
 def test_malformed_rows_are_refused(A, b, message):

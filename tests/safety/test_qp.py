@@ -13,7 +13,6 @@ from vcbf_drake.safety import (
     InputSet,
     chebyshev_ball,
     decision as decision_module,
-    polytope,
 )
 from vcbf_drake.safety.decision import choose_input, least_violation
 from vcbf_drake.safety.polytope import nearest_point
@@ -186,11 +185,11 @@ def failing(*arguments, **options):
     raise SolverError("no answer", np.zeros((1, 2)), np.zeros(1))
 
 
-def test_an_emptiness_that_floats_cannot_prove_is_proven_in_rationals(monkeypatch):
-    monkeypatch.setattr(polytope, "_BALANCE", -1.0)
-    feasible = set_of([[1.0, 0.0], [-1.0, 0.0]], [-0.5, 0.2])
+def test_an_emptiness_that_floats_cannot_prove_is_proven_in_rationals():
+    """Rows that meet, at u_2 = -3e10: in conflict with a limit, by next to nothing."""
+    feasible = set_of([[1.0, 0.0], [-1.0, 1e-11]], [-0.5, 0.2])
     decision = choose(feasible, [0.0, 0.5])
-    assert decision.status == FilterStatus.INFEASIBLE and decision.conflict == (4, 5)
+    assert decision.status == FilterStatus.INFEASIBLE and decision.conflict == (3, 4, 5)
     np.testing.assert_allclose(decision.input, [-0.35, 0.5], atol=1e-6)
 
 

@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vcbf_drake.checks import Array
+from vcbf_drake.checks import Array, finite_array, require
 from vcbf_drake.errors import EmptySetError, SolverError, UnboundedSetError
 from vcbf_drake.safety.active_set import Projection, nearest_by_active_set
 from vcbf_drake.safety.programs import (
@@ -22,18 +22,13 @@ from vcbf_drake.safety.programs import (
     NearestPointProgram,
 )
 
-# A point that leaves every row, measured as a distance, by no more than this counts as
-# a point of the set [units of u].
-FEASIBILITY_TOLERANCE = 1e-9
-# Tolerances of a row are shares of its size (E72). Where its rows as given lead to no
-# verified answer, a set that may have no interior is opened by ...
-_OPENING = 0.6 * FEASIBILITY_TOLERANCE
-# ... and that of a linear program by so much less that a projection finds its point.
-_LP_OPENING = 0.45 * FEASIBILITY_TOLERANCE
-# A verified solution leaves no row by more.
-_EXCESS = 0.1 * FEASIBILITY_TOLERANCE
-# No point of the set is better by more, relative to the cost.
-_GAP = 1e-9
+# Tolerances of a row are shares of its size (E72). Where rows as given lead to no
+# verified answer they are opened by this, of a linear program by so much less that a
+# projection finds its point; a verified solution leaves no row by more.
+_OPENING, _LP_OPENING, _EXCESS = 6e-10, 4.5e-10, 1e-10
+# No point of the set is better by more, relative to the cost; or, of a linear program,
+# to its terms.
+_GAP, _LP_GAP = 1e-9, 5e-11
 # Multipliers of unit rows, scaled to sum 1, balance when |A'y| is below this.
 _BALANCE = 1e-12
 # Rows of a conflict that are lighter have no part in it, in floats and in rationals.
@@ -42,18 +37,13 @@ _LIGHTEST, _NOISE = 1e-10, 1e-14
 _ROUNDING = 1e-15
 # Rows this close to a solver's answer may be active.
 REACH = 1e-6
-# Of a linear program no point's cost is lower by more, relative to its terms.
-_LP_GAP = 5e-11
-# The width of its set along each variable, where that matters.
-_EXTENT = 2.0
-# The lengths of its proximal steps; after these, rational numbers decide.
-_STEPS = (1e4, 1e8, 1e8)
-# The scale of its cost: Clp's tolerance on multipliers is absolute.
-_SHARPNESS = 1e4
+# Of a linear program: the width of its set along each variable, where that matters;
+# the lengths of its proximal steps, after which rational numbers decide; and the scale
+# of its cost, for Clp's tolerance on multipliers is absolute.
+_EXTENT, _STEPS, _SHARPNESS = 2.0, (1e4, 1e8, 1e8), 1e4
 # The point of a set that is nearest to one so far downhill is a minimiser; one that is
 # as far as this has none.
-_DOWNHILL = 1e60
-_FARTHEST = 1e30
+_DOWNHILL, _FARTHEST = 1e60, 1e30
 # A row further away than this holds everywhere, or nowhere [units of u].
 _FARTHEST_ROW = 1e20
 # A ray may turn towards a row by this angle [rad] and still count as a ray.
@@ -67,10 +57,6 @@ class UnitRows:
 
     A row without a direction is a blank: zeros, with its right-hand side. Blanks are
     rows of zeros, and those further away than 1e20.
-
-    Args:
-        A: The rows, shape (n, m).
-        b: The right-hand sides, shape (n,).
 
     Attributes:
         A: The rows, of unit length or zeros, shape (n, m).
@@ -92,32 +78,22 @@ class UnitRows:
 
     @staticmethod
     def checked(A: ArrayLike, b: ArrayLike) -> UnitRows:
-        """Returns the rows of arrays A (n, m) and b (n,) of finite numbers.
+        """Returns the rows of arrays A (n, m) and b (n,) that a user gave.
 
         Raises:
-            ValueError: Naming the array, its shape and the shape or value allowed.
+            InvalidValueError: Naming the array, and what is allowed.
         """
-        A, b = np.asarray(A, dtype=float), np.asarray(b, dtype=float)
-        if A.ndim != 2 or A.shape[1] == 0:
-            raise ValueError(f"A has shape {A.shape}, must be (n, m) with m >= 1")
-        if b.shape != A.shape[:1]:
-            raise ValueError(
-                f"b has shape {b.shape}, must be ({len(A)},) like A's rows"
-            )
-        for name, array in (("A", A), ("b", b)):
-            wrong = np.argwhere(~np.isfinite(array))
-            if len(wrong):
-                index = tuple(wrong[0].tolist())
-                raise ValueError(
-                    f"{name}{list(index)} is {array[index]}, must be finite"
-                )
+        rows, sides = "rows (n, m) of finite numbers, m >= 1", "finite, one a row of A"
+        A, b = finite_array(A, "A", 2, rows), finite_array(b, "b", 1, sides)
+        require(A.shape[1] > 0, "A", A, rows)
+        require(len(b) == len(A), "b", b, sides)
         return UnitRows(A, b)
 
     @property
     def conflict(self) -> int | None:
         """Index of a blank row 0 u <= b_i < 0, if there is one."""
         conflicts = (self.is_blank & (self.b < 0.0)).nonzero()[0].tolist()
-        return conflicts[0] if conflicts else None
+        return next(iter(conflicts), None)
 
     def without_blanks(self) -> tuple[Array, Array]:
         """Returns the rows that have a direction, and their right-hand sides."""
@@ -175,9 +151,7 @@ def nearest_point(
         found = nearest_by_active_set(rows.A, rows.b, reference, near)
         if is_optimal(found, rows, reference):
             return found.point
-    bounds = _opened(rows, num_firm, found.point, _OPENING)
-    _raise_if_empty(found, rows, bounds)
-    return _in_rationals(rows, bounds, reference)
+    return _decided(found, rows, num_firm, _OPENING, reference)
 
 
 def minimise_linear(
@@ -197,7 +171,6 @@ def minimise_linear(
         SolverError: The cost has no least.
     """
     rows = UnitRows(A, b)
-    firm = len(b) if num_firm is None else num_firm
     cost = cost / (float(np.linalg.norm(cost)) or 1.0)
     proposal = LinearProgram.of_size(*A.shape).solve(_SHARPNESS * cost, rows.A, rows.b)
     point = np.zeros(len(cost)) if proposal is None else proposal
@@ -214,39 +187,10 @@ def minimise_linear(
         size = min(size, 1.0 + abs(float(cost @ point)))
         if gap <= _LP_GAP * size and (slack >= -_EXCESS * rows.sizes(point)).all():
             return point
-    bounds = _opened(rows, firm, found.point, _LP_OPENING)
-    _raise_if_empty(found, rows, bounds)
-    point = _in_rationals(rows, bounds, -_DOWNHILL * cost)
+    point = _decided(found, rows, num_firm, _LP_OPENING, -_DOWNHILL * cost)
     if np.abs(point).max() > _FARTHEST:
         raise SolverError("a linear program without a least", A, b)
     return point
-
-
-def _in_rationals(rows: UnitRows, b: Array, reference: Array) -> Array:
-    """The nearest point, where floats leave open whether there is one.
-
-    Raises:
-        EmptySetError: No point satisfies the rows.
-    """
-    found = nearest_by_active_set(rows.A, b, reference, is_exact=True)
-    if found.conflict is None:
-        return found.point
-    # Rows that only make up for the rounding of the others are not named: without them
-    # the proof holds for all points that are no further away than the rows.
-    z = found.conflict / found.conflict.sum()
-    heavy, reach = np.where(z > _NOISE * z.max(), z, 0.0), max(1.0, np.abs(b).max())
-    most = heavy @ b + reach * np.abs(heavy @ rows.A).sum()
-    raise _empty(rows, heavy if most < 0.5 * (z @ b) else z)
-
-
-def _opened(rows: UnitRows, num_firm: int, near: Array, opening: float) -> Array:
-    """Returns right-hand sides with which a set has an interior or no point, (n,).
-
-    The first `num_firm` rows and blank rows are not opened.
-    """
-    right = np.where(rows.is_blank, rows.b, rows.b + opening * rows.sizes(near))
-    right[:num_firm] = rows.b[:num_firm]
-    return right
 
 
 def is_optimal(found: Projection, rows: UnitRows, reference: Array) -> bool:
@@ -267,23 +211,44 @@ def is_optimal(found: Projection, rows: UnitRows, reference: Array) -> bool:
     )
 
 
-def _raise_if_empty(found: Projection, rows: UnitRows, bounds: Array) -> None:
-    """Raises if the conflict that the active set ended in is Farkas' proof in floats.
+def _decided(
+    found: Projection,
+    rows: UnitRows,
+    num_firm: int | None,
+    opening: float,
+    reference: Array,
+) -> Array:
+    """The nearest point where floats found none that is verified, or the proof of none.
 
-    That is z of sum 1 with z'A = 0 to rounding, and z'b < 0 of the opened rows, for
-    points that are no further away than the rows.
+    All rows but the first `num_firm` and blanks are opened, by a share of their sizes,
+    so that the set has an interior or no point. The conflict in which the floats ended
+    may be Farkas' proof: z of sum 1 with z'A = 0 to rounding, and z'b < 0 for points
+    that are no further away than the rows. Else rational numbers decide.
+
+    Raises:
+        EmptySetError: No point satisfies the rows.
     """
-    if found.conflict is None:
-        return
-    z = found.conflict
-    z = np.where(z > _LIGHTEST * z.max(), z, 0.0)
-    z /= z.sum()
-    imbalance, reach = np.abs(z @ rows.A), max(1.0, float(np.abs(rows.b).max()))
-    # Relative to what is in a column: a slack's may be small, and the slack large.
-    is_balanced = imbalance <= _BALANCE * np.abs(rows.A).max(axis=0)
-    most = float(z @ bounds) + reach * float(imbalance.sum())
-    if is_balanced.all() and most < -10.0 * _BALANCE * float(z @ np.abs(bounds)):
-        raise _empty(rows, z)
+    b = np.where(rows.is_blank, rows.b, rows.b + opening * rows.sizes(found.point))
+    b[:num_firm], reach = rows.b[:num_firm], float(np.abs(rows.b).max(initial=1.0))
+    if found.conflict is not None:
+        z = found.conflict
+        z = np.where(z > _LIGHTEST * z.max(), z, 0.0)
+        z /= z.sum()
+        imbalance = np.abs(z @ rows.A)
+        # Relative to what is in a column: a slack's may be small, and the slack large.
+        is_balanced = imbalance <= _BALANCE * np.abs(rows.A).max(axis=0)
+        most = float(z @ b) + reach * float(imbalance.sum())
+        if is_balanced.all() and most < -10.0 * _BALANCE * float(z @ np.abs(b)):
+            raise _empty(rows, z)
+    exact = nearest_by_active_set(rows.A, b, reference, is_exact=True)
+    if exact.conflict is None:
+        return exact.point
+    # Rows that only make up for the rounding of the others are not named, where the
+    # proof holds without them.
+    z = exact.conflict / exact.conflict.sum()
+    heavy = np.where(z > _NOISE * z.max(), z, 0.0)
+    most = float(heavy @ b) + reach * float(np.abs(heavy @ rows.A).sum())
+    raise _empty(rows, heavy if most < 0.5 * (z @ b) else z)
 
 
 def _empty(rows: UnitRows, conflict: Array) -> EmptySetError:
@@ -302,13 +267,9 @@ def chebyshev_ball(A: ArrayLike, b: ArrayLike) -> tuple[Array, float]:
     all rows by less. Rows of zeros with b_i >= 0 say nothing and are dropped; with
     b_i < 0 they make the radius minus infinity.
 
-    Args:
-        A: The rows, shape (n, m).
-        b: The right-hand sides, shape (n,).
-
     Raises:
         UnboundedSetError: The set holds balls of every size.
-        ValueError: Wrong shapes or numbers that are not finite.
+        InvalidValueError: Wrong shapes or numbers that are not finite.
     """
     rows = UnitRows.checked(A, b)
     if rows.conflict is not None:
@@ -340,12 +301,8 @@ def emptiness_certificate(A: ArrayLike, b: ArrayLike) -> EmptySetError | None:
     distance, counts as a point of the set: flat sets are not empty, nor are those of
     `nearest_point`.
 
-    Args:
-        A: The rows, shape (n, m).
-        b: The right-hand sides, shape (n,).
-
     Raises:
-        ValueError: Wrong shapes or numbers that are not finite.
+        InvalidValueError: Wrong shapes or numbers that are not finite.
     """
     rows = UnitRows.checked(A, b)
     A, b = rows.given
@@ -372,14 +329,10 @@ def recession_direction(A: ArrayLike) -> Array | None:
     Found as a null vector of A, or as the least d with A d <= 0 and 1'A d <= -1;
     verified to 1e-11 on rows of unit length.
 
-    Args:
-        A: The rows, shape (n, m).
-
     Raises:
-        ValueError: Wrong shape or numbers that are not finite.
+        InvalidValueError: Wrong shape or numbers that are not finite.
     """
-    A = np.asarray(A, dtype=float)
-    rows, _ = UnitRows.checked(A, np.zeros(len(A))).without_blanks()
+    rows, _ = UnitRows.checked(A, np.zeros(np.shape(A)[:1])).without_blanks()
     n, m = rows.shape
     _, singular, axes = np.linalg.svd(rows, full_matrices=True)
     if n < m or singular[-1] <= _RAY_TOLERANCE * singular[0]:
