@@ -1,8 +1,8 @@
 """Hardware in the loop: a vehicle and its controller as two processes on an LCM bus.
 
 A message's way: `bus` (bytes), `formats` (checked), `inbox` (accepted, by its sender,
-order and clock). The vehicle's half is `make_vehicle`, the
-controller's `make_hardware_loop`; a process around each lets it run in real time.
+order and clock). The vehicle's half is `make_vehicle`, the controller's
+`make_hardware_loop`; a process around each lets it run in real time.
 """
 
 from vcbf_drake.hil.bus import (
@@ -10,12 +10,13 @@ from vcbf_drake.hil.bus import (
     Bus,
     BusError,
     LinkFaults,
+    SimulatedClock,
+    WallClock,
     check_bus,
     open_bus,
     read_key,
     vehicle_name,
 )
-from vcbf_drake.hil.clocks import SimulatedClock, WallClock
 from vcbf_drake.hil.command_sender import CommandSender, command_message
 from vcbf_drake.hil.controller_process import ControllerProcess
 from vcbf_drake.hil.controller_side import (

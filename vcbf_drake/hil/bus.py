@@ -15,14 +15,13 @@ from pathlib import Path
 import re
 import socket
 import time
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from pydrake.lcm import DrakeLcm
 
 from vcbf_drake.checks import check_parameter
 from vcbf_drake.errors import InvalidValueError, VcbfError
-from vcbf_drake.hil.clocks import Clock, SimulatedClock, WallClock
 from vcbf_drake.simulation.scenario import Scenario
 
 # Multicast, as LCM's own default; a time to live of 0 keeps it on this computer.
@@ -81,6 +80,35 @@ class LinkFaults:
             if not 0.0 <= value <= most:
                 must = f"it must be between 0 and {most:g}"
                 raise InvalidValueError(name, f"{value:g}; {must}")
+
+
+class WallClock:
+    """The system's clock at the start, advanced by a clock that is never set back."""
+
+    def __init__(self) -> None:
+        self._offset = time.time_ns() - time.monotonic_ns()
+
+    def utime(self) -> int:
+        """Returns the time [us]."""
+        return (self._offset + time.monotonic_ns()) // 1000
+
+
+class SimulatedClock:
+    """A clock that the driver of a simulation sets.
+
+    Attributes:
+        now: Its time [us].
+    """
+
+    def __init__(self, now: int = 1_000_000_000_000_000) -> None:
+        self.now = now
+
+    def utime(self) -> int:
+        """Returns the time [us]."""
+        return self.now
+
+
+Clock: TypeAlias = WallClock | SimulatedClock
 
 
 class Bus:

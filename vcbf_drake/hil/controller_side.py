@@ -15,8 +15,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem, Outpu
 from vcbf_drake.add_safety_filter import AddedSafetyFilter
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
-from vcbf_drake.hil.bus import Bus, LinkFaults, Tap
-from vcbf_drake.hil.clocks import SimulatedClock
+from vcbf_drake.hil.bus import Bus, LinkFaults, SimulatedClock, Tap
 from vcbf_drake.hil.command_sender import CommandSender
 from vcbf_drake.hil.controller_process import ControllerProcess
 from vcbf_drake.hil.prediction import LiveAudit, StatePredictor

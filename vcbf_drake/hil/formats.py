@@ -21,6 +21,10 @@ from vcbf_drake.hil.messages import vcbf_command, vcbf_obstacles, vcbf_state
 _MAX_NUMBER, _MAX_BYTES = 1e6, 65_536
 # The bound of quantities that grow with the running time: 1 MN for eleven days.
 _GROWING, _MAX_GROWN = ("time", "input_integral"), 1e12
+# The shortest period of a sender's messages [s], and how many may be faster than that.
+SHORTEST_PERIOD, _BURST = 1e-4, 100
+# The most by which a motion's time may run ahead of the clock [us].
+TIME_AHEAD = 100_000
 
 
 class CommandMode(IntEnum):
@@ -157,6 +161,24 @@ class MessageFormat:
 def measured_at(message: Any) -> int:
     """Returns when a message's content was true, by its sender's clock [us]."""
     return int(getattr(message, "utime_measured", message.utime))
+
+
+def most_messages(elapsed: int) -> float:
+    """Returns how many messages a sender may send in a time [us]."""
+    return _BURST + 1e-6 * elapsed / SHORTEST_PERIOD
+
+
+def first_fault(message: Any) -> Rejection | None:
+    """Returns the contradiction of a sender's first message with its own clock."""
+    runs_for = message.utime - message.session
+    is_much = message.sequence > most_messages(runs_for)
+    if is_much or message.session > measured_at(message):
+        return Rejection(Reason.STAMPS)
+    time = getattr(message, "time", 0.0)
+    if 1e6 * time > runs_for + TIME_AHEAD:
+        words = f"on by {time:.3g} s in a session of {1e-6 * runs_for:.3g} s"
+        return Rejection(Reason.TIME, f"{words}; its unit is s")
+    return None
 
 
 def _has_its_sizes(message: Any) -> bool:

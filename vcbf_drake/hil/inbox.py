@@ -8,22 +8,35 @@ from __future__ import annotations
 
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
+import math
 from typing import Any
 
 from vcbf_drake.hil.bus import Bus
-from vcbf_drake.hil.clocks import LONGEST_ROUND_TRIP, PeerClock
-from vcbf_drake.hil.formats import MessageFormat, Reason, Rejection, measured_at
+from vcbf_drake.hil.formats import (
+    TIME_AHEAD,
+    MessageFormat,
+    Reason,
+    Rejection,
+    first_fault,
+    measured_at,
+    most_messages,
+)
 
 # The number of senders remembered, so that their old messages are not new again.
 _MOST_SENDERS = 8
-_LATE = (Reason.OLD, Reason.OVERTAKEN)
-
-# The shortest period of a sender's messages [s], and how many may be faster than that.
-SHORTEST_PERIOD, _BURST = 1e-4, 100
 # The number of sequence numbers back that tell a late message from a repeated one.
 _WINDOW = 64
-# The most by which a motion's time may run ahead of the clock [us].
-_TIME_AHEAD = 100_000
+# The bound of a round trip [us].
+_LONGEST_ROUND_TRIP = 60_000_000
+# The relative drift of two clocks, and the greatest rate of a correction.
+_DRIFT, _FASTEST = 200e-6, 0.1
+# The most by which a message may contradict the estimate of its sender's clock [us].
+_TOLERANCE = 100_000
+# Messages in a row that must agree on a step of a clock before it is accepted, and the
+# time [us] until the next step may be: a clock that keeps stepping is refused.
+_WITNESSES, _BETWEEN_STEPS = 3, 5_000_000
+# The time for which messages stay late before the clock counts as set back [us].
+_PATIENCE = 500_000
 
 # The echo of one of our messages: its time of sending by our clock, and the time from
 # its arrival to this message [us]; None without an echo.
@@ -99,7 +112,7 @@ class Inbox:
     @property
     def late(self) -> int:
         """The number of messages that were too old, or older than the newest."""
-        return sum(self.rejections[reason] for reason in _LATE)
+        return self.rejections[Reason.OLD] + self.rejections[Reason.OVERTAKEN]
 
     @property
     def rejected(self) -> int:
@@ -201,7 +214,7 @@ class Inbox:
         sent, age = self._echo(message) or (0, 0)
         if sent > self._echoed_at:
             self._echoed_at, away = sent, now - sent - age
-            if 0 <= away < LONGEST_ROUND_TRIP:
+            if 0 <= away < _LONGEST_ROUND_TRIP:
                 self.round_trips.append(1e-3 * away)
 
 
@@ -233,7 +246,7 @@ class Sender:
     ) -> Rejection | None:
         """Records the message's number and times; returns its fault."""
         self.skipped = 0
-        fault = None if self._is_known else _contradiction(message)
+        fault = None if self._is_known else first_fault(message)
         fault = fault or self._order(message, now)
         if fault is not None:
             return fault
@@ -258,8 +271,8 @@ class Sender:
             return Rejection(Reason.OVERTAKEN)
         # By our own clock: a forged number would otherwise keep the true ones out, as
         # having gone back, for ever.
-        most = _BURST + 1e-6 * (now - self._numbered_at) / SHORTEST_PERIOD
-        if self._is_known and -back > most:
+        is_much = -back > most_messages(now - self._numbered_at)
+        if self._is_known and is_much:
             return Rejection(Reason.STAMPS)
         self.skipped = -back - 1
         earlier = self._seen << -back if -back < _WINDOW else 0
@@ -278,7 +291,7 @@ class Sender:
             self._start = time, now
         start, began = self._start
         elapsed = 1e-6 * (now - began)
-        most = 1.001 * elapsed + 1e-6 * (max_age + _TIME_AHEAD)
+        most = 1.001 * elapsed + 1e-6 * (max_age + TIME_AHEAD)
         self._leaps = time - start > most
         if self._leaps:
             words = f"on by {time - start:.3g} s in {elapsed:.3g} s; its unit is s"
@@ -287,14 +300,101 @@ class Sender:
         return None
 
 
-def _contradiction(message: Any) -> Rejection | None:
-    """The contradiction of a sender's first message with its own clock."""
-    runs_for = message.utime - message.session
-    most = _BURST + runs_for * 1e-6 / SHORTEST_PERIOD
-    if message.sequence > most or message.session > measured_at(message):
-        return Rejection(Reason.STAMPS)
-    time = getattr(message, "time", 0.0)
-    if 1e6 * time > runs_for + _TIME_AHEAD:
-        words = f"on by {time:.3g} s in a session of {1e-6 * runs_for:.3g} s"
-        return Rejection(Reason.TIME, f"{words}; its unit is s")
-    return None
+class PeerClock:
+    """Estimate of a peer's clock offset from ours, from the messages exchanged.
+
+    A message takes time, so its clock is ahead by at least ``sent - received`` of one
+    from the peer, and at most by that of one of ours. The offset is the middle of the
+    tightest such interval, which widens with the drift of two clocks; before a round
+    trip is known, its lower end: the fastest message is taken to need no time. A clock
+    of another pace is followed, by 10 % at most: so fast NTP's programs turn one.
+
+    A message that contradicts the interval by more than 0.1 s is not believed: a forged
+    one must not move the clock. Three in a row that agree tell of a clock that was set,
+    and all begins anew; at most once in 5 s, so that one that stands is not followed.
+
+    Source: D. L. Mills, RFC 5905, section 8 (the four times); the interval is ours.
+
+    Attributes:
+        steps: The number of times that the peer's clock was set.
+        last_step: The size of the last step [us].
+    """
+
+    def __init__(self) -> None:
+        self.steps, self.last_step = 0, 0
+        self._low, self._high, self._at = -math.inf, math.inf, 0
+        self._stepped_at: float = -math.inf
+        self._witnesses: deque[float] = deque(maxlen=_WITNESSES)
+        self._behind_since: int | None = None
+
+    @property
+    def offset(self) -> int:
+        """The lead of the peer's clock over ours [us]; 0 before the first message."""
+        if math.isinf(self._low):
+            return 0
+        is_one_way = math.isinf(self._high)
+        return round(self._low if is_one_way else (self._low + self._high) / 2)
+
+    @property
+    def uncertainty(self) -> float:
+        """The error bound of the offset [us]; infinite before the first round trip."""
+        return (self._high - self._low) / 2
+
+    def listen(self, sent: int, received: int, echo: tuple[int, int] | None) -> float:
+        """Updates the estimate; returns by how much a message contradicts it [us].
+
+        Args:
+            sent: The time of sending by the peer's clock.
+            received: The time of arrival by ours.
+            echo: The echo of one of our messages, see `Echo`.
+        """
+        low, high, elapsed = sent - received, math.inf, received - self._at
+        if echo is not None:
+            ours_sent, ours_age = echo
+            bound = sent - ours_age - ours_sent
+            # No round trip is that long or negative: the sender has not filled in its
+            # times, or has set its clock since our message arrived.
+            if -_TOLERANCE <= bound - low < _LONGEST_ROUND_TRIP:
+                high = bound
+        least, most = self._low - _DRIFT * elapsed, self._high + _DRIFT * elapsed
+        # It neither comes from before the fastest, nor from the future.
+        ahead = low - most if math.isfinite(most) else low - least
+        contradiction = max(ahead, least - high)
+        if not math.isinf(self._low) and contradiction > _TOLERANCE:
+            return 0.0 if self._has_been_set(low, received) else contradiction
+        behind, self._at = least - low, received
+        if low > most:
+            self._low = self._high = min(low, self._high + _FASTEST * elapsed)
+        elif high < least:
+            self._low = self._high = max(high, self._low - _FASTEST * elapsed)
+        else:
+            self._low, self._high = max(least, low), min(most, high)
+        self._witnesses.clear()
+        # Before the first round trip, lasting lateness is a clock that was set back.
+        if behind <= _TOLERANCE or math.isfinite(self._high):
+            self._behind_since = None
+        elif self._behind_since is None:
+            self._behind_since = received
+        elif received - self._behind_since > _PATIENCE:
+            self._begin_anew(low, received)
+        return 0.0
+
+    def _has_been_set(self, low: float, received: int) -> bool:
+        """Whether this message is the third in a row with the same step."""
+        witnesses = self._witnesses
+        if witnesses and abs(low - witnesses[-1]) > _TOLERANCE:
+            witnesses.clear()
+        witnesses.append(low)
+        is_too_soon = received - self._stepped_at < _BETWEEN_STEPS
+        if len(witnesses) < _WITNESSES or is_too_soon:
+            return False
+        self._begin_anew(max(witnesses), received)
+        return True
+
+    def _begin_anew(self, low: float, received: int) -> None:
+        before = self.offset
+        # The echo was measured with a clock that was set meanwhile.
+        self._low, self._high, self._at = low, math.inf, received
+        self.steps, self.last_step = self.steps + 1, self.offset - before
+        self._stepped_at, self._behind_since = received, None
+        self._witnesses.clear()

@@ -15,8 +15,7 @@ from pydrake.systems.framework import Context
 
 from vcbf_drake.checks import Array
 from vcbf_drake.disturbances import DisturbanceObserver
-from vcbf_drake.hil.bus import Bus
-from vcbf_drake.hil.clocks import SimulatedClock
+from vcbf_drake.hil.bus import Bus, SimulatedClock
 from vcbf_drake.hil.controller_process import ControllerProcess
 from vcbf_drake.hil.controller_side import controller_of
 from vcbf_drake.hil.event_log import (

@@ -21,6 +21,7 @@ from vcbf_drake.barriers import BarrierSet
 from vcbf_drake.checks import Array, require
 from vcbf_drake.hil.bus import Bus
 from vcbf_drake.hil.formats import (
+    SHORTEST_PERIOD,
     CommandMode,
     Reason,
     VehicleMode,
@@ -28,7 +29,7 @@ from vcbf_drake.hil.formats import (
     obstacles_format,
     state_format,
 )
-from vcbf_drake.hil.inbox import SHORTEST_PERIOD, Inbox
+from vcbf_drake.hil.inbox import Inbox
 from vcbf_drake.hil.messages import vcbf_obstacles, vcbf_state
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.model.interface import state_port_of
