@@ -17,7 +17,6 @@ from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.model.manoeuvre import FOREVER, Box, Manoeuvre, Plan
-from vcbf_drake.safety.backup_rows import manoeuvres_of
 from vcbf_drake.safety.decision import FilterDecision, FilterStatus, Tick
 from vcbf_drake.safety.input_set import InputSet
 
@@ -65,7 +64,8 @@ class BackupGate:
             ModelError: The plant has no manoeuvre that is safe under these limits, or a
                 barrier has no enclosure on intervals; or the limits are no box.
         """
-        found = manoeuvres_of(model, input_set, period, disturbance_bound)
+        limits = input_set.box_limits()
+        found = model.manoeuvres(*limits, period, disturbance_bound)
         RowEnclosures.at(barrier_set, 0.0, np.zeros(barrier_set.obstacles_size))
         self._barriers, self._input_set = barrier_set, input_set
         everything = np.ones(barrier_set.size, dtype=bool)

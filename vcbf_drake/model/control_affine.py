@@ -33,7 +33,7 @@ from vcbf_drake.model.interface import (
     unit_quaternions,
     wrapping,
 )
-from vcbf_drake.model.manoeuvre import MakeManoeuvres
+from vcbf_drake.model.manoeuvre import MakeManoeuvres, Manoeuvre
 from vcbf_drake.model.numeric_dynamics import NumericDynamics, plant_of
 from vcbf_drake.model.position import Position, named_position
 from vcbf_drake.model.symbolic_dynamics import symbolic_dynamics
@@ -238,6 +238,33 @@ class ControlAffineModel:
         _require_same_rates(model, own.rate)
         model.make_manoeuvres = getattr(system, "make_manoeuvres", None)
         return model
+
+    def manoeuvres(
+        self, lower: Array, upper: Array, period: float, disturbance_bound: float
+    ) -> Sequence[Manoeuvre]:
+        """Returns the plant's backup manoeuvres, one at least.
+
+        Args:
+            lower: The least inputs, shape (m,).
+            upper: The greatest inputs, shape (m,).
+            period: The hold period [s].
+            disturbance_bound: delta1 [m/s^2].
+
+        Raises:
+            ModelError: The plant has none, or none that is safe under these limits.
+        """
+        if self.make_manoeuvres is None:
+            raise ModelError(
+                f"{self.name} has no backup manoeuvre: give the plant a method"
+                " make_manoeuvres"
+            )
+        found = self.make_manoeuvres(lower, upper, disturbance_bound, period)
+        if not found:
+            raise ModelError(
+                f"no backup manoeuvre of {self.name} is safe with these input limits"
+                f" and |d| <= {disturbance_bound:g} m/s^2"
+            )
+        return found
 
     def difference(self, x_1: Array, x_0: Array) -> Array:
         """Returns x_1 - x_0, shape (..., n), the short way round in wrapped states."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vcbf_drake.checks import Array, require
-from vcbf_drake.errors import EmptySetError, UnboundedSetError
+from vcbf_drake.errors import EmptySetError, ModelError, UnboundedSetError
 from vcbf_drake.safety.polytope import (
     UnitRows,
     chebyshev_ball,
@@ -137,6 +137,17 @@ class InputSet:
     def fixed(self) -> list[int]:
         """Which inputs are fixed."""
         return np.flatnonzero(self.scale == 0.0).tolist()
+
+    def box_limits(self) -> tuple[Array, Array]:
+        """Returns the least and the greatest inputs, shape (m,) each.
+
+        Raises:
+            ModelError: The set is no box.
+        """
+        if not self.is_box:
+            raise ModelError("a backup manoeuvre needs limits of each input alone")
+        m = self.num_inputs
+        return -self.b[m:], self.b[:m]
 
     @property
     def row_names(self) -> tuple[str, ...]:

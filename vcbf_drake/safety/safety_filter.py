@@ -18,10 +18,10 @@ from pydrake.systems.framework import (
 )
 
 from vcbf_drake.barriers import Barrier, BarrierRows, BarrierSet, StateInputLimit
+from vcbf_drake.barriers.backup_rows import BackupRows
 from vcbf_drake.checks import Array, require
 from vcbf_drake.disturbances import DisturbanceBounds, DisturbanceEstimate
 from vcbf_drake.model import ControlAffineModel
-from vcbf_drake.safety.backup_rows import BackupRows, manoeuvres_of
 from vcbf_drake.safety.cached_system import CachedSystem
 from vcbf_drake.safety.decision import (
     FilterDecision,
@@ -150,7 +150,7 @@ class SafetyFilter(CachedSystem):
                 model,
                 self.barriers,
                 self.barrier_set,
-                manoeuvres_of(model, input_set, *known),
+                model.manoeuvres(*input_set.box_limits(), *known),
                 settings.backup_margin,
             )
         names = (self.backup_rows or self.barrier_set).names

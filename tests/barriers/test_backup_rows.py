@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 
 from tests.helpers.braking_integrator import FullBrake, braking_integrator
 from vcbf_drake.barriers import Barrier, BarrierSet, SphereObstacle, ackermann_limit
+from vcbf_drake.barriers.backup_rows import BackupRows
 from vcbf_drake.errors import ModelError, VcbfError
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.plants import Car, CarParameters
@@ -23,7 +24,6 @@ from vcbf_drake.safety import (
     SafetyFilter,
     disturbance_margin,
 )
-from vcbf_drake.safety.backup_rows import BackupRows
 
 ALPHA, HORIZON = 2.0, 3.0
 

@@ -8,16 +8,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydrake.symbolic import Expression
 
-from vcbf_drake.barriers import Barrier, BarrierRows, BarrierSet
+from vcbf_drake.barriers.barrier import Barrier
+from vcbf_drake.barriers.barrier_set import BarrierSet
 from vcbf_drake.barriers.chain import TIME
-from vcbf_drake.barriers.rows import barrier_formula
+from vcbf_drake.barriers.rows import BarrierRows, barrier_formula
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.model.formulas import CompiledFunction, compile_nodes, read
 from vcbf_drake.model.graph import gradients
 from vcbf_drake.model.manoeuvre import Manoeuvre
-from vcbf_drake.safety.input_set import InputSet
 
 # At how many instants of the way there is a row; below which rates of the states and of
 # their sensitivities the way has ended.
@@ -258,39 +258,3 @@ class _Flow:
         moved[:, 0] = numbers[:n]
         np.matmul(numbers[n:].reshape(n, n), now[:, 1:], out=moved[:, 1:])
         return moved
-
-
-def manoeuvres_of(
-    model: ControlAffineModel,
-    input_set: InputSet,
-    period: float,
-    disturbance_bound: float,
-) -> Sequence[Manoeuvre]:
-    """Returns a plant's backup manoeuvres, one at least.
-
-    Args:
-        model: The plant.
-        input_set: The input set, a box.
-        period: The hold period [s].
-        disturbance_bound: delta1 [m/s^2].
-
-    Raises:
-        ModelError: The plant has none, or none that is safe under these limits, or the
-            limits are no box.
-    """
-    if not input_set.is_box:
-        raise ModelError("a backup manoeuvre needs limits of each input alone")
-    if model.make_manoeuvres is None:
-        raise ModelError(
-            f"{model.name} has no backup manoeuvre: give the plant a method"
-            " make_manoeuvres"
-        )
-    m = model.num_inputs
-    lower, upper = -input_set.b[m:], input_set.b[:m]
-    found = model.make_manoeuvres(lower, upper, disturbance_bound, period)
-    if not found:
-        raise ModelError(
-            f"no backup manoeuvre of {model.name} is safe with these input limits and"
-            f" |d| <= {disturbance_bound:g} m/s^2"
-        )
-    return found
