@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 import json
+import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -87,14 +88,16 @@ def decide(tick: Tick) -> FilterDecision:
     )
     known = DisturbanceKnowledge.constant(1, 0.0)
     costs = replace(RowCosts.equal(n), weights=tick.weights)
+    row = tick.volume_row
+    if row is not None and tick.exact_slack:
+        row = row._replace(slack_penalty=math.inf)
     with np.errstate(over="ignore", invalid="ignore"):
         feasible = feasible_set(tick.input_set, rows, known, costs)
         return choose_input(
             feasible,
-            tick.volume_row,
+            row,
             tick.reference,
             tick.held_input,
-            tick.exact_slack,
             tick.policy,
         )
 

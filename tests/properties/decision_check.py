@@ -15,7 +15,12 @@ import math
 
 import numpy as np
 
-from tests.properties.first_order_optimality import suboptimality
+from tests.properties.first_order_optimality import (
+    dot,
+    rational,
+    solve_exactly,
+    suboptimality,
+)
 from vcbf_drake.checks import Array
 from vcbf_drake.safety import FilterDecision, FilterStatus, InputSet
 from vcbf_drake.safety.decision import InfeasiblePolicy
@@ -351,7 +356,25 @@ def _is_conflict(rows: _Rows, named: list[int]) -> bool:
     imbalance = float(np.abs(y @ G).sum())
     is_proof = imbalance <= _BALANCE and float(y @ h) + imbalance < 0.0
     fewer = (np.delete(G, i, axis=0) for i in range(len(named)))
-    return is_proof and all(_are_independent(each) for each in fewer)
+    is_known = is_proof and all(_are_independent(each) for each in fewer)
+    return is_known or _is_exact_conflict(G, h)
+
+
+def _is_exact_conflict(G: Array, h: Array) -> bool:
+    """The same in rationals, of rows that are apart by less than floats round."""
+    rows, right = list(map(rational, G)), rational(h)
+    multipliers = []
+    for i, row in enumerate(rows):  # Its own is 1.
+        others = rows[:i] + rows[i + 1 :]
+        gram = [[dot(a, b) for b in others] for a in others]
+        y = solve_exactly(gram, [-dot(a, row) for a in others])
+        if y is None:
+            return False
+        multipliers.append([*y[:i], Fraction(1), *y[i:]])
+    y = max(multipliers, key=min)
+    imbalance = sum(abs(dot(column, y)) for column in zip(*rows, strict=True))
+    is_balanced = min(y) >= 0 and imbalance <= _BALANCE * sum(y)
+    return is_balanced and dot(y, right) + imbalance < 0
 
 
 def _are_independent(G: Array) -> bool:

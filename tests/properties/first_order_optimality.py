@@ -90,40 +90,42 @@ def _in_rationals(
     enough: float,
 ) -> float:
     """The same without rounding: between nearly parallel rows y is very large."""
-    best, x, g = np.inf, _rational(point), _rational(gradient)
+    best, x, g = np.inf, rational(point), rational(gradient)
     for choice in islice(_choices(touching, len(point)), _MOST_CHOICES[1]):
         if not 0 < len(choice) <= len(point):
             continue
-        rows = [_rational(G[i]) for i in choice]
-        gram = [[_dot(a, b) for b in rows] for a in rows]
-        y = solve_exactly(gram, [-_dot(row, g) for row in rows])
+        rows = [rational(G[i]) for i in choice]
+        gram = [[dot(a, b) for b in rows] for a in rows]
+        y = solve_exactly(gram, [-dot(row, g) for row in rows])
         if y is None or min(y) < 0:
             continue
         columns = zip(*rows, strict=True)
-        residual = [gi + _dot(column, y) for gi, column in zip(g, columns, strict=True)]
+        residual = [gi + dot(column, y) for gi, column in zip(g, columns, strict=True)]
         slack = [
-            Fraction(float(h[i])) - _dot(row, x)
+            Fraction(float(h[i])) - dot(row, x)
             for i, row in zip(choice, rows, strict=True)
         ]
         size = float(np.abs([float(each) for each in residual]) @ reach)
-        best = min(best, float(_dot(y, slack)) + size)
+        best = min(best, float(dot(y, slack)) + size)
         if best <= enough:
             break
     return best
 
 
-_Rational = Sequence[Fraction]
+Rational = Sequence[Fraction]
 
 
-def _rational(values: Array) -> _Rational:
+def rational(values: Array) -> Rational:
+    """Returns the numbers that floats are, without rounding."""
     return [Fraction(float(value)) for value in values]
 
 
-def _dot(a: _Rational, b: _Rational) -> Fraction:
+def dot(a: Rational, b: Rational) -> Fraction:
+    """Returns a'b."""
     return sum((x * y for x, y in zip(a, b, strict=True)), Fraction(0))
 
 
-def solve_exactly(matrix: Sequence[_Rational], right: _Rational) -> _Rational | None:
+def solve_exactly(matrix: Sequence[Rational], right: Rational) -> Rational | None:
     """Solves a linear system in rationals; None for a singular matrix.
 
     By Gauss and Jordan.

@@ -87,6 +87,18 @@ def test_nothing_illegal_leaves(tick):
     assert set(broken_promises(tick, decision)) <= {UNSOLVED}
 
 
+def test_rows_that_are_apart_by_next_to_nothing_exclude_each_other():
+    """u_2 <= 0 and u_2 >= 2.5e-17: empty, and said so, by less than floats round."""
+    A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, -3.6844087e7, 0.0]])
+    zero, b = np.zeros(3), np.array([0.0, 0.0, -9.19182217e-10])
+    tick = Tick(BOX, A, b, np.ones(3), None, zero, zero, True, "stop")
+    decision = decide(tick)
+    assert decision.status == FilterStatus.INFEASIBLE and decision.conflict == (6, 8)
+    assert broken_promises(tick, decision) == ()
+    b[2] = 1e-18
+    assert decide(tick).status == FilterStatus.REFERENCE
+
+
 @settings(max_examples=1500, deadline=None, derandomize=True)
 @given(ticks(tame))
 def test_every_promise_is_kept(tick):

@@ -21,7 +21,6 @@ def decide(b, slopes, reference, most=9.0, policy="decay", **choices):
         None,
         np.array([reference]),
         np.zeros(1),
-        True,
         policy,
         decay_rates=DecayRates(np.array(slopes), np.full(len(b), most), **choices),
     )
@@ -104,7 +103,6 @@ def test_optimal_decay_solves_the_smooth_problem_without_its_variables():
             None,
             reference,
             np.zeros(3),
-            True,
             "stop",
             decay_rates=rates,
         )

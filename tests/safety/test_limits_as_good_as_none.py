@@ -17,7 +17,7 @@ FAR = [1e6, 1e8, 1e9, 1e10, 1e12, 1e300, 1.7e308, np.inf]
 def choose(input_set, A, b, reference, policy="least_violation"):
     feasible, held = fixed_set(input_set, A, b), np.zeros(len(reference))
     reference = np.array(reference, dtype=float)
-    return choose_input(feasible, None, reference, held, True, policy)
+    return choose_input(feasible, None, reference, held, policy)
 
 
 @pytest.mark.parametrize("far", FAR)

@@ -44,12 +44,13 @@ def set_of(A, b, input_set=BOX, weights=None):
 def choose(feasible, reference, volume_row=None, **options):
     settings = {"exact_slack": True, "policy": "stop", "held_input": ORIGIN}
     settings |= options
+    if volume_row is not None and settings["exact_slack"]:
+        volume_row = volume_row._replace(slack_penalty=np.inf)
     return choose_input(
         feasible,
         volume_row,
         np.array(reference, dtype=float),
         settings["held_input"],
-        settings["exact_slack"],
         settings["policy"],
     )
 

@@ -210,7 +210,7 @@ def test_a_volume_row_beyond_what_floats_hold_is_left_out_too(
 ):
     without = make_filter(model, method="dob-cbf-qp")
     expected = evaluate(without, fixed(without, CLOSE), "command")
-    row = VolumeRow(np.array([-1.0, 0.3, 0.0]), bound, 1e3)
+    row = VolumeRow(np.array([-1.0, 0.3, 0.0]), bound)
     monkeypatch.setattr(filter_module, "volume_row", lambda *_: row)
     safety_filter = make_filter(model)
     context = fixed(safety_filter, CLOSE)

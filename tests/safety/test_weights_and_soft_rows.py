@@ -26,7 +26,6 @@ def choose(
         volume_row,
         np.array(reference, dtype=float),
         np.zeros(len(reference)),
-        True,
         "least_violation",
         frame=Frame.of(box, weights),
     )
@@ -167,7 +166,7 @@ def test_soft_rows_are_no_part_of_a_conflict_nor_of_the_fallback():
 
 def test_a_volume_row_gives_way_before_a_soft_row_is_asked():
     """u_1 <= 0 of the volume row, against u_1 >= 1, which is hard."""
-    row = VolumeRow(np.array([1.0, 0.0, 0.0]), 0.0, 1e3)
+    row = VolumeRow(np.array([1.0, 0.0, 0.0]), 0.0)
     A, b = [[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], [-1.0, -1.0]
     decision = choose(A, b, [0.0] * 3, [1.0] * 3, [np.inf, 3.0], row)
     assert decision.status == FilterStatus.RELAXED

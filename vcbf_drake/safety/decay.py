@@ -105,8 +105,8 @@ class DecayRates:
             A=np.vstack([A[:n], sides, A[n:]]),
             b=np.concatenate([qp.b[:n], most, np.zeros(count), qp.b[n:]]),
             reference=np.insert(qp.reference, m, np.zeros(count)),
+            rows=(*qp.rows[:n], *names, *names, *qp.rows[n:]),
             num_hard=n + 2 * count,
-            further_rows=(*names, *names, *qp.further_rows),
         )
 
     def factor(self, feasible: FeasibleSet, u: Array) -> float:

@@ -127,22 +127,17 @@ class TickPrograms:
         """
         rows, nearest = UnitRows(qp.A, qp.b), NearestPointProgram(*qp.A.shape)
         nearest.state(rows.A, rows.b, qp.reference)
+        of_qp = tuple(names[i] if isinstance(i, int) else i for i in qp.rows)
         inputs, (cut, A, b) = feasible.input_set, feasible.cut_by(widening)
-        first, k, cone = inputs.limits, feasible.num_input_rows, None
+        first, cone = inputs.limits, None
         limits, sides = inputs.A_normalised[first], inputs.b_normalised[first]
         rows = UnitRows(np.concatenate([limits, A]), np.concatenate([sides, b]))
+        of_cone = tuple(names[i] for i in [*first, *(feasible.num_input_rows + cut)])
         if inputs.num_inputs > 1:
             largest = EllipsoidProgram(len(rows.b), inputs.num_inputs, 1e-9)
             largest.state(rows.A, rows.b)
             cone = largest.program
-        qp_rows = (*first.tolist(), *(k + qp.cut).tolist(), *qp.further_rows)
-        return TickPrograms(
-            nearest.program,
-            tuple(row if isinstance(row, str) else names[row] for row in qp_rows),
-            cone,
-            tuple(names[i] for i in (*first.tolist(), *(k + cut).tolist())),
-            qp,
-        )
+        return TickPrograms(nearest.program, of_qp, cone, of_cone, qp)
 
     def input(self, result: MathematicalProgramResult) -> Array:
         """Returns the input u of a solution of the QP, shape (m,)."""
@@ -218,7 +213,6 @@ def choose_input(
     volume_row: VolumeRow | None,
     reference: Array,
     held_input: Array,
-    exact_slack: bool,
     policy: InfeasiblePolicy,
     solver: str = DEFAULT_SOLVER,
     frame: Frame | None = None,
@@ -226,16 +220,15 @@ def choose_input(
 ) -> FilterDecision:
     """Returns the feasible input nearest to the reference, (E47) or (E54), (E55).
 
-    With the exact slack the volume row is hard and gives way, by as little as possible,
-    only when no input satisfies it together with the other rows; without, it has the
-    printed penalty M delta^2. Soft barrier rows always have theirs (E71).
+    A hard volume row gives way, by as little as possible, only when no input satisfies
+    it together with the other rows; else it has the printed penalty M delta^2. Soft
+    barrier rows have theirs (E71).
 
     Args:
         feasible: Input limits and barrier rows.
         volume_row: The volume barrier's row, finite; None where it has none.
         reference: The controller's input, shape (m,).
         held_input: The input applied now, shape (m,); for the fallbacks.
-        exact_slack: Whether the volume row is hard with the least slack.
         policy: The policy when the barrier rows have no solution.
         solver: The name of the solver that proposes, one of `SOLVERS`.
         frame: The coordinates of the normalised inputs, with the cost's weights; by
@@ -250,7 +243,7 @@ def choose_input(
     if not (feasible.is_finite and np.isfinite(reference).all()):
         return FilterDecision(fallback(), FilterStatus.FAILED)
     soft = feasible.soft_rows()
-    qp = state_qp(feasible, frame, reference, volume_row, exact_slack, soft)
+    qp = state_qp(feasible, frame, reference, volume_row, soft)
     growing = decay_rates
     if growing is not None and growing.only_where_empty:
         growing = None
@@ -264,10 +257,8 @@ def choose_input(
     except SolverError:
         return FilterDecision(fallback(), FilterStatus.FAILED)
     except EmptySetError as error:
-        # Rows of the feasible set all: those that may give way are in no conflict, and
-        # those that limit decay rates say nothing beside the rows that these belong to.
-        kept = feasible.cutting
-        conflict = tuple(kept[[i for i in error.conflict if i < len(kept)]].tolist())
+        # Rows of the feasible set all: those that may give way are in no conflict.
+        conflict = tuple(sorted({int(qp.rows[i]) for i in error.conflict}))
         u, decay = None, 1.0
         if policy == "hold":
             u = inputs.project(held_input)
@@ -279,7 +270,7 @@ def choose_input(
         u = fallback() if u is None else u
         status = FilterStatus.INFEASIBLE
         return FilterDecision(u, status, conflict=conflict, decay=decay)
-    u, gave_way = frame.input(point), solved is not qp or not exact_slack
+    u, gave_way = frame.input(point), solved is not qp or not qp.has_hard_volume
     slack = volume_row.slack(u) if volume_row and gave_way else 0.0
     status = FilterStatus.RELAXED if slack < 0.0 else FilterStatus.FILTERED
     soft_slacks = tuple([row.slack(u) for row in soft])

@@ -8,7 +8,7 @@ distance.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 import math
 from typing import NamedTuple
@@ -80,7 +80,7 @@ class VolumeRow(NamedTuple):
     Attributes:
         a: Shape (m,).
         c: The right-hand side.
-        slack_penalty: M of (E54, the DOB-VCBF-QP), for the inexact slack.
+        slack_penalty: M of (E54, the DOB-VCBF-QP); infinite for a hard row.
         unit: The divisor of the row, which multiplies its slack.
         linear_penalty: N of (E71): the penalty of the slack itself, beside M times its
             square.
@@ -89,7 +89,7 @@ class VolumeRow(NamedTuple):
 
     a: Array
     c: float
-    slack_penalty: float
+    slack_penalty: float = math.inf
     unit: float = 1.0
     linear_penalty: float = 0.0
     name: str | int = "volume"
@@ -150,11 +150,6 @@ class FeasibleSet(NamedTuple):
         """The number k of rows that limit the input whatever the state."""
         return len(self.input_set.b)
 
-    @property
-    def cutting(self) -> NDArray[np.intp]:
-        """Indices of the rows that matter: the limits, and barrier rows that cut."""
-        return np.concatenate([self.input_set.limits, self.num_input_rows + self.cut])
-
     def tightened(self, reserve: Array) -> FeasibleSet:
         """Returns the subset that leaves every barrier row a reserve, (N,) (E88)."""
         return feasible_set(self.input_set, self.rows, self.known, self.costs, reserve)
@@ -211,18 +206,9 @@ def feasible_set(
     farthest = input_set.farthest(normals)
     # Sums, for what is not finite stays so in them.
     total = float(np.add.reduce(normals, axis=None) + np.add.reduce(bound))
-    return FeasibleSet(
-        input_set=input_set,
-        rows=rows,
-        bound=bound,
-        known=known,
-        costs=costs,
-        normals=normals,
-        distance=distance,
-        farthest=farthest,
-        cut=(distance < farthest).nonzero()[0],
-        is_finite=math.isfinite(total),
-    )
+    cut, is_finite = (distance < farthest).nonzero()[0], math.isfinite(total)
+    given = input_set, rows, bound, known, costs
+    return FeasibleSet(*given, normals, distance, farthest, cut, is_finite)
 
 
 @dataclass(frozen=True)
@@ -257,9 +243,9 @@ class Frame:
         Raises:
             ValueError: W has another shape or is not positive definite.
         """
-        frame = Frame(input_set.origin, input_set.scale)
+        origin, scale = input_set.origin, input_set.scale
         if weights is None or not np.size(weights):
-            return frame
+            return Frame(origin, scale)
         m, W = input_set.num_inputs, np.array(weights, dtype=float)
         W = np.diag(W) if W.ndim == 1 else W
         is_matrix = W.shape == (m, m) and bool(np.isfinite(W).all())
@@ -270,13 +256,11 @@ class Frame:
             f"{m} positive numbers or a positive definite ({m}, {m}) matrix",
         )
         # Inputs that are fixed have no part in it.
-        W = input_set.scale[:, None] * W * input_set.scale
-        W[input_set.scale == 0.0, input_set.scale == 0.0] = 1.0
+        W = scale[:, None] * W * scale
+        W[scale == 0.0, scale == 0.0] = 1.0
         least = float(np.linalg.eigvalsh(W)[0])
         metric = np.linalg.cholesky(W / least).T
-        return replace(
-            frame, metric=metric, inverse=np.linalg.inv(metric), cost_unit=least
-        )
+        return Frame(origin, scale, metric, np.linalg.inv(metric), least)
 
     def input(self, z: Array) -> Array:
         """Returns u of z, whose first entries are the inputs', shape (m,)."""
@@ -299,22 +283,23 @@ class QP(NamedTuple):
         A: The rows, shape (n, d).
         b: Their right-hand sides, shape (n,).
         reference: Shape (d,).
+        rows: What they are: indices of the feasible set's rows, or "volume".
         num_firm: The number of first rows, which limit the input in every state.
-        cut: Which barrier rows follow those.
         num_hard: The number of first rows, which do not give way.
-        has_hard_volume: Whether the last of those is the volume row.
-        further_rows: The names of the rows after the feasible set's.
     """
 
     frame: Frame
     A: Array
     b: Array
     reference: Array
+    rows: tuple[str | int, ...]
     num_firm: int
-    cut: NDArray[np.intp]
     num_hard: int
-    has_hard_volume: bool = False
-    further_rows: tuple[str | int, ...] = ()
+
+    @property
+    def has_hard_volume(self) -> bool:
+        """Whether the volume row is hard, and so the last of those."""
+        return self.rows[self.num_hard - 1 : self.num_hard] == ("volume",)
 
     @property
     def is_met(self) -> bool:
@@ -328,7 +313,6 @@ def state_qp(
     frame: Frame,
     reference: Array,
     volume_row: VolumeRow | None = None,
-    exact_slack: bool = True,
     soft: Sequence[VolumeRow] = (),
 ) -> QP:
     """Returns the tick's QP.
@@ -338,7 +322,6 @@ def state_qp(
         frame: The coordinates.
         reference: The controller's input, finite, shape (m,).
         volume_row: The volume barrier's row, finite; None where it has none.
-        exact_slack: Whether the volume row is hard; else it gives way at its penalty.
         soft: The soft barrier rows; none for the hard rows alone.
     """
     inputs, cut = feasible.input_set, feasible.cut
@@ -355,10 +338,10 @@ def state_qp(
     A, b = np.concatenate(rows), np.concatenate(distances)
     if frame.metric is not None:
         A, z = A @ frame.inverse, frame.metric @ z
-    is_hard = exact_slack and volume_row is not None
-    yielding = further[is_hard:]
-    num_hard, names = len(b) - len(yielding), tuple(row.name for row in further)
-    qp = QP(frame, A, b, z, len(sides), cut, num_hard, is_hard, names)
+    names = *inputs.limits.tolist(), *(len(inputs.b) + cut).tolist()
+    names += tuple([row.name for row in further])
+    yielding = [row for row in further if row.slack_penalty < math.inf]
+    qp = QP(frame, A, b, z, names, len(sides), len(b) - len(yielding))
     return _with_slacks(qp, yielding) if yielding else qp
 
 
@@ -380,5 +363,5 @@ def _with_slacks(qp: QP, yielding: Sequence[VolumeRow]) -> QP:
         A=np.vstack([np.hstack([qp.A, slopes]), signs]),
         b=np.append(qp.b, np.zeros(len(signs))),
         reference=np.append(qp.reference, away),
-        further_rows=(*qp.further_rows, *names),
+        rows=(*qp.rows, *names),
     )

@@ -343,9 +343,15 @@ class SafetyFilter(CachedSystem):
         feasible, row = self.feasible_set(context), None
         v = self.volume(context) if self.method.has_volume_row else None
         if v is not None and not v.is_on_plateau:  # There 0 <= lambda_Vv V_v.
-            is_total = settings.corrections.total_derivative
+            errata = settings.corrections
             row = volume_row(
-                v, self.model, x, feasible.known, settings.volume, is_total
+                v,
+                self.model,
+                x,
+                feasible.known,
+                settings.volume,
+                errata.total_derivative,
+                errata.exact_slack,
             )
         is_known = v is not None and (row is None or row.is_finite)
         rates = settings.decay_rates(feasible, self.barriers)
@@ -356,7 +362,6 @@ class SafetyFilter(CachedSystem):
                 row if is_known else None,
                 reference,
                 held,
-                settings.corrections.exact_slack,
                 settings.infeasible,
                 settings.solver,
                 self._frame,

@@ -316,11 +316,13 @@ def volume_row(
     known: DisturbanceKnowledge,
     barrier: VolumeBarrier,
     total_derivative: bool,
+    exact_slack: bool,
 ) -> VolumeRow:
     """Returns the volume barrier's condition a u <= c, as a share of det B.
 
     The total derivative is (E62); without it the row leaves out that the estimate
-    moves, as printed (E53, the printed volume term), (E54).
+    moves, as printed (E53, the printed volume term), (E54). With the exact slack (E55)
+    the row is hard; without, it has the printed penalty.
     """
     drift, input_matrix = model.drift_and_input_matrix(state)
     along_disturbance = volume.state @ model.disturbance_matrix
@@ -336,7 +338,7 @@ def volume_row(
         along_error = along_disturbance + known.gain * volume.estimate
     worst = math.sqrt(along_error @ along_error) * known.bound
     c = float(known_rate - worst + barrier.gain * volume.value) / volume.unit
-    penalty = barrier.slack_penalty * volume.unit**2
+    penalty = math.inf if exact_slack else barrier.slack_penalty * volume.unit**2
     a = volume.state @ input_matrix / -volume.unit
     return VolumeRow(a, c, penalty, unit=volume.unit)
 
