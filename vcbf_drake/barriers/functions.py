@@ -131,8 +131,7 @@ def require_same_numbers(
     for barrier, functions in compiled:
         # Closures of one code may differ in their cells, so each is looked at.
         code = getattr(barrier.function, "__code__", type(barrier.function))
-        kinds = [getattr(f, "inner", f) for f in (functions.value, functions.row)]
-        formula = *kinds, code
+        formula = functions.value, functions.row, code
         vector = functions.row, *formula, barrier.function, functions.parameters
         if vector not in vectors:
             # A formula at many points once, with other parameters at a few.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vcbf_drake.barriers.barrier import Barrier
-from vcbf_drake.barriers.chain import Chain, Subsystem
+from vcbf_drake.barriers.chain import Chain
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.control_affine import ControlAffineModel
@@ -19,7 +19,7 @@ _SEARCHED_BEYOND = 2  # Further derivatives that an error message considers.
 
 
 def early_levels(
-    model: ControlAffineModel, chain: Chain, barrier: Barrier, part: Subsystem
+    model: ControlAffineModel, chain: Chain, barrier: Barrier
 ) -> tuple[int, ...]:
     """Returns which derivatives of h below the last an input enters (E8a).
 
@@ -31,7 +31,7 @@ def early_levels(
         ModelError: All inputs enter earlier or later, or the disturbance earlier.
     """
     r = barrier.relative_degree
-    entered = _entered(model, chain, barrier.constants, part)
+    entered = _entered(model, chain, barrier.constants)
     degrees = _first_level(entered)
     inputs, disturbances = degrees[: model.num_inputs], degrees[model.num_inputs :]
     first = inputs.min(initial=np.inf)
@@ -54,13 +54,13 @@ def early_levels(
             " barrier.robust_to(bound)"
         )
     if np.isinf(first):
-        raise ModelError(_explain_higher_degree(model, chain, barrier, part))
+        raise ModelError(_explain_higher_degree(model, chain, barrier))
     by_input = entered[: r - 1, : model.num_inputs].any(axis=1)
     return tuple((np.flatnonzero(by_input) + 1).tolist())
 
 
 def _explain_higher_degree(
-    model: ControlAffineModel, chain: Chain, barrier: Barrier, part: Subsystem
+    model: ControlAffineModel, chain: Chain, barrier: Barrier
 ) -> str:
     """The message for a barrier whose first r derivatives no input enters."""
     r = barrier.relative_degree
@@ -68,7 +68,7 @@ def _explain_higher_degree(
     plain = chain.formula._replace(order=searched, robust=False, class_k=None)
     further = Chain.of(plain)
     constants = [*np.ones(searched), *barrier.parameters]
-    entered = _entered(model, further, constants, part)
+    entered = _entered(model, further, constants)
     degree = _first_level(entered)[: model.num_inputs].min(initial=np.inf)
     if np.isinf(degree):
         return (
@@ -87,30 +87,21 @@ def _first_level(entered: NDArray[np.bool_]) -> Array:
 
 
 def _entered(
-    model: ControlAffineModel,
-    chain: Chain,
-    constants: Sequence[float],
-    part: Subsystem,
+    model: ControlAffineModel, chain: Chain, constants: Sequence[float]
 ) -> NDArray[np.bool_]:
     """Returns which channel enters the derivative of which level, (r, m + q).
 
     A channel does not enter where its formula is zero, or is zero at every sample up to
     rounding. Where no sample can be evaluated, the formula alone decides.
     """
-    slopes, n = chain.slopes, model.num_states
-    states, channels = list(part.states), list(part.channels)
-    written = np.zeros((chain.formula.order, sum(part.shape[1:])), dtype=bool)
-    written[:, channels] = chain.written
+    slopes, written, n = chain.slopes, chain.written, model.num_states
     seen = np.zeros_like(written)
     evaluated = False
     for point in _samples(n):
         if (seen == written).all():
             break
         try:
-            few = [point[i] for i in states]
-            found = np.array(slopes(*few, point[-1], *constants))
-            values = np.zeros((chain.formula.order, n))
-            values[:, states] = found.reshape(-1, len(states))
+            values = np.reshape(slopes(*point, *constants), (-1, n))
             _, g = model.drift_and_input_matrix(np.array(point[:n]))
         except (ArithmeticError, ValueError):  # Outside the domain of h or the model.
             continue

@@ -15,7 +15,6 @@ from vcbf_drake.barriers.chain import (
     Chain,
     ChainFunctions,
     Formula,
-    Subsystem,
     compiled_chain,
 )
 from vcbf_drake.barriers.functions import Symbols, class_k_formula
@@ -153,23 +152,21 @@ def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctio
     if isinstance(model, MultibodyModel):
         functions = multibody_functions(model, written, symbols.points, constants)
     else:
-        formula, part = Subsystem.of(written)
-        early = early_levels(model, Chain.of(formula), barrier, part)
-        x = formula.dynamics.x
-        functions = part.placed(compiled_chain(formula, x, x), r)
+        early = early_levels(model, Chain.of(written), barrier)
+        x = written.dynamics.x
+        functions = compiled_chain(written, x, x)
     return RowFunctions(*functions, constants, parameters, r, early)
 
 
 def early_functions(model: ControlAffineModel, limit: EarlyInputLimit) -> RowFunctions:
     """Returns the functions of the row of an early level (E8a)."""
     barrier, k = limit.barrier, limit.level
-    formula, part = Subsystem.of(barrier_formula(model, barrier))
+    formula = barrier_formula(model, barrier)
     chain, dynamics = Chain.of(formula), formula.dynamics
     entries = (*-dynamics.input_rates(chain.levels[k - 1]), chain.levels[k])
     compiled = _compile_limit(entries, dynamics, chain.constants)
-    row, gradient, _ = part.placed(compiled, 0)
     parameters = tuple(barrier.parameters.tolist())
-    return RowFunctions(row, gradient, _no_value, barrier.constants, parameters, 0)
+    return RowFunctions(*compiled, barrier.constants, parameters, 0)
 
 
 def barrier_formula(model: ControlAffineModel, barrier: Barrier) -> Formula:

@@ -9,14 +9,12 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable
-from dataclasses import replace
 from functools import lru_cache
 import inspect
 import math
 from math import inf, nextafter
-from typing import Any, TypeAlias, cast
+from typing import TypeAlias
 
-from vcbf_drake.barriers.chain import PlacedFunction
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.formulas import CompiledFunction, function_of
 
@@ -274,10 +272,6 @@ def interval_function(function: CompiledFunction) -> IntervalFunction:
     Raises:
         ModelError: The code tells cases apart, or calls what has no enclosure here.
     """
-    if isinstance(function, PlacedFunction):
-        inner: Any = interval_function(function.inner)
-        placed: Any = replace(function, inner=inner)
-        return cast(IntervalFunction, placed)
     if inspect.ismethod(function):
         raise ModelError(
             "no enclosure on intervals, for Drake evaluates this MultibodyPlant: derive"
