@@ -52,7 +52,7 @@ def nearest_by_active_set(
     near: Sequence[int] | None = None,
     is_exact: bool = False,
 ) -> Projection:
-    """Returns the point nearest to a reference.
+    """Returns the point nearest to a reference, shape (m,).
 
     Args:
         A: The rows, shape (n, m).

@@ -94,8 +94,7 @@ class FilterDecision(NamedTuple):
 class TickPrograms:
     """The QP and the cone program of one control tick, as MathematicalPrograms.
 
-    Both are stated anew, with rows of unit length as the filter's solver was given
-    them; nobody else holds them.
+    Both are stated anew, with rows of unit length as the filter's solver had them.
 
     Attributes:
         qp: min 1/2 |z - reference|^2 subject to ``A z <= b``: see `QP`.
@@ -117,12 +116,12 @@ class TickPrograms:
     def of(
         qp: QP, feasible: FeasibleSet, names: Sequence[str], widening: float
     ) -> TickPrograms:
-        """States the programs of a tick.
+        """States the QP that was solved and the widened set's ellipsoid (E64).
 
         Args:
-            qp: The QP that was solved.
-            feasible: The feasible set whose ellipsoid was found.
-            names: The names of the feasible set's rows.
+            qp: The QP.
+            feasible: The feasible set.
+            names: The names of its rows.
             widening: kappa of the volume barrier.
         """
         rows, nearest = UnitRows(qp.A, qp.b), NearestPointProgram(*qp.A.shape)
@@ -245,9 +244,9 @@ def choose_input(
     soft = feasible.soft_rows()
     qp = state_qp(feasible, frame, reference, volume_row, soft)
     growing = decay_rates
-    if growing is not None and growing.only_where_empty:
+    if growing is None or growing.only_where_empty:
         growing = None
-    if growing is not None:
+    else:
         qp = growing.grown(qp, feasible)
     is_possible = all(reference[j] == inputs.center[j] for j in inputs.fixed)
     if qp.is_met and is_possible:

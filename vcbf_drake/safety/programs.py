@@ -11,7 +11,7 @@ from functools import cached_property, lru_cache
 import logging
 import math
 from threading import Lock, local
-from typing import Any, Self, cast
+from typing import Any, Self
 
 import numpy as np
 from pydrake.solvers import (
@@ -115,10 +115,10 @@ class FixedProgram:
         self._solver, self._options, self._lock = solver, options, Lock()
 
     @classmethod
+    @lru_cache(maxsize=512)
     def of_size(cls, *size: Any) -> Self:
         """Returns the program of this size (its constructor's arguments), kept."""
-        kind: Any = cls
-        return cast("Self", _kept(kind, *size))
+        return cls(*size)
 
     @cached_property
     def _start(self) -> Array:
@@ -133,8 +133,7 @@ class FixedProgram:
 
     def _point(self) -> Array | None:
         result = self._solve()
-        point: Array = result.get_x_val()
-        return point if result.is_success() else None
+        return result.get_x_val() if result.is_success() else None
 
     def _add_rows(self, count: int) -> tuple[Any, Array]:
         """Adds rows without an effect; returns them and their lower bounds."""
@@ -143,18 +142,8 @@ class FixedProgram:
         return rows.evaluator(), below
 
 
-@lru_cache(maxsize=512)
-def _kept(kind: Any, *size: Any) -> Any:
-    return kind(*size)
-
-
 class LinearProgram(FixedProgram):
-    """min c'v subject to ``A v <= b``, by Clp.
-
-    Args:
-        num_rows: n.
-        num_variables: m.
-    """
+    """min c'v subject to ``A v <= b``, of n rows and m variables, by Clp."""
 
     def __init__(self, num_rows: int, num_variables: int) -> None:
         super().__init__(num_variables, ClpSolver(), SolverOptions())
@@ -171,13 +160,7 @@ class LinearProgram(FixedProgram):
 
 
 class NearestPointProgram(FixedProgram):
-    """The QP min 1/2 |v - reference|^2 subject to ``A v <= b``.
-
-    Args:
-        num_rows: n.
-        num_variables: m.
-        solver: One of `SOLVERS`.
-    """
+    """The QP min 1/2 |v - reference|^2 subject to ``A v <= b``, by one of `SOLVERS`."""
 
     def __init__(
         self, num_rows: int, num_variables: int, solver: str = DEFAULT_SOLVER

@@ -79,13 +79,9 @@ class VolumeBarrier:
         """The origin of widening, gain and threshold, in a sentence."""
         default, threshold, words = VolumeBarrier(), "given", "given"
         if (self.widening, self.gain) == (default.widening, default.gain):
-            words = (
-                "the default, for a plant that nobody tuned: early and gentle, at the"
-                " price of time (docs/guide/feasibility.md)"
-            )
+            words = "the default, for untuned plants (docs/guide/feasibility.md)"
         if self.threshold is None:
-            most = f"at most {_MOST_THRESHOLD:g} (E50)"
-            threshold = f"a tenth of det B at the start, {most}"
+            threshold = f"a tenth of det B at the start, at most {_MOST_THRESHOLD:g}"
         return f"widening and gain are {words}; the threshold is {threshold}"
 
 
@@ -173,9 +169,6 @@ class VolumeMeasure:
 
         None where the inputs have no bounds, numbers are not finite or no ellipsoid
         could be certified.
-
-        Args:
-            feasible: The feasible set.
         """
         if not (self._input_set.is_bounded and feasible.is_finite):
             return None
@@ -208,15 +201,9 @@ class VolumeMeasure:
         gradients = rows.gradients(barriers.tolist())
         by_entry = gradients.reshape(change.size, -1)
         extended = (weights[:, None] * change).ravel() @ by_entry
-        return Volume(
-            determinant,
-            ellipsoid,
-            extended[:-1],
-            float(extended[-1]),
-            weights @ w,
-            -float(weights @ w_norm),
-            determinant,
-        )
+        state, time = extended[:-1], float(extended[-1])
+        by_known = weights @ w, -float(weights @ w_norm)
+        return Volume(determinant, ellipsoid, state, time, *by_known, determinant)
 
     @staticmethod
     def _constant(
@@ -230,9 +217,7 @@ class VolumeMeasure:
     def packed(self, feasible: FeasibleSet, known: Volume | None) -> Array:
         """Returns the value of the port ``feasible_set``: see `unpack_feasible_set`.
 
-        Args:
-            feasible: The feasible set.
-            known: V_v, which may have found its ellipsoid already.
+        V_v may have found its ellipsoid already.
         """
         inputs, m = self._input_set, self._input_set.num_inputs
         found = known.ellipsoid if known else None
@@ -254,10 +239,6 @@ class VolumeMeasure:
         When the input set's own meets every row, it is the answer: the plateau. Its
         multipliers are those of `InputSet.A_normalised` (of a box +v_1, .., +v_m, -v_1,
         .., -v_m), and then of the rows given.
-
-        Args:
-            A: The rows in normalised inputs, shape (N, m).
-            b: The right-hand sides, shape (N,).
 
         Raises:
             EmptySetError: Input set and rows have no interior in common, or one too
