@@ -12,6 +12,7 @@ import json
 import os
 from pathlib import Path
 import pickle
+import re
 import shlex
 import subprocess
 from subprocess import PIPE
@@ -28,7 +29,11 @@ from examples.paper.table_1 import RANDOM_GAINS, RANDOM_STARTS
 from vcbf_drake.cli import app
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.simulation.fleet import Fleet
-from vcbf_drake.simulation.loading import dump_scenario, load_scenario
+from vcbf_drake.simulation.loading import (
+    dump_scenario,
+    load_scenario,
+    scenario_path,
+)
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.studies import (
     Trial,
@@ -193,6 +198,8 @@ def test_a_trial_pickles() -> None:
 @pytest.mark.usefixtures("simulated")
 def test_a_record_is_plain_and_strict_json() -> None:
     record = run_trial(plan(1)[1])
+    made_with = record.pop("made_with")
+    assert re.fullmatch(r"python .*drake .*numpy .*, scenario [0-9a-f]{8}", made_with)
     assert record == {
         "scenario": BLIMP,
         "overrides": "",
@@ -356,6 +363,27 @@ def test_another_studys_file_is_refused(tmp_path: Path, other: dict[str, Any]) -
     before = path.read_bytes()
     with pytest.raises(ScenarioError, match=r"jsonl:1: the record of another study"):
         run_study(plan(1), path)
+    assert path.read_bytes() == before
+
+
+@pytest.mark.usefixtures("simulated")
+def test_records_of_other_versions_or_of_a_changed_scenario_are_refused(
+    tmp_path: Path,
+) -> None:
+    """A study that goes on after an upgrade or an edit would mix two."""
+    path, scenario = tmp_path / "trials.jsonl", tmp_path / "own.yaml"
+    scenario.write_text(scenario_path(BLIMP).read_text())
+    trials = [Trial(str(scenario), "cbf-qp", index) for index in range(2)]
+    run_study(trials[:1], path)
+    assert len(run_study(trials, path)) == 2
+    before = path.read_bytes()
+    path.write_bytes(before.replace(b"numpy ", b"numpy 0."))
+    with pytest.raises(ScenarioError, match=r"jsonl:1: made with python .* numpy 0\."):
+        run_study(trials, path)
+    path.write_bytes(before)
+    scenario.write_text(scenario.read_text() + "# edited\n")
+    with pytest.raises(ScenarioError, match=r"here it is .*; use another file"):
+        run_study(trials, path)
     assert path.read_bytes() == before
 
 

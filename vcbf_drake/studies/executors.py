@@ -114,13 +114,13 @@ def dask_executor(address: str) -> Iterator[Executor]:
             client.wait_for_workers(1, timeout=_START)
         except TimeoutError:
             raise RuntimeError(f"the cluster at {address} has no worker") from None
-        for worker, versions in client.run(_versions).items():
-            if versions != _versions():
+        for worker, theirs in client.run(versions).items():
+            if theirs != versions():
                 raise RuntimeError(
-                    f"the worker {worker} has {versions}; here it is {_versions()}"
+                    f"the worker {worker} has {theirs}; here it is {versions()}"
                 )
         # Not pure: a trial that is submitted again is to be run again.
-        yield _Checked(client.get_executor(pure=False), _versions())
+        yield _Checked(client.get_executor(pure=False), versions())
 
 
 class _Checked(Executor):
@@ -136,13 +136,13 @@ class _Checked(Executor):
 
 
 def _run(expected: str, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-    if _versions() != expected:
-        raise RuntimeError(f"this worker has {_versions()}; the study has {expected}")
+    if versions() != expected:
+        raise RuntimeError(f"this worker has {versions()}; the study has {expected}")
     return function(*args, **kwargs)
 
 
-def _versions() -> str:
-    """The versions that results rest on."""
+def versions() -> str:
+    """Returns the versions that results rest on."""
     found = ["python {}.{}".format(*sys.version_info)]
     for name in _PACKAGES:
         try:

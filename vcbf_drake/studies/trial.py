@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass, field
+from functools import cache
+import hashlib
 from itertools import chain, islice
 import json
 import math
@@ -16,11 +18,11 @@ from typing import Any
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.files import atomic_write, json_text
 from vcbf_drake.simulation.fleet import Fleet
-from vcbf_drake.simulation.loading import load_fleet
+from vcbf_drake.simulation.loading import load_fleet, scenario_path
 from vcbf_drake.simulation.run import simulate_fleet
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.yaml_nodes import merge_overrides
-from vcbf_drake.studies.executors import TRIALS_A_PROCESS, WorkerProcesses
+from vcbf_drake.studies.executors import TRIALS_A_PROCESS, WorkerProcesses, versions
 from vcbf_drake.studies.variation import Draw, Variation
 
 Record = dict[str, Any]
@@ -80,6 +82,7 @@ class Trial:
             "seed": self.seed,
             "index": self.index,
             "method": self.method,
+            "made_with": _made_with(self.scenario),
         }
 
     def all_overrides(self) -> str:
@@ -124,6 +127,19 @@ class Trial:
         if self.scenario_name:
             words += ["--scenario-name", self.scenario_name]
         return shlex.join(words)
+
+
+_versions = cache(versions)
+
+
+def _made_with(scenario: str) -> str:
+    """The versions that a record rests on, and its scenario's file by a hash."""
+    try:
+        content = scenario_path(scenario).read_bytes()
+    except (ScenarioError, OSError):  # A trial's own record tells.
+        content = b""
+    digest = hashlib.sha256(content).hexdigest()[:8]
+    return f"{_versions()}, scenario {digest}"
 
 
 def run_trial(trial: Trial) -> Record:
@@ -186,7 +202,8 @@ def run_study(
     """Runs the trials that a file has no record of, and returns the records of all.
 
     Each record is a line of JSON, written when its trial ends. A study that was killed
-    goes on where it was; a last line that was cut short is dropped. The finished file
+    goes on where it was, with the same versions and the same scenario file; a last line
+    that was cut short is dropped. The finished file
     lists the records in the order of the trials, independent of their execution.
 
     Args:
@@ -292,15 +309,21 @@ def _read(path: Path, wanted: dict[str, Trial]) -> Iterator[Record]:
     for number, line in enumerate(content.split(b"\n")[:-1], start=1):
         try:
             record = json.loads(line)
-            known = _key(record) in wanted
+            trial = wanted.get(_key(record))
         except (ValueError, KeyError, TypeError):
             raise ScenarioError(f"{path}:{number}: not the record of a trial") from None
-        if not known:
+        if trial is None:
             raise ScenarioError(
                 f"{path}:{number}: the record of another study (index"
                 f" {record['index']}, {record['method']}, seed {record['seed']},"
                 f" {record['variation']}, {record['scenario']}"
                 f" {record['overrides']}); use another file"
+            )
+        found, now = record.get("made_with"), trial.identity["made_with"]
+        if found != now:
+            raise ScenarioError(
+                f"{path}:{number}: made with {found}; here it is {now}; use another"
+                " file"
             )
         yield record
 
