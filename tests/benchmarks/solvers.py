@@ -17,9 +17,14 @@ from tests.properties.campaign import make_example
 from vcbf_drake import load_scenario, simulate
 from vcbf_drake.checks import Array
 from vcbf_drake.safety import decision
-from vcbf_drake.safety.active_set import nearest_by_active_set
-from vcbf_drake.safety.polytope import REACH, UnitRows, is_optimal, nearest_point
 from vcbf_drake.safety.programs import SOLVERS, NearestPointProgram, check_solver
+from vcbf_drake.safety.projection import (
+    REACH,
+    UnitRows,
+    is_optimal,
+    nearest_by_active_set,
+    nearest_point,
+)
 
 _HOSTILE_TICKS = 4000
 Asked = tuple[UnitRows, Array]

@@ -5,9 +5,7 @@ from numpy.testing import assert_allclose
 import pytest
 import quadprog
 
-from vcbf_drake.safety.active_set import (
-    nearest_by_active_set,
-)
+from vcbf_drake.safety.projection import nearest_by_active_set
 
 
 def random_problem(rng, m, n):

@@ -5,10 +5,15 @@ from scipy.optimize import linprog
 
 from tests.helpers.fake_solver import solver_that_answers
 from vcbf_drake.errors import EmptySetError, SolverError
-from vcbf_drake.safety import polytope
-from vcbf_drake.safety.active_set import Projection, nearest_by_active_set
-from vcbf_drake.safety.polytope import UnitRows, minimise_linear, nearest_point
+from vcbf_drake.safety.polytope import minimise_linear
 from vcbf_drake.safety.programs import check_solver
+from vcbf_drake.safety.projection import (
+    Projection,
+    UnitRows,
+    is_optimal,
+    nearest_by_active_set,
+    nearest_point,
+)
 
 
 def random_problem(rng, kind):
@@ -188,7 +193,7 @@ def test_a_wrong_proposal_is_not_believed(proposal):
 def test_a_point_is_judged_by_how_much_nearer_another_may_be(point, is_accepted):
     A, b, reference = np.array([[1.0, 0.0]]), np.ones(1), np.array([2.0, 0.0])
     rows, proposed = UnitRows(A, b), Projection(np.array(point), np.ones(1))
-    assert polytope.is_optimal(proposed, rows, reference) == is_accepted
+    assert is_optimal(proposed, rows, reference) == is_accepted
 
 
 BOX = np.vstack([np.eye(2), -np.eye(2)])

@@ -15,7 +15,7 @@ from vcbf_drake.safety import (
     decision as decision_module,
 )
 from vcbf_drake.safety.decision import choose_input, least_violation
-from vcbf_drake.safety.polytope import nearest_point
+from vcbf_drake.safety.projection import nearest_point
 from vcbf_drake.safety.qp import Frame, RowCosts, VolumeRow, feasible_set
 
 BOX = InputSet.box([-1.0, -2.0], [3.0, 2.0])

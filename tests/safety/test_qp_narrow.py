@@ -11,9 +11,9 @@ from tests.properties.campaign import make_example
 from tests.properties.first_order_optimality import solve_exactly
 from vcbf_drake.errors import EmptySetError
 from vcbf_drake.safety import FilterStatus, InputSet
-from vcbf_drake.safety.active_set import nearest_by_active_set
 from vcbf_drake.safety.decision import choose_input
-from vcbf_drake.safety.polytope import minimise_linear, nearest_point
+from vcbf_drake.safety.polytope import minimise_linear
+from vcbf_drake.safety.projection import nearest_by_active_set, nearest_point
 from vcbf_drake.safety.qp import VolumeRow
 
 SQUARE = np.vstack([np.eye(2), -np.eye(2)])

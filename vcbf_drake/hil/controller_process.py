@@ -29,7 +29,7 @@ from vcbf_drake.safety import (
     emptiness_certificate,
     inscribed_ellipsoid,
 )
-from vcbf_drake.safety.polytope import nearest_point
+from vcbf_drake.safety.projection import nearest_point
 
 # Of a control period and of the input's range, what rounding is: in a state's time
 # stamp, and in the difference of two integrals.

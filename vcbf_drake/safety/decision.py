@@ -17,12 +17,13 @@ from vcbf_drake.barriers import BarrierRows
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import EmptySetError, SolverError
 from vcbf_drake.safety.decay import DecayRates
-from vcbf_drake.safety.polytope import UnitRows, minimise_linear, nearest_point
+from vcbf_drake.safety.polytope import minimise_linear
 from vcbf_drake.safety.programs import (
     DEFAULT_SOLVER,
     EllipsoidProgram,
     NearestPointProgram,
 )
+from vcbf_drake.safety.projection import UnitRows, nearest_point
 from vcbf_drake.safety.qp import (
     QP,
     DisturbanceKnowledge,

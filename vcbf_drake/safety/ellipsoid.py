@@ -19,8 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import EmptySetError, SolverError, UnboundedSetError
-from vcbf_drake.safety.polytope import UnitRows, chebyshev_ball, recession_direction
+from vcbf_drake.safety.polytope import chebyshev_ball, recession_direction
 from vcbf_drake.safety.programs import FEW_INPUTS, EllipsoidProgram
+from vcbf_drake.safety.projection import UnitRows
 
 # Largest certified error of log det B, hence of the volume's relative error, and the
 # one below which Newton's method stops.

@@ -10,12 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 from vcbf_drake.checks import Array, require
 from vcbf_drake.errors import EmptySetError, ModelError, UnboundedSetError
 from vcbf_drake.safety.polytope import (
-    UnitRows,
     chebyshev_ball,
     minimise_linear,
-    nearest_point,
     recession_direction,
 )
+from vcbf_drake.safety.projection import UnitRows, nearest_point
 from vcbf_drake.typed import typed
 
 # A point this many input ranges away (without limits, units away) counts as infinitely
