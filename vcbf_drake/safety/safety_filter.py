@@ -343,16 +343,10 @@ class SafetyFilter(CachedSystem):
         feasible, row = self.feasible_set(context), None
         v = self.volume(context) if self.method.has_volume_row else None
         if v is not None and not v.is_on_plateau:  # There 0 <= lambda_Vv V_v.
-            errata = settings.corrections
-            row = volume_row(
-                v,
-                self.model,
-                x,
-                feasible.known,
-                settings.volume,
-                errata.total_derivative,
-                errata.exact_slack,
-            )
+            fixes, known = settings.corrections, feasible.known
+            is_total, is_hard = fixes.total_derivative, fixes.exact_slack
+            barrier = settings.volume
+            row = volume_row(v, self.model, x, known, barrier, is_total, is_hard)
         is_known = v is not None and (row is None or row.is_finite)
         rates = settings.decay_rates(feasible, self.barriers)
 
