@@ -2,7 +2,6 @@
 
 from vcbf_drake.safety.assumptions import Assumption, assumptions
 from vcbf_drake.safety.decision import (
-    INFEASIBLE_POLICIES,
     FilterDecision,
     FilterStatus,
     InfeasiblePolicy,
@@ -32,7 +31,6 @@ from vcbf_drake.safety.volume import (
 __all__ = [
     "BETWEEN_TICKS",
     "FIDELITIES",
-    "INFEASIBLE_POLICIES",
     "METHODS",
     "Assumption",
     "Corrections",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
 import math
-from typing import Literal, NamedTuple, Protocol, get_args
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 from pydrake.solvers import MathematicalProgram, MathematicalProgramResult
@@ -39,8 +39,6 @@ InfeasiblePolicy = Literal["stop", "least_violation", "hold", "decay", "backup"]
 # The least slack or violation leaves a set without interior. Its rows are opened by
 # this distance, relative to their sizes.
 _MARGIN = 1e-10
-
-INFEASIBLE_POLICIES: tuple[InfeasiblePolicy, ...] = get_args(InfeasiblePolicy)
 
 
 class FilterStatus(IntEnum):
@@ -175,10 +173,7 @@ class Tick(NamedTuple):
 
 
 class RowHolder(Protocol):
-    """Finds inputs under which the rows hold until the next tick.
-
-    `vcbf_drake.between_ticks.HeldRows` is one.
-    """
+    """Finds inputs under which the rows last until the next tick, as `HeldRows`."""
 
     def can_enclose(self, state: Array, u: Array) -> bool:
         """Returns whether the motion from a state under an input can be enclosed."""
@@ -191,18 +186,12 @@ class RowHolder(Protocol):
     ) -> FilterDecision:
         """Returns a decision under which the rows last, where there is one.
 
-        Args:
-            tick: The tick of the decision.
-            decision: The decision for the tick alone.
-            choose: Returns the decision under margins, shape (N,).
+        From that for the tick alone; `choose` returns the one under margins, (N,).
         """
 
 
 class Gate(Protocol):
-    """Lets inputs pass that a certified plan follows on.
-
-    `vcbf_drake.between_ticks.BackupGate` is one.
-    """
+    """Lets inputs pass that a certified plan follows on, as `BackupGate` does."""
 
     def decide(self, tick: Tick, decision: FilterDecision) -> FilterDecision:
         """Returns the method's decision, or one with a certified plan."""
