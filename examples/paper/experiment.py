@@ -234,14 +234,10 @@ def describe(records: Sequence[Record], method: str) -> Record:
     """Returns outcomes, running time and extremes of a method's trials."""
     ended = [r for r in records if r["method"] == method and r["error"] is None]
 
-    def extreme(which: Callable[..., float | None], name: str) -> float | None:
-        return which((r[name] for r in ended if r[name] is not None), default=None)
-
+    slacks = [r["max_abs_slack"] for r in ended if r["max_abs_slack"] is not None]
     return {
         **summarise_method(method, records),
-        "least_barrier": extreme(min, "min_barrier"),
-        "least_volume": extreme(min, "min_volume"),
-        "greatest_slack": extreme(max, "max_abs_slack"),
+        "greatest_slack": max(slacks, default=None),
         "with_slack": share(sum(r["max_abs_slack"] > 0.0 for r in ended), len(ended)),
     }
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
+import math
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from pydrake.geometry import Box, Mesh
@@ -16,7 +18,7 @@ from vcbf_drake import InputLimits, Scenario, load_scenario, simulate
 from vcbf_drake.barriers import StateLimit
 from vcbf_drake.errors import InvalidValueError, ScenarioError
 from vcbf_drake.plants import CarVehicle, Part, StateFeedback, Vehicle
-from vcbf_drake.simulation import dump_scenario
+from vcbf_drake.simulation import check_assumptions, dump_scenario
 from vcbf_drake.simulation.loading import parse_scenario
 
 
@@ -69,6 +71,21 @@ class HeavyTrolley(Trolley):
         zeros, one = np.zeros((2, 2)), np.eye(2)
         with np.errstate(all="ignore"):
             return LinearSystem(zeros, one / np.float64(self.inertia), one, zeros)
+
+
+@dataclass
+class Led(Trolley):
+    """One whose law returns the same, whatever that is."""
+
+    RETURNED: ClassVar[Any]
+
+    def make_controller(self, target: Any) -> StateFeedback:
+        return StateFeedback(lambda x: self.RETURNED, 2, 2)
+
+
+def led(returned: Any) -> Led:
+    Led.RETURNED = returned
+    return Led()
 
 
 def scenario_with(vehicle: Vehicle) -> Scenario:
@@ -197,16 +214,19 @@ def test_tuples_and_derived_vehicles_are_dumped_and_loaded_back(
 
 
 @pytest.mark.parametrize("wrong", [None, [1.0], "left", [[1.0, 2.0]]])
-def test_a_law_returns_one_number_an_input(
-    wrong: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    law = StateFeedback(lambda x: wrong, 2, 2)
-    monkeypatch.setattr(Trolley, "make_controller", lambda self, target: law)
-    scenario = scenario_with(Trolley())
-    with pytest.raises(
-        InvalidValueError, match=r"law returns: .*; it must be 2 numbers"
-    ):
-        simulate(scenario, step_time=False)
+def test_a_law_returns_one_number_an_input(wrong: Any) -> None:
+    scenario = scenario_with(led(wrong))
+    for run in (check_assumptions, partial(simulate, step_time=False)):
+        with pytest.raises(
+            InvalidValueError, match=r"law returns: .*; it must be 2 numbers"
+        ):
+            run(scenario)
+
+
+def test_a_law_without_a_number_is_found_before_the_run() -> None:
+    message = r"reference at the start: \[nan, 0.0\]; it must be finite"
+    with pytest.raises(InvalidValueError, match=message):
+        check_assumptions(scenario_with(led([math.nan, 0.0])))
 
 
 @pytest.mark.parametrize(

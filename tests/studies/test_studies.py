@@ -46,6 +46,7 @@ from vcbf_drake.studies import (
 )
 from vcbf_drake.studies.statistics import mean_interval
 import vcbf_drake.studies.trial as trial_module
+from vcbf_drake.studies.trial import error_record
 from vcbf_drake.viz.running_time_figure import (
     running_time_figure,
     write_running_times,
@@ -458,7 +459,9 @@ def made_up(
         "reached" if time >= 20.0 else "infeasible" for time in flat
     ]
     return trials, [
-        {**trial.identity, "running_time": time, "outcome": word, "error": None}
+        error_record(trial, "")
+        | {"running_time": time, "outcome": word, "error": None}
+        | {"reached_at": time if word == "reached" else None}
         for trial, time, word in zip(trials, flat, words, strict=True)
     ]
 
@@ -628,6 +631,12 @@ def test_the_command_writes_everything(
     assert summary["comparisons"][0]["better"] == 3
     lines = shown.output.splitlines()
     assert "20.00 .. 20.00" in shown.output and "against dob-cbf-qp" in shown.output
+    best = summary["methods"]["dob-vcbf-qp"]
+    assert (best["median_arrival"], best["least_barrier"]) == (17.0, 0.1)
+    assert summary["methods"]["dob-cbf-qp"]["median_arrival"] is None
+    assert [line.split() for line in lines if line.startswith("dob-vcbf-qp  ")][1] == (
+        ["dob-vcbf-qp", "17.00", "0.1", "-"]
+    )
     assert max(len(line) for line in lines if "written to" not in line) <= 80
 
     before = (out / "trials.jsonl").read_bytes()

@@ -17,7 +17,7 @@ from pydrake.systems.analysis import (
 )
 from pydrake.systems.framework import Context, Diagram, EventStatus, System
 
-from vcbf_drake.checks import Array
+from vcbf_drake.checks import Array, require
 from vcbf_drake.errors import naming_user_code
 from vcbf_drake.model.interface import state_port_of
 from vcbf_drake.safety import (
@@ -144,12 +144,21 @@ def check_assumptions(scenario: Scenario | Fleet) -> tuple[Assumption, ...]:
     """Returns the theorems' hypotheses with numbers, before anything moves.
 
     The hypotheses of several vehicles follow each other, with the vehicles' names.
+
+    Raises:
+        InvalidValueError: A controller's reference is not finite at the start.
+        UserCodeError: A controller fails there.
     """
     fleet = scenario if isinstance(scenario, Fleet) else Fleet.of(scenario)
     diagram = make_fleet_loop(fleet)
     context = make_simulator(diagram, fleet).get_context()
     found, several = list[Assumption](), len(fleet.vehicles) > 1
     for each, loop in zip(fleet.vehicles, loops_of(diagram, fleet), strict=True):
+        with naming_user_code(context.get_time):
+            law = loop.GetSubsystemByName("controller")
+            at_start = law.GetMyContextFromRoot(context)
+            u = law.GetOutputPort("reference").Eval(at_start)
+        require(bool(np.isfinite(u).all()), "reference at the start", u, "finite")
         for own in loop_assumptions(each, loop, context, several):
             name = f"{each.name}: {own.name}" if several else own.name
             found.append(replace(own, name=name))

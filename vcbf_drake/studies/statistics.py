@@ -24,7 +24,9 @@ def summarise_study(trials: Sequence[Trial], records: Sequence[Record]) -> Recor
     Returns:
         A dict that JSON can hold:
         ``methods``: for each method its ``trials``, its ``outcomes`` with their counts,
-        its ``mean_running_time`` [s] and the 95 % confidence ``interval`` of that.
+        its ``mean_running_time`` [s] and the 95 % confidence ``interval`` of that, the
+        ``median_arrival`` of those that reached the target [s], and the least h and V_v
+        of all, ``least_barrier`` and ``least_volume``.
         ``comparisons``: for each method but the first, over the pairs in which neither
         trial crashed, the ``mean_difference`` of the running times [s], positive when
         the method ran longer, its ``interval``, and in how many pairs it did
@@ -35,7 +37,11 @@ def summarise_study(trials: Sequence[Trial], records: Sequence[Record]) -> Recor
     """
     methods = list(dict.fromkeys(trial.method for trial in trials))
     return {
-        "methods": {name: summarise_method(name, records) for name in methods},
+        "methods": {
+            name: summarise_method(name, records)
+            | {"median_arrival": _median_arrival(name, records)}
+            for name in methods
+        },
         "comparisons": [
             _compare(methods[0], name, trials, records) for name in methods[1:]
         ],
@@ -88,13 +94,24 @@ def share_interval(count: int, total: int) -> Interval | None:
 def summarise_method(method: str, records: Sequence[Record]) -> Record:
     """Returns a method's part of `summarise_study`."""
     own = [record for record in records if record["method"] == method]
-    times = [r["running_time"] for r in own if r["error"] is None]
+    ended = [record for record in own if record["error"] is None]
+    times = [record["running_time"] for record in ended]
+    barriers = [r["min_barrier"] for r in ended if r["min_barrier"] is not None]
+    volumes = [r["min_volume"] for r in ended if r["min_volume"] is not None]
     return {
         "trials": len(own),
         "outcomes": dict(sorted(Counter(r["outcome"] for r in own).items())),
         "mean_running_time": _mean(times),
         "interval": mean_interval(times),
+        "least_barrier": min(barriers, default=None),
+        "least_volume": min(volumes, default=None),
     }
+
+
+def _median_arrival(method: str, records: Sequence[Record]) -> float | None:
+    own = [record for record in records if record["method"] == method]
+    arrivals = [r["reached_at"] for r in own if r["outcome"] == "reached"]
+    return float(np.median(arrivals)) if arrivals else None
 
 
 def _compare(

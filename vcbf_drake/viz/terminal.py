@@ -164,6 +164,13 @@ def print_study(summary: Mapping[str, Any]) -> None:
         for method, each in methods.items()
     ]
     console.print(_table(["", "trials", "mean running s", "95 %", *outcomes], rows))
+    rows = [
+        [method, each["median_arrival"]]
+        + [number_text(each[name]) for name in ("least_barrier", "least_volume")]
+        for method, each in methods.items()
+    ]
+    heads = ["", "median arrival s", "least h", "least V_v"]
+    console.print("", _table(heads, rows), sep="\n")
     if comparisons:
         heads = [f"against {comparisons[0]['baseline']}", "pairs", "longer by s"]
         heads += ["95 %", "better", "same", "worse"]
