@@ -285,7 +285,7 @@ def _draw_or_tell(axes: Axes, run: Run, time: float) -> None:
     if time > run.time[-1] + 1e-9:
         words = f"run over since {run.time[-1]:.2f} s"
     elif not chosen.empty and np.isfinite(chosen.volume):
-        words = f"$V_v$ = {chosen.volume:.3f}"
+        words = f"$V_v$ = {chosen.volume:.3g}"
     else:
         return
     axes.annotate(words, (0.97, 0.04), **(_CORNER | _LOWER_RIGHT), color=MUTED)
