@@ -9,7 +9,7 @@ import pytest
 from tests.helpers.browser import browser, served
 from tests.helpers.pages import page_data
 from tests.helpers.synthetic_results import blimp_result, blimp_results, car_result
-from vcbf_drake.barriers import SphereObstacle
+from vcbf_drake.barriers import BoxObstacle, SphereObstacle
 from vcbf_drake.safety.settings import METHODS
 from vcbf_drake.viz import write_replay
 from vcbf_drake.viz.replay.scene import tube
@@ -161,6 +161,15 @@ def test_a_vehicle_larger_than_its_obstacles_is_drawn_smaller():
     stage = set_stage([dataclasses.replace(result, scenario=scenario)])
     assert stage.fraction == 3
     assert stage.run.vehicle.length == pytest.approx(0.77)
+
+
+def test_the_view_shows_the_ways_beside_a_tower():
+    result = blimp_result(end=2.0)
+    tower = BoxObstacle([3.0, 3.0, 50.0], [0.2, 0.2, 50.0])
+    scenario = dataclasses.replace(result.scenario, obstacles=[tower])
+    stage = set_stage([dataclasses.replace(result, scenario=scenario)])
+    way = np.linalg.norm(stage.tasks[0][2] - stage.tasks[0][1])
+    assert stage.view.points[:, 2].max() < stage.paths[0][:, 2].max() + way
 
 
 def test_no_obstacles_are_no_trouble(tmp_path):

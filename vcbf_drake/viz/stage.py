@@ -156,7 +156,12 @@ def set_stage(results: Sequence[Result]) -> Stage:
     _, top = bounding_box(of_body(run.vehicle.geometry("#000000")))
     rise = np.array([0.0, 0.0, float(top[2]) / fraction])
     floor = [[x, y, low[2]] for x in (low[0], high[0]) for y in (low[1], high[1])]
-    tops = [max(each.surface, key=lambda point: point[2]) for each in solids]
+    tops = np.reshape(
+        [max(each.surface, key=lambda point: point[2]) for each in solids], (-1, 3)
+    )
+    # Of a tower the part beside the ways is enough: with all of it they are tiny.
+    ceiling = max(float(path[:, 2].max()) for path in paths) + 0.5 * span
+    tops[:, 2] = np.minimum(tops[:, 2], ceiling)
     seen = [*reached, *(path[::5] + rise for path in paths), floor]
     angle = np.arctan2(*(run.target - start)[1::-1]) - np.deg2rad(90.0 + 22.0)
     steep = np.tan(np.deg2rad(38.0 if run.is_flat else 24.0))
