@@ -186,7 +186,7 @@ def feasible_set(
     rows: BarrierRows,
     known: DisturbanceKnowledge,
     costs: RowCosts | None = None,
-    reserve: Array | float = 0.0,
+    reserve: Array | None = None,
 ) -> FeasibleSet:
     """Returns the feasible set of (E46): A u <= b + Delta b.
 
@@ -198,7 +198,9 @@ def feasible_set(
         reserve: What is taken off each barrier row, not negative, shape (N,).
     """
     costs = costs or RowCosts.equal(len(rows.b))
-    bound = rows.b + disturbance_margin(rows, known) - reserve
+    bound = rows.b + disturbance_margin(rows, known)
+    if reserve is not None:
+        bound = bound - reserve
     normals = rows.A * input_set.scale
     distance = bound - rows.A @ input_set.center
     if costs.soft:
@@ -338,10 +340,10 @@ def state_qp(
     A, b = np.concatenate(rows), np.concatenate(distances)
     if frame.metric is not None:
         A, z = A @ frame.inverse, frame.metric @ z
-    names = *inputs.limits.tolist(), *(len(inputs.b) + cut).tolist()
-    names += tuple([row.name for row in further])
-    yielding = [row for row in further if row.slack_penalty < math.inf]
-    qp = QP(frame, A, b, z, names, len(sides), len(b) - len(yielding))
+    k, yielding = len(inputs.b), [r for r in further if r.slack_penalty < math.inf]
+    names: list[str | int] = [*inputs.limits.tolist(), *[k + i for i in cut.tolist()]]
+    names += [row.name for row in further]
+    qp = QP(frame, A, b, z, tuple(names), len(sides), len(b) - len(yielding))
     return _with_slacks(qp, yielding) if yielding else qp
 
 
