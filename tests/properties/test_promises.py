@@ -132,6 +132,22 @@ def test_what_was_found(number):
     assert make_example(0, number).broken == ()
 
 
+@pytest.mark.parametrize("number", [155235, 854927])
+def test_no_answer_at_all_is_a_failure(number):
+    """Not called infeasible without a certificate; the least violation acts.
+
+    Of seed 5: barrier rows that are apart by rounding alone, and a volume row whose
+    least slack is not found among them.
+    """
+    example = make_example(5, number)
+    tick, decision = example.tick, example.decision
+    assert decision.status == FilterStatus.FAILED and decision.conflict == ()
+    assert example.broken == (UNSOLVED,)
+    excess = tick.A @ decision.input - tick.b
+    heaviest = np.linalg.norm(tick.A * tick.input_set.scale, axis=1).max()
+    assert tick.input_set.contains(decision.input) and excess.max() < 1e-9 * heaviest
+
+
 # Far references, rows that only make up for rounding, and two that the checker missed.
 # fmt: off
 FOUND_LATER = (

@@ -194,21 +194,6 @@ def test_an_emptiness_that_floats_cannot_prove_is_proven_in_rationals():
     np.testing.assert_allclose(decision.input, [-0.35, 0.5], atol=1e-6)
 
 
-def test_no_answer_at_all_is_a_failure(monkeypatch):
-    """Not called infeasible without a certificate; the least violation acts."""
-    attempts = []
-
-    def but_the_first(*arguments):
-        attempts.append(arguments)
-        return nearest_point(*arguments) if len(attempts) > 1 else failing()
-
-    monkeypatch.setattr(decision_module, "nearest_point", but_the_first)
-    feasible = set_of([[1.0, 0.0], [-1.0, 0.0]], [-0.5, 0.2])
-    decision = choose(feasible, [0.0, 0.5])
-    assert decision.status == FilterStatus.FAILED and decision.conflict == ()
-    np.testing.assert_allclose(decision.input, [-0.35, 0.5], atol=1e-6)
-
-
 def test_the_fallback_on_a_set_that_is_not_empty_stays_near_the_reference():
     """No barrier need give way, so none is kept further than it asks for."""
     feasible = set_of([[1.0, 0.0], [0.0, 1.0]], [0.5, 5.0])
