@@ -410,14 +410,16 @@ def test_a_vehicle_without_a_name_says_so(start) -> None:
     [
         *("udpm://127.0.0.1:7667?ttl=0", "udpm://239.255.76.67", "memq://"),
         *("udpm://239.255.76.67:0", "udpm://239.255.76.67:abc", "nonsense://"),
+        *("udpm://999.1.1.1:7667", "udpm://239.255.76.67:99999"),
         # LCM would take these for a port: its first digits, and an octal number.
         *("udpm://239.255.76.67:7667abc?ttl=0", "udpm://239.255.76.67:07667"),
     ],
 )
-def test_a_url_of_no_bus_between_processes_is_refused(url) -> None:
+def test_a_url_of_no_bus_between_processes_is_refused(url, capfd) -> None:
     words = re.escape(f"{url} carries no messages: a bus between processes is tcpq:")
     with pytest.raises(BusError, match=words):
         check_bus(url, patience=0.1)
+    assert capfd.readouterr() == ("", "")  # Nor has LCM said anything.
 
 
 @pytest.mark.parametrize("option", ["ttl=far", "ttl=256", "ttl=", "tll=1", "ttl"])

@@ -8,6 +8,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 import heapq
 import hmac
+from ipaddress import IPv4Address
 import itertools
 import math
 import os
@@ -39,7 +40,7 @@ _LEAST_KEY, _MOST_KEY = 16, 65_536  # Bytes.
 _LONGEST_NAME = 48  # LCM's channels have at most 63 characters.
 _CHECK_CHANNEL = "VCBF_BUS_CHECK"
 # LCM reads an invalid option as 0, or ignores it, and of a port its first digits.
-_MULTICAST = re.compile(r"udpm://((\d{1,3}\.){3}\d{1,3}:[1-9]\d{0,4})?", re.ASCII)
+_MULTICAST = re.compile(r"udpm://(([\d.]+):([1-9]\d{0,4}))?", re.ASCII)
 _OPTION = re.compile(r"ttl=(1?\d?\d|2[0-4]\d|25[0-5])|recv_buf_size=\d{1,9}", re.ASCII)
 _NO_SERVER = (
     "no LCM server answers there; start one, for example lcm-tcpq-server or"
@@ -338,7 +339,7 @@ def check_bus(url: str, patience: float = 1.0) -> None:
         if not _OPTION.fullmatch(option):
             known = "ttl=0 to ttl=255 and recv_buf_size=BYTES"
             raise BusError(f"{url}: no option {option}; there are {known}")
-    remedy, can_carry = _NO_WAY, bool(_MULTICAST.fullmatch(base))
+    remedy, can_carry = _NO_WAY, _is_multicast(base)
     if base.startswith("tcpq://"):
         remedy, can_carry = _NO_SERVER, _has_server(base, patience)
     if not (can_carry and _carries(url, patience)):
@@ -356,6 +357,16 @@ def _carries(url: str, patience: float) -> bool:
             sender.Publish(_CHECK_CHANNEL, token)
             receiver.HandleSubscriptions(20)
     return token in arrived
+
+
+def _is_multicast(base: str) -> bool:
+    """Whether LCM knows an address; about others it prints lines of its own."""
+    found = _MULTICAST.fullmatch(base)
+    if found is None or found[1] is None:
+        return found is not None
+    with suppress(ValueError):
+        return IPv4Address(found[2]).is_multicast and int(found[3]) < 65_536
+    return False
 
 
 def _has_server(base: str, patience: float) -> bool:
