@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import factorial
-from typing import Any, ClassVar, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 from pydrake.symbolic import Expression
@@ -22,6 +22,9 @@ from vcbf_drake.checks import Array, finite_vector, require
 from vcbf_drake.model.formulas import Expressions
 from vcbf_drake.model.position import Position, PositionFunction
 from vcbf_drake.typed import NotNegative, Positive, check_fields, typed
+
+if TYPE_CHECKING:
+    from typing import Self  # Python 3.10 has none.
 
 ShapeFunction: TypeAlias = BarrierFunction
 """``h(position, t, p)``: like a barrier's function, of the position (k,)."""

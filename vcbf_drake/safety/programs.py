@@ -11,7 +11,7 @@ from functools import cached_property, lru_cache
 import logging
 import math
 from threading import Lock, local
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.solvers import (
@@ -31,6 +31,9 @@ from pydrake.solvers import (
 )
 
 from vcbf_drake.checks import Array, require
+
+if TYPE_CHECKING:
+    from typing import Self  # Python 3.10 has none.
 
 DEFAULT_SOLVER = "Clarabel"
 # Drake's solvers that take the QP ...

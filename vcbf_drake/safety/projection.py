@@ -223,7 +223,7 @@ def point_or_proof(
     opening: float,
     reference: Array,
 ) -> Array:
-    """The nearest point where floats found none that is verified, or the proof of none.
+    """Returns the nearest point where floats found none that is verified.
 
     All rows but the first `num_firm` and blanks are opened, by a share of their sizes,
     so that the set has an interior or no point. The conflict in which the floats ended
