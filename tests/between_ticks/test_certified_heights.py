@@ -43,20 +43,17 @@ def parked_log(ticks, seed=0):
 
 
 @pytest.mark.parametrize("method", ["cbf-qp", "robust-cbf-qp", "dob-vcbf-qp"])
-@pytest.mark.parametrize("block", [1, 3, 10])
-def test_blocks_change_nothing(monkeypatch, method, block):
-    args = (parked_car(method), parked_log(10), 9, PERIOD, DELTA_1)
-    whole = certified_least_barrier(*args)
-    monkeypatch.setattr(certified_heights, "_BLOCK", block)
-    assert certified_least_barrier(*args) == whole
+def test_a_parked_car_is_certified_where_it_stands(method):
+    whole = certified_least_barrier(
+        parked_car(method), parked_log(10), 9, PERIOD, DELTA_1
+    )
     # 8 m less some millimetres, of which the car loses little within a period.
     assert 7.9 < whole < 8.01
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_the_disturbance_of_many_ticks_is_the_hull_of_every_ones(monkeypatch, seed):
-    monkeypatch.setattr(certified_heights, "_BLOCK", 4)
-    safety_filter, log = parked_car("dob-vcbf-qp"), parked_log(30, seed)
+@pytest.mark.parametrize("seed", range(2))
+def test_the_disturbance_of_many_ticks_is_the_hull_of_every_ones(seed):
+    safety_filter, log = parked_car("dob-vcbf-qp"), parked_log(9000, seed)
     rows = HeldRows(safety_filter.model, safety_filter.barrier_set, PERIOD, DELTA_1)
     every = [
         rows.disturbances(DisturbanceKnowledge(estimate, np.zeros(1), bound, 0.0, 0.0))
@@ -65,7 +62,7 @@ def test_the_disturbance_of_many_ticks_is_the_hull_of_every_ones(monkeypatch, se
         )
     ]
     holds = certified_heights._Holds(safety_filter, log, PERIOD, DELTA_1)
-    for first, last in [(0, 30), (3, 5), (3, 8), (7, 19), (29, 30)]:
+    for first, last in [(0, 9000), (3, 5), (7, 5000), (4090, 4100), (8999, 9000)]:
         (found,) = holds._disturbances(first, last)
         expected = hull(*(d for (d,) in every[first:last]))
         assert (found.low, found.high) == (expected.low, expected.high)

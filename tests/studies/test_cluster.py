@@ -135,14 +135,17 @@ def test_the_missing_package_is_named(
 
 
 @pytest.mark.parametrize("scheduler", ["tcp://127.0.0.1:9", "nonsense://x", ""])
-def test_a_scheduler_that_does_not_answer(
-    tmp_path: Path, scheduler: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scheduler_that_does_not_answer(scheduler: str) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("vcbf_drake.studies.executors._PATIENCE", 0.2)
-    assert f"no scheduler answers at {scheduler}" in refusal(
-        tmp_path, "--scheduler", scheduler
-    )
+    with pytest.raises(ConnectionError, match=f"no scheduler answers at {scheduler}"):
+        with dask_executor(scheduler, patience=0.2):
+            pass
+
+
+def test_the_command_says_so_in_a_line(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    said = refusal(tmp_path, "--scheduler", "nonsense://x")
+    assert "no scheduler answers at nonsense://x" in said
 
 
 def test_workers_with_other_versions_are_refused(

@@ -20,8 +20,6 @@ from vcbf_drake.environment import show_warnings_only
 TRIALS_A_PROCESS = 100
 # A cluster's workers have the versions of these.
 _PACKAGES = ("vcbf-drake", "drake", "numpy")
-_PATIENCE = 10.0  # The time limit of a scheduler's answer [s].
-_START = 60.0  # The time limit of a cluster's first worker [s].
 
 
 class WorkerProcesses(Executor):
@@ -83,7 +81,9 @@ def _end_with_parent() -> None:
 
 
 @contextmanager
-def dask_executor(address: str) -> Iterator[Executor]:
+def dask_executor(
+    address: str, patience: float = 10.0, start: float = 60.0
+) -> Iterator[Executor]:
     """Yields an executor that runs trials on a cluster; the cluster stays as it is.
 
     Give each worker one thread (``dask worker ADDRESS --nthreads 1``): a trial computes
@@ -93,6 +93,8 @@ def dask_executor(address: str) -> Iterator[Executor]:
 
     Args:
         address: The scheduler's address, like ``tcp://10.0.0.1:8786``.
+        patience: The time limit of its answer [s].
+        start: The time limit of its first worker [s].
 
     Raises:
         ModuleNotFoundError: The package distributed is not installed.
@@ -106,12 +108,12 @@ def dask_executor(address: str) -> Iterator[Executor]:
             "a cluster needs the package distributed: pip install 'vcbf-drake[cluster]'"
         ) from None
     try:
-        client = Client(address, timeout=_PATIENCE, set_as_default=False)
+        client = Client(address, timeout=patience, set_as_default=False)
     except (OSError, ValueError) as error:
         raise ConnectionError(f"no scheduler answers at {address} ({error})") from error
     with client:
         try:
-            client.wait_for_workers(1, timeout=_START)
+            client.wait_for_workers(1, timeout=start)
         except TimeoutError:
             raise RuntimeError(f"the cluster at {address} has no worker") from None
         for worker, theirs in client.run(versions).items():
