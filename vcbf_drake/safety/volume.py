@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vcbf_drake.checks import Array, check_parameter, require
+from vcbf_drake.checks import Array, require
 from vcbf_drake.errors import EmptySetError, SolverError, VcbfError
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.safety.ellipsoid import (
@@ -22,7 +22,7 @@ from vcbf_drake.safety.input_set import InputSet
 from vcbf_drake.safety.polytope import chebyshev_ball
 from vcbf_drake.safety.programs import DEFAULT_SOLVER
 from vcbf_drake.safety.qp import DisturbanceKnowledge, FeasibleSet, VolumeRow
-from vcbf_drake.typed import check_fields
+from vcbf_drake.typed import Positive, check_fields
 
 # The thresholds that a start can lead to: the least is a ball of this radius.
 _LEAST_RADIUS, _MOST_THRESHOLD = 1e-4, 0.02
@@ -51,19 +51,15 @@ class VolumeBarrier:
             widening).
     """
 
-    threshold: float | None = None
-    gain: float = 0.1
-    slack_penalty: float = 1000.0
+    threshold: Positive | None = None
+    gain: Positive = 0.1
+    slack_penalty: Positive = 1000.0
     widening: float = 8.0
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for name in ("gain", "slack_penalty"):
-            check_parameter(name, getattr(self, name))
-        if self.threshold is not None:
-            check_parameter("threshold", self.threshold)
-            rule = "below 1, det B of the free box"
-            require(self.threshold < 1.0, "threshold", self.threshold, rule)
+        rule = "below 1, det B of the free box"
+        require((self.threshold or 0.0) < 1.0, "threshold", self.threshold, rule)
         is_wide = math.isfinite(self.widening) and self.widening >= 1.0
         require(is_wide, "widening", self.widening, "finite and at least 1")
 
