@@ -279,14 +279,15 @@ def test_a_run_without_obstacles_has_nothing_to_certify():
 
 def test_without_a_tube_no_row_has_a_bound():
     """A plant whose motion cannot be enclosed over the period."""
-    model = ControlAffineModel.from_system(Car())
-    barriers = BarrierSet(model, [SphereObstacle([9.0, 9.0], 0.5).barrier([2.0, 1.0])])
-    held, too_long = (HeldRows(model, barriers, T, 0.0) for T in (0.1, 1000.0))
-    x, known = np.zeros(4), DisturbanceKnowledge.constant(1, 0.0)
+    model = ControlAffineModel.from_system(Blimp())
+    sphere = SphereObstacle([9.0, 9.0, 9.0], 0.5)
+    barriers = BarrierSet(model, [sphere.barrier([2.0, 1.0])])
+    held, too_long = (HeldRows(model, barriers, T, 0.0) for T in (0.1, 100.0))
+    x, u, known = np.zeros(8), np.zeros(3), DisturbanceKnowledge.constant(3, 0.0)
     tick = Tick(barriers.rows(x, 0.0), x, 0.0, known)
-    assert held.least(tick, np.zeros(2)) > 0.0
-    assert held.can_enclose(x, np.ones(2)) and not too_long.can_enclose(x, np.ones(2))
-    assert too_long.least(tick, np.ones(2)) == -np.inf
+    assert held.can_enclose(x, u) and held.least(tick, u) > 0.0
+    assert not too_long.can_enclose(x, u)
+    assert too_long.least(tick, u) == -np.inf
 
 
 def test_limits_and_empty_slots_are_rows_too():
