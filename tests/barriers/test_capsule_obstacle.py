@@ -6,6 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from tests.helpers.row_gradients import row_gradients
 from tests.helpers.trajectory_rows import assert_rows_are_derivatives
 from vcbf_drake.barriers import BarrierSet, CapsuleObstacle, SphereObstacle
 from vcbf_drake.model import ControlAffineModel
@@ -36,7 +37,7 @@ def test_it_never_exceeds_the_exact_distance_and_is_less_by_the_gap(smoothing) -
     below = exact_distance(points, START, END, 0.3) - 0.1 - h
     assert below.min() >= -1e-12
     assert below.max() <= pole.gap + 1e-12
-    assert np.isfinite(barriers.rows(x[3], 0.0).b_gradient).all()
+    assert np.isfinite(row_gradients(barriers.rows(x[3], 0.0)).b).all()
 
 
 def test_the_gap_of_a_long_capsule() -> None:

@@ -83,7 +83,7 @@ def test_the_early_row_is_differentiated(model, corner):
         found = rows.rows(point[:4], point[4])
         return np.concatenate([found.A[1], [found.b[1]]])
 
-    slopes = rows.rows(STATE, 0.4)._all_gradients[1, :3]
+    slopes = rows.rows(STATE, 0.4).gradients([1])[0, :3]
     for i, unit in enumerate(np.eye(5)):
         assert_allclose(slopes[:, i], rate(entries, xbar, unit), atol=1e-7)
 

@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 import pytest
 from scipy.optimize import brentq
 
+from tests.helpers.row_gradients import row_gradients
 from tests.helpers.trajectory_rows import assert_rows_are_derivatives
 from vcbf_drake.barriers import BarrierSet, EllipsoidObstacle, SphereObstacle
 from vcbf_drake.model import ControlAffineModel
@@ -67,7 +68,7 @@ def test_equal_axes_make_a_sphere(blimp) -> None:
     rows = BarrierSet(blimp, [ball.barrier(K), sphere.barrier(K)]).rows(
         np.random.default_rng(1).normal(size=8), 1.3
     )
-    for array in (rows.value, rows.A, rows.b, rows.w, rows.b_gradient):
+    for array in (rows.value, rows.A, rows.b, rows.w, row_gradients(rows).b):
         assert_allclose(array[0], array[1], rtol=1e-10, atol=1e-12)
 
 

@@ -6,6 +6,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, LinearSystem
 import pytest
 
+from tests.helpers.row_gradients import row_gradients
 from vcbf_drake import (
     AddSafetyFilter,
     ControlAffineModel,
@@ -70,7 +71,7 @@ def test_rows_are_those_of_spheres_that_keep_their_velocity(model):
                 for s in (step, -step)
             )
             slope = (np.append(late[2], late[3]) - np.append(*early[2:])) / (2 * step)
-            found = [*rows.A_gradient[i, :, -1], rows.b_gradient[i, -1]]
+            found = [*row_gradients(rows).A[i, :, -1], row_gradients(rows).b[i, -1]]
             assert found == pytest.approx(slope, abs=1e-6)
         assert barriers.values(x, t, obstacles) == pytest.approx(rows.value)
 

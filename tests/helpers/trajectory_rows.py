@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 import pytest
 
+from tests.helpers.row_gradients import row_gradients
 from vcbf_drake.barriers import BarrierSet
 from vcbf_drake.model import ControlAffineModel
 
@@ -64,5 +65,5 @@ def _assert_gradients_are_differences(barriers, xbar, step=1e-5) -> None:
         behind = barriers.rows(behind[:-1], behind[-1])
         for name in ("A", "b", "w"):
             difference = (getattr(ahead, name) - getattr(behind, name)) / (2 * step)
-            gradient = getattr(rows, f"{name}_gradient")[..., i]
+            gradient = getattr(row_gradients(rows), name)[..., i]
             assert_allclose(gradient, difference, rtol=1e-5, atol=1e-6)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -58,25 +58,6 @@ class BarrierRows:
     num_states: int
     gradients: Callable[[Sequence[int]], Array]
     early: tuple[int, ...] = ()
-
-    @cached_property
-    def _all_gradients(self) -> Array:
-        return self.gradients(range(len(self.b)))
-
-    @property
-    def A_gradient(self) -> Array:
-        """The derivatives of A, shape (N, m, n + 1)."""
-        return self._all_gradients[:, : self.A.shape[1]]
-
-    @property
-    def b_gradient(self) -> Array:
-        """The derivatives of b, shape (N, n + 1)."""
-        return self._all_gradients[:, self.A.shape[1]]
-
-    @property
-    def w_gradient(self) -> Array:
-        """The derivatives of w, shape (N, q, n + 1)."""
-        return self._all_gradients[:, self.A.shape[1] + 1 :]
 
     def authority(self, scale: Array) -> Array:
         """Returns how far the input moves each row, |A diag(scale)|, shape (N,).
