@@ -90,7 +90,7 @@ def worst_error(step, gains, bounds, period, layer, direction):
         bench.measure(k * period, np.concatenate((np.zeros(q), v)))
         estimate = bench.output("disturbance_estimate")
         error = d - estimate
-        decay = (1.0 + observer.decay_rate * period) ** (-k / 2)
+        decay = (1.0 + observer.gains.decay_rate * period) ** (-k / 2)
         bound = bench.estimate().error_bound - growth * decay
         worst = max(worst, np.linalg.norm(error) / bound)
         bench.update()
@@ -264,7 +264,7 @@ def test_gain_conditions():
     assert beta.left == 5.0
     assert beta.right == pytest.approx(0.6 + (1 + 3.6 * 0.01) * 0.9)
     assert beta.holds
-    assert observer.decay_rate == pytest.approx(3.6)
+    assert observer.gains.decay_rate == pytest.approx(3.6)
 
 
 def test_first_tick_takes_the_state_and_starts_the_clock():

@@ -197,7 +197,7 @@ class BarrierSet:
         numbers = np.array(found, dtype=float)
         numbers = numbers.reshape(len(t), self.size, self._width)
         A, b, w, levels = self._split(numbers)
-        return RowsAlong(levels[..., 0], levels, A, b, w)
+        return RowsAlong(levels, A, b, w)
 
     def _along(
         self, x: Array, t: Array, obstacles: Array | None

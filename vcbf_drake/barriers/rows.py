@@ -16,11 +16,11 @@ from vcbf_drake.barriers.chain import (
     ChainFunctions,
     Formula,
     compiled_chain,
+    early_levels,
 )
 from vcbf_drake.barriers.functions import Symbols, class_k_formula
 from vcbf_drake.barriers.limits import EarlyInputLimit, StateInputLimit
 from vcbf_drake.barriers.multibody_rows import multibody_functions
-from vcbf_drake.barriers.relative_degree import early_levels
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.control_affine import ControlAffineModel, Dynamics
@@ -73,15 +73,13 @@ class RowsAlong(NamedTuple):
     """The rows of `BarrierRows` along a trajectory of T states.
 
     Attributes:
-        value: h, shape (T, N).
-        chain: phi^0, phi^1, ..., shape (T, N, r + 1) with the largest r; nan beyond a
-            row's own phi^(r-1).
+        chain: phi^0 = h, phi^1, ..., shape (T, N, r + 1) with the largest r; nan beyond
+            a row's own phi^(r-1).
         A: Shape (T, N, m).
         b: Shape (T, N).
         w: Shape (T, N, q).
     """
 
-    value: Array
     chain: Array
     A: Array
     b: Array

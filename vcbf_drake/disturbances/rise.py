@@ -155,11 +155,6 @@ class RiseObserver(DisturbanceObserver):
             longest_interval=longest_interval,
         )
 
-    @property
-    def decay_rate(self) -> float:
-        """lambda_V of (E20) [1/s]."""
-        return self.gains.decay_rate
-
     def gain_conditions(self, quadrature: float = 0.0) -> tuple[Condition, ...]:
         """Returns the inequalities that the bound rests on (E20), (E32), (E42)."""
         intervals = self._intervals

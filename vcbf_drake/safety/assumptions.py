@@ -277,7 +277,7 @@ def _information(
         }
         yield Assumption("volume barrier", volume.choice, None, numbers, "nothing")
     if method.disturbance == "estimated" and isinstance(observer, RiseObserver):
-        decay, delta1 = observer.decay_rate, observer.bounds.delta1
+        decay, delta1 = observer.gains.decay_rate, observer.bounds.delta1
         barriers = safety_filter.barriers
         rates = (b.decay_rates[-1] for b in barriers if isinstance(b, Barrier))
         slowest = float(min(rates, default=np.nan))

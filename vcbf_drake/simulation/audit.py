@@ -102,7 +102,7 @@ def audit_margins(
         _least_of_each(along - certified),
         _least_of_each(chi),
         lasting,
-        _least_of_each(rows.value),
+        _least_of_each(rows.chain[:, :, 0]),
         chain,
         volume,
         slack,
