@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,19 +121,13 @@ class Chain:
         b = dynamics.drift_rate(last, TIME) + pull
         return np.array([*A, b, *dynamics.disturbance_rates(last)], dtype=object)
 
-    def compiled(
-        self, outputs: Any, name: str, variables: Sequence[Node] = ()
-    ) -> CompiledFunction:
-        """Returns a function of x, or what replaces x, of t and the constants."""
-        x = variables or self.formula.dynamics.x
-        return compile_nodes([*x, TIME, *self.constants], outputs, name)
-
     @cached_property
     @_derived()
     def slopes(self) -> CompiledFunction:
         """A function of x, t and the constants: every level's gradient by x."""
-        slopes = gradients(self.levels, self.formula.dynamics.x)
-        return self.compiled(slopes.ravel(), "barrier_slopes")
+        x = self.formula.dynamics.x
+        slopes = gradients(self.levels, x).ravel()
+        return compile_nodes([*x, TIME, *self.constants], slopes, "barrier_slopes")
 
     @cached_property
     def written(self) -> NDArray[np.bool_]:
@@ -172,13 +166,31 @@ def compiled_chain(
     that of `value` is `of_h`.
     """
     chain = Chain.of(formula)
-    entries = chain.row()
-    slopes = gradients(entries, [*moving, TIME]).ravel()
+    row, gradient = compiled_row(
+        tuple(chain.row()), chain.levels, moving, chain.constants
+    )
     arguments = [*of_h, TIME, *formula.parameters]
-    return ChainFunctions(
-        chain.compiled([*entries, *chain.levels], "barrier_row", moving),
-        chain.compiled(slopes, "barrier_gradient", moving),
-        compile_nodes(arguments, [formula.h], "barrier_value"),
+    value = compile_nodes(arguments, [formula.h], "barrier_value")
+    return ChainFunctions(row, gradient, value)
+
+
+@lru_cache(maxsize=64)
+@_derived()
+def compiled_row(
+    entries: tuple[Node, ...],
+    levels: tuple[Node, ...],
+    x: tuple[Node, ...],
+    constants: tuple[Node, ...],
+) -> tuple[CompiledFunction, CompiledFunction]:
+    """Returns a row's entries [A, b, w], followed by levels, and the entries' gradient.
+
+    Both are functions of x, t and the constants, as in `ChainFunctions`.
+    """
+    xbar = [*x, TIME]
+    slopes, arguments = gradients(entries, xbar).ravel(), [*xbar, *constants]
+    return (
+        compile_nodes(arguments, [*entries, *levels], "row"),
+        compile_nodes(arguments, slopes, "row_gradient"),
     )
 
 

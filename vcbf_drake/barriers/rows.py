@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from vcbf_drake.barriers.barrier import Barrier
 from vcbf_drake.barriers.chain import (
-    TIME,
     Chain,
     ChainFunctions,
     Formula,
     compiled_chain,
+    compiled_row,
     early_levels,
 )
 from vcbf_drake.barriers.functions import Symbols, class_k_formula
@@ -24,8 +23,8 @@ from vcbf_drake.barriers.multibody_rows import multibody_functions
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.control_affine import ControlAffineModel, Dynamics
-from vcbf_drake.model.formulas import CompiledFunction, compile_nodes
-from vcbf_drake.model.graph import Node, gradients, number
+from vcbf_drake.model.formulas import CompiledFunction
+from vcbf_drake.model.graph import Node, number
 from vcbf_drake.model.multibody_model import MultibodyModel
 
 
@@ -120,7 +119,7 @@ class RowFunctions:
 def no_row(model: ControlAffineModel) -> RowFunctions:
     """Returns the functions of a row that every input satisfies, 0 u <= 1."""
     always = tuple(number(value) for value in (*np.zeros(model.num_inputs), 1.0))
-    return RowFunctions(*_compile_limit(always, model.dynamics, ()), (), (), 0)
+    return RowFunctions(*_limit(always, model.dynamics, ()), (), (), 0)
 
 
 def barrier_functions(model: ControlAffineModel, barrier: Barrier) -> RowFunctions:
@@ -143,7 +142,7 @@ def early_functions(model: ControlAffineModel, limit: EarlyInputLimit) -> RowFun
     formula = barrier_formula(model, barrier)
     chain, dynamics = Chain.of(formula), formula.dynamics
     entries = (*-dynamics.input_rates(chain.levels[k - 1]), chain.levels[k])
-    compiled = _compile_limit(entries, dynamics, chain.constants)
+    compiled = _limit(entries, dynamics, chain.constants)
     parameters = tuple(barrier.parameters.tolist())
     return RowFunctions(*compiled, barrier.constants, parameters, 0)
 
@@ -187,28 +186,17 @@ def limit_functions(model: ControlAffineModel, limit: StateInputLimit) -> RowFun
         )
     row, bound = result
     entries = tuple(symbols.read([*row, bound]))
-    try:
-        compiled = _compile_limit(entries, model.dynamics, symbols.parameters)
-    except ValueError as error:
-        raise ModelError(
-            f"function(x, t, p) cannot be differentiated: {error}"
-        ) from None
+    compiled = _limit(entries, model.dynamics, symbols.parameters)
     return RowFunctions(*compiled, parameters, parameters, 0)
 
 
-@lru_cache(maxsize=64)
-def _compile_limit(
+def _limit(
     entries: tuple[Node, ...], dynamics: Dynamics, constants: tuple[Node, ...]
 ) -> ChainFunctions:
     """Returns the functions of a row without a chain, which has no value."""
     no_disturbance = map(number, np.zeros(len(dynamics.E[0])))
-    outputs, xbar = [*entries, *no_disturbance], [*dynamics.x, TIME]
-    slopes, arguments = gradients(outputs, xbar), [*xbar, *constants]
-    return ChainFunctions(
-        compile_nodes(arguments, outputs, "limit_row"),
-        compile_nodes(arguments, slopes.ravel(), "limit_gradient"),
-        _no_value,
-    )
+    row = compiled_row((*entries, *no_disturbance), (), dynamics.x, constants)
+    return ChainFunctions(*row, _no_value)
 
 
 def _no_value(*_: float) -> list[float]:
