@@ -160,7 +160,8 @@ class EllipsoidObstacle(Obstacle):
 
     def centered(self) -> tuple[ShapeFunction, list[float]]:
         """Returns h(z, t, p) with p = (scaled axes, min(a), margin), and p."""
-        axes = (self._axes / self.semi_axes).T
+        R = rotation_matrix(self.rotation, len(self.center), "ellipsoid")
+        axes = (R / self.semi_axes).T
 
         @arithmetic
         def h(z: Expressions, t: Expression, p: Expressions) -> Expression:
@@ -169,10 +170,6 @@ class EllipsoidObstacle(Obstacle):
             return shortest * ((scaled @ scaled) ** 0.5 - 1.0) - margin
 
         return h, [*axes.flat, min(self.semi_axes), self.margin]
-
-    @property
-    def _axes(self) -> Array:
-        return rotation_matrix(self.rotation, len(self.center), "ellipsoid")
 
 
 @dataclass(frozen=True)

@@ -63,13 +63,16 @@ class Condition:
         name: The inequality in symbols.
         left: Its greater side.
         right: Its lesser side.
-        holds: Whether it is true.
     """
 
     name: str
     left: float
     right: float
-    holds: bool
+
+    @property
+    def holds(self) -> bool:
+        """Whether it is true."""
+        return self.left > self.right
 
 
 class DisturbanceEstimate(NamedTuple):

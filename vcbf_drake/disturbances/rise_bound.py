@@ -121,18 +121,17 @@ def gain_conditions(
     if sampled and intervals.longest > intervals.shortest:
         name = "beta > least beta of unequal intervals (E35)"
     conditions = (
-        Condition("alpha > 1", alpha, 1.0, alpha > 1.0),
-        Condition("gamma > 0", gamma, 0.0, gamma > 0.0),
-        Condition(name, beta, least, beta > least),
+        Condition("alpha > 1", alpha, 1.0),
+        Condition("gamma > 0", gamma, 0.0),
+        Condition(name, beta, least),
     )
     if sampled:
         return conditions
     damping = alpha + gamma
     oscillation = math.sqrt(max(0.0, damping**2 - 4.0 * gains.stiffness))
     longest = (damping - oscillation) / gains.stiffness
-    name = "longest stable period > dt"
-    period = intervals.longest
-    return (*conditions, Condition(name, longest, period, longest > period))
+    stable = Condition("longest stable period > dt", longest, intervals.longest)
+    return (*conditions, stable)
 
 
 def with_quadrature(
