@@ -229,10 +229,12 @@ def test_wraps_of_the_shipped_headings_are_no_motion() -> None:
 def test_a_large_state_beside_hides_no_jump(kind, far):
     """A position on a map, the seconds since 1970: neither blurs a speed."""
     model = DragModel()
-    observer = kind(model, PERIOD, BOUNDS)
     before = np.array([far, 0.0, 0.5, 0.0])
     after = before + PERIOD * model.nominal_rate(before, np.zeros(2))
-    quiet = observer._plausible_mean(before, after, np.zeros(2), PERIOD)
-    assert quiet is not None
-    after[2] += 0.3  # [m/s], 15 m/s^2 over the interval.
-    assert observer._plausible_mean(before, after, np.zeros(2), PERIOD) is None
+    jump = np.array([0.0, 0.0, 0.3, 0.0])  # [m/s], 15 m/s^2 over the interval.
+    for measured, refused in ((after, 0.0), (after + jump, 1.0)):
+        bench = Bench(kind(model, PERIOD, BOUNDS))
+        bench.measure(0.0, before)
+        bench.update()
+        bench.measure(PERIOD, measured)
+        assert bench.estimate().refused_intervals == refused
