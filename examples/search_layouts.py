@@ -16,7 +16,7 @@ from pathlib import Path
 from paper.blimp_courses import BLIMP_COURSES, blimp_course
 from paper.table_1 import RANDOM_STARTS
 
-from vcbf_drake.simulation.yaml_nodes import merge_overrides
+from vcbf_drake.simulation.loading import merge_overrides
 from vcbf_drake.studies import Record, Trial, run_study
 
 SCENARIO = "blimp-multiple-obstacles"

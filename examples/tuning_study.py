@@ -24,7 +24,7 @@ from pictures import COLORS
 
 from vcbf_drake import simulate
 from vcbf_drake.safety import VolumeBarrier
-from vcbf_drake.simulation.yaml_nodes import merge_overrides
+from vcbf_drake.simulation.loading import merge_overrides
 from vcbf_drake.studies import Trial, run_study
 
 SETTINGS = {

@@ -26,7 +26,7 @@ from examples.paper.car_courses import APPROACH_GAINS, car_course
 from examples.quadrotor_slalom import LIMITS
 from vcbf_drake.files import atomic_write
 from vcbf_drake.safety import VolumeBarrier
-from vcbf_drake.simulation.yaml_nodes import merge_overrides
+from vcbf_drake.simulation.loading import merge_overrides
 from vcbf_drake.studies import Record, Trial, run_study
 from vcbf_drake.studies.executors import new_pool
 

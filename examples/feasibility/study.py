@@ -12,7 +12,7 @@ import numpy as np
 from examples.adaptive_cruise_control import AHEAD, HEADWAY, MASS, MOST, resistance
 from examples.paper.blimp_courses import blimp_course
 from examples.paper.car_courses import APPROACH_GAINS, car_course
-from vcbf_drake.simulation.yaml_nodes import merge_overrides
+from vcbf_drake.simulation.loading import merge_overrides
 from vcbf_drake.studies import Record, Trial
 
 DURATION, SOON = 40.0, 20.0  # [s]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from vcbf_drake.simulation.yaml_nodes import merge_overrides
+from vcbf_drake.simulation.loading import merge_overrides
 from vcbf_drake.studies import Draw, Record, Trial, share_interval
 from vcbf_drake.studies.statistics import summarise_method
 

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from vcbf_drake import ScenarioError, load_scenario
-from vcbf_drake.simulation.loading import parse_scenario
+from vcbf_drake.simulation.loading import dump_scenario, parse_scenario
 
 SMALL = """\
 s:
@@ -37,10 +37,11 @@ def complaint(text, overrides=None):
         ("s: " + "[" * 10_000, "nested too deeply"),
         ("s: " + "{a: " * 3000 + "1" + "}" * 3000, "nested too deeply"),
         ("s: &a [*a]", "a sequence; it must be a mapping"),
+        ("s: 3", "hostile.yaml:1: 3; it must be a mapping"),
         ("s: &a {obstacles: [*a]}", "obstacles.0..name: unknown key"),
         ("s: &a {<<: *a}", "vehicle: missing"),
         (LAUGHS, "a sequence; it must be a mapping"),
-        (MERGED_LAUGHS, "x: unknown key"),
+        (MERGED_LAUGHS, "<<: a sequence; it must be a mapping"),
         ('s: !!python/object/apply:os.system ["exit"]', "a sequence; it must be"),
         ("s: !!python/name:os.system {duration: x}", "'x'; it must be a number"),
         ("s: \x00", "not YAML"),
@@ -99,17 +100,16 @@ def test_overrides(overrides, expected):
     assert re.search(expected, complaint(SMALL, overrides))
 
 
-@pytest.mark.parametrize(
-    ("text", "found"),
-    [
-        ("{<<: [{duration: 3}, {duration: 4}]}", 3.0),
-        ("{<<: [{period: 0.05}, {duration: 4}, {duration: 5}]}", 4.0),
-        ("{duration: 9, <<: [{duration: 3}, {duration: 4}]}", 9.0),
-    ],
-)
-def test_of_several_mappings_that_are_merged_the_first_wins(text, found):
-    """YAML's rule for merge keys, which PyYAML's versions follow or not."""
-    assert load_scenario("car-avoidance", text).duration == found
+def test_a_mapping_that_is_merged_gives_what_is_not_given():
+    text = "{duration: 9, <<: {duration: 3, period: 0.05}}"
+    scenario = load_scenario("car-avoidance", text)
+    assert (scenario.duration, scenario.period) == (9.0, 0.05)
+
+
+def test_several_mappings_that_are_merged_are_refused():
+    """PyYAML's versions differ in which of them wins."""
+    expected = "override: <<: a sequence; it must be a mapping"
+    assert complaint(SMALL, "{<<: [{duration: 3}, {duration: 4}]}") == expected
 
 
 def test_a_merged_mapping_may_be_used_twice():
@@ -117,3 +117,24 @@ def test_a_merged_mapping_may_be_used_twice():
     text += "  volume: *v\n"
     scenario = parse_scenario(text + "_again: *v\n", "twice.yaml")
     assert scenario.volume.gain == 3.0
+
+
+@pytest.mark.parametrize("value", ["010", "1:30", "1_000", "0x10", "1e", "."])
+def test_numbers_in_other_notations_are_refused(value):
+    expected = "override: duration: " + repr(value)
+    assert complaint(SMALL, f"{{duration: {value}}}").startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("value", "number"),
+    [("1e1", 10.0), (".5e1", 5.0), ("+5", 5.0), ("5.", 5.0), ("1.0E+1", 10.0)],
+)
+def test_numbers_are_those_of_yaml_1_2(value, number):
+    assert load_scenario("car-avoidance", f"{{duration: {value}}}").duration == number
+
+
+@pytest.mark.parametrize("name", ["1e3", "010", "5", "yes", "null", "0x1"])
+def test_a_text_that_looks_like_something_else_is_dumped_as_text(name):
+    scenario = load_scenario("car-avoidance", {"name": name, "description": name})
+    again = parse_scenario(dump_scenario(scenario), "dump.yaml")
+    assert (again.name, again.description) == (name, name)

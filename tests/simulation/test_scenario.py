@@ -25,9 +25,9 @@ from vcbf_drake.simulation import (
 from vcbf_drake.simulation.loading import (
     dump_scenario,
     load_scenario,
+    merge_overrides,
     shipped_scenarios,
 )
-from vcbf_drake.simulation.yaml_nodes import merge_overrides
 from vcbf_drake.typed import tag_of
 
 SHIPPED = (
@@ -406,7 +406,7 @@ REFUSED = [
     (
         "{observer: !Rise {}}",
         "observer",
-        "unknown tag !Rise; it needs none, or !ObserverSettings",
+        "unknown tag !Rise; allowed: !ObserverSettings",
     ),
     ("{period: !Seconds 1}", "period", "unknown tag !Seconds; allowed: none"),
     ("{obstacles: [{radius: 0.1}]}", "obstacles[0].center", "missing"),
@@ -416,15 +416,23 @@ REFUSED = [
     (
         "{target: [1, 90deg, 3]}",
         "target[1]",
-        "'90deg'; it must be a number, in radians",
+        "'90deg'; it must be a number, unquoted and decimal",
     ),
-    ("{target: [1, pi/2, 3]}", "target[1]", "in radians: 1.5708 for 90 degrees"),
-    ("{target: [1, 90 °, 3]}", "target[1]", "in radians: 1.5708 for 90 degrees"),
-    ("{duration: 010}", "duration", "'010'; it must be a number in decimals"),
-    ("{duration: 1:30}", "duration", "'1:30'; it must be a number in decimals"),
-    ("{noise: {seed: -007}}", "noise.seed", "'-007'; it must be a number in decimals"),
+    ("{target: [1, pi/2, 3]}", "target[1]", "decimal: 1.5708 for 90 degrees"),
+    ("{target: [1, 90 °, 3]}", "target[1]", "decimal: 1.5708 for 90 degrees"),
+    ("{duration: 010}", "duration", "'010'; it must be a number, unquoted and decimal"),
+    (
+        "{duration: 1:30}",
+        "duration",
+        "'1:30'; it must be a number, unquoted and decimal",
+    ),
+    (
+        "{noise: {seed: -007}}",
+        "noise.seed",
+        "'-007'; it must be a whole number, unquoted",
+    ),
     ("{duration: '3'}", "duration", "'3'; it must be a number"),
-    ("{duration: yes}", "duration", "True; it must be a number"),
+    ("{duration: yes}", "duration", "'yes'; it must be a number"),
     ("{duration: [3]}", "duration", "a sequence; it must be a number"),
     ("{duration: }", "duration", "None; it must be a number"),
     ("{noise: {seed: '3'}}", "noise.seed", "'3'; it must be a whole number"),
@@ -511,9 +519,9 @@ REFUSED = [
     (
         "{faults: {gusts: [!Step {}]}}",
         "faults.gusts[0]",
-        "!Step; it needs none, or !StepGust",
+        "!Step; did you mean !StepGust?",
     ),
-    ("{observer.alpha: 1}", "observer.alpha", "write observer: {alpha: ...}"),
+    ("{observer.alpha: 1}", "observer.alpha", "did you mean observer?"),
     ("{disturbance: [!Constant {value: [1]}]}", "disturbance[0]", "must have 3"),
     ("{vehicle: {added_mass: [1]}}", "vehicle.added_mass", "list of 3 numbers"),
     # Choices.
@@ -554,7 +562,7 @@ REFUSED = [
     (
         "{vehicle: {controller: !CarControllerParameters {}}}",
         "vehicle.controller",
-        "unknown tag !CarControllerParameters; it needs none, or !Blimp",
+        "unknown tag !CarControllerParameters; did you mean !Blimp",
     ),
     ("{vehicle: {turn_limit: {}}}", "vehicle.turn_limit", "unknown key; allowed"),
     ("{target: [0.5, 0.1, 0.5]}", "target", "signed distance is -0.1 m"),
@@ -633,7 +641,7 @@ def test_missing_file_suggests_shipped_names() -> None:
         (b"one: \x07\n", "not YAML"),
         (b"one: *nowhere\n", "not YAML"),
         (b"? [1]\n: 2\n", "a sequence; a key must be a word"),
-        (b"one: {<<: 3}\n", "expected a mapping or list of mappings for merging, but"),
+        (b"one: {<<: 3}\n", "<<: a scalar; it must be a mapping"),
     ],
 )
 def test_refuses_file(tmp_path: Path, content: bytes, problem: str) -> None:

@@ -18,10 +18,9 @@ from typing import Any
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.files import atomic_write, json_text
 from vcbf_drake.simulation.fleet import Fleet
-from vcbf_drake.simulation.loading import load_fleet, scenario_path
+from vcbf_drake.simulation.loading import load_fleet, merge_overrides, scenario_path
 from vcbf_drake.simulation.run import simulate_fleet
 from vcbf_drake.simulation.scenario import Scenario
-from vcbf_drake.simulation.yaml_nodes import merge_overrides
 from vcbf_drake.studies.executors import TRIALS_A_PROCESS, WorkerProcesses, versions
 from vcbf_drake.studies.variation import Draw, Variation
 

@@ -16,8 +16,8 @@ import yaml
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.files import read_text
 from vcbf_drake.python_file import function_of
+from vcbf_drake.simulation.loading import merge_overrides
 from vcbf_drake.simulation.scenario import Scenario
-from vcbf_drake.simulation.yaml_nodes import merge_overrides
 
 Generator = np.random.Generator
 
