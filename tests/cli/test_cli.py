@@ -291,7 +291,8 @@ def test_bad_scenario_from_a_shell() -> None:
     assert done.returncode == 2
     assert done.stdout == ""
     assert done.stderr == (
-        "vcbf-drake: override: observer.alpha: '5'; it must be a number\n"
+        "vcbf-drake: override: observer.alpha: '5'; it must be a number,"
+        " unquoted and decimal: 1.5708 for 90 degrees\n"
     )
 
 
