@@ -64,6 +64,12 @@ def test_entries_of_a_list_are_drawn_and_the_others_stay():
     assert draw["initial_state"] == pytest.approx(expected)
 
 
+def test_an_entry_of_a_list_that_the_file_leaves_out_is_drawn():
+    variation = Variation("separation.gains.0: !Scale [1.1, 1.1]")
+    scenario = Trial(CAR, "cbf-qp", 0, variation=variation).load()
+    assert scenario.separation.gains == pytest.approx([11.0, 3.55])
+
+
 def test_a_draw_hangs_on_seed_and_index_alone_and_travels():
     variation = Variation("observer.alpha: !Uniform [4.6, 6.0]")
     base = load_scenario(CAR)

@@ -229,38 +229,23 @@ def _parse(text: str) -> Mapping[str, Any]:
 
 
 def _drawn(node: Any, own: Any, generator: Generator, place: str) -> Any:
+    """The overrides of a part of the text, where the scenario has `own`."""
     if isinstance(node, _Distribution):
         return node.draw(generator, own, place)
-    if isinstance(node, dict) and isinstance(own, list | tuple):
-        return _drawn_entries(node, list(own), generator, place)
-    if isinstance(node, dict):
-        return {
-            key: _drawn(child, _field(own, key), generator, f"{place}.{key}".strip("."))
-            for key, child in node.items()
-        }
     if isinstance(node, list):
         return [_drawn(child, None, generator, place) for child in node]
-    return node
-
-
-def _drawn_entries(
-    node: Mapping[Any, Any], own: list[Any], generator: Generator, place: str
-) -> list[Any] | dict[str, Any]:
-    """The scenario's list with some entries drawn, by their indices.
-
-    Of a list of sections, such as vehicles, an override of those that are drawn alone.
-    """
-    of_sections = bool(own) and is_dataclass(own[0])
-    drawn: dict[str, Any] = {}
-    for key, child in node.items():
-        if not str(key).isdigit() or int(key) >= len(own):
-            raise ScenarioError(
-                f"variation: {place}.{key}: entries are 0 to {len(own) - 1}"
-            )
-        value = _drawn(child, own[int(key)], generator, f"{place}.{key}")
-        drawn[str(key)] = own[int(key)] = value
-    return drawn if of_sections else own
-
-
-def _field(own: Any, key: str) -> Any:
-    return own.get(key) if isinstance(own, dict) else getattr(own, key, None)
+    if not isinstance(node, dict):
+        return node
+    is_list = isinstance(own, list | tuple)
+    entries = own if isinstance(own, dict) else getattr(own, "__dict__", {})
+    if is_list:
+        entries = {str(i): each for i, each in enumerate(own)}
+    drawn = {}
+    for name, child in node.items():
+        key, at = str(name), f"{place}.{name}".strip(".")
+        if is_list and key not in entries:
+            raise ScenarioError(f"variation: {at}: entries are 0 to {len(own) - 1}")
+        drawn[key] = _drawn(child, entries.get(key), generator, at)
+    # Numbers as a whole list, which a file need not give; of sections those drawn.
+    of_numbers = is_list and not any(map(is_dataclass, own))
+    return [*(entries | drawn).values()] if of_numbers else drawn
