@@ -143,7 +143,7 @@ def test_joints_that_mimic_others_have_to_be_fixed(tmp_path: Path) -> None:
             RobotFile("package://drake/a.urdf"),
             "a URDF or SDFormat file .* that there is",
         ),
-        (RobotFile(__file__), "a URDF or SDFormat file"),
+        (RobotFile(__file__), r"a URDF or SDFormat file \(.urdf, .sdf\)"),
         (RobotFile(ARM), "it does not move: .* body base .*; weld: base fixes the"),
         (
             RobotFile(ARM, weld="base", fixed=["joint_9"]),
