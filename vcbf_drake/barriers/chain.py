@@ -91,7 +91,7 @@ class Chain:
     constants: tuple[Node, ...]
 
     @staticmethod
-    @lru_cache(maxsize=64)
+    @lru_cache(maxsize=256)
     @_derived()
     def of(formula: Formula) -> Chain:
         """Derives the chain, or raises a ModelError for want of derivatives."""
@@ -155,7 +155,7 @@ class ChainFunctions(NamedTuple):
     value: CompiledFunction
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 @_derived()
 def compiled_chain(
     formula: Formula, moving: tuple[Node, ...], of_h: tuple[Node, ...]
@@ -174,7 +174,7 @@ def compiled_chain(
     return ChainFunctions(row, gradient, value)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 @_derived()
 def compiled_row(
     entries: tuple[Node, ...],
