@@ -381,6 +381,9 @@ def test_records_of_other_versions_or_of_a_changed_scenario_are_refused(
     path.write_bytes(before.replace(b"numpy ", b"numpy 0."))
     with pytest.raises(ScenarioError, match=r"jsonl:1: made with python .* numpy 0\."):
         run_study(trials, path)
+    path.write_bytes(before.replace(b'"made_with"', b'"of_old"'))
+    with pytest.raises(ScenarioError, match=r"made with versions that it does not"):
+        run_study(trials, path)
     path.write_bytes(before)
     scenario.write_text(scenario.read_text() + "# edited\n")
     with pytest.raises(ScenarioError, match=r"here it is .*; use another file"):

@@ -52,6 +52,11 @@ def test_values_have_the_distribution_that_was_written(text, read, distribution)
     assert stats.kstest(sample, distribution.cdf).pvalue > 0.01
 
 
+def test_numbers_are_written_as_in_a_scenario():
+    (draw,) = draws("observer: {alpha: !Uniform [6e0, 6e0], eps: 1.0e-3, a: yes}", 1)
+    assert draw["observer"] == {"alpha": 6.0, "eps": 0.001, "a": "yes"}
+
+
 def test_a_choice_takes_every_value_and_no_other():
     chosen = {d["method"] for d in draws("method: !Choice [cbf-qp, dob-cbf-qp]", 40)}
     assert chosen == {"cbf-qp", "dob-cbf-qp"}
@@ -101,17 +106,26 @@ def test_obstacles_with_tags_of_their_own_load():
     [
         (
             "observer.alpha: !Uniform [6.0, 4.6]",
-            "line 1: !Uniform goes from 6 down to 4.6",
+            "variation:1: !Uniform goes from 6 down to 4.6",
         ),
         (
             "a: 1\nb: !Uniform [1]",
-            "line 2: !Uniform takes a list of two finite numbers",
+            "variation:2: !Uniform takes a list of two finite numbers",
         ),
         ("a: !Add [.inf, 1]", "!Add takes a list of two finite numbers"),
         ("a: !Normal [0, -1]", "standard deviation -1, below 0"),
         ("a: !Choice []", "!Choice takes a list of values"),
         ("a: !Gauss [0, 1]", "!Gauss is no distribution; allowed: !Uniform"),
-        ("[1, 2]", "it is a mapping from fields to distributions"),
+        (
+            "[1, 2]",
+            "a sequence; it must be a mapping, such as {observer",
+        ),
+        ("a: !Uniform [[1], 2]", "!Uniform takes a list of two finite numbers"),
+        ("a: !Uniform [1, 010]", "!Uniform takes a list of two finite numbers"),
+        ("a: 1\na: 2", "variation:2: a: given twice"),
+        ("a.b: 1\na: {b: 2}", "variation:2: a: given twice"),
+        ("a: 1\na.b: 2", "variation:2: a.b: given twice"),
+        ("a: [1]\na.b.c: 2", "variation:2: a.b.c: given twice"),
         ("a: [", "not YAML"),
         ("nope.yaml", "nope.yaml: No such file"),
         ("nope.py", "nope.py: No such file"),

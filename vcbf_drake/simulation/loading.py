@@ -1,22 +1,20 @@
 """Scenarios from YAML and Python files, with the place of every mistake, and back.
 
-PyYAML composes a text into nodes, which know where they were written; overrides are
-merged node by node; objects are made of them by their classes' type hints, and check
-themselves. A tag selects a member of a union, and the first needs none. A top-level
-key of a file is a scenario's name, or with ``_`` first a template.
+Objects are made of a text's nodes by their classes' type hints, and check themselves.
+A tag selects a member of a union, and the first needs none. A top-level key of a file
+is a scenario's name, or with ``_`` first a template.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import MISSING, fields, is_dataclass
 from functools import partial, reduce
 import inspect
 import math
 from pathlib import Path
 import re
-from typing import Any, TypeAlias, get_origin
+from typing import Any, get_origin
 
 from pydrake.common.yaml import yaml_dump
 import yaml
@@ -28,21 +26,22 @@ from vcbf_drake.errors import (
     Path as Keys,
     ScenarioError,
     below,
-    written,
 )
 from vcbf_drake.files import names_file, read_text, resolved
 from vcbf_drake.python_file import function_of, naming_place
 from vcbf_drake.simulation.fleet import Fleet
 from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.simulation.yaml_nodes import (
+    Node,
+    compose,
+    entries_of,
+    locate,
+    merged,
+    scalar_value,
+)
 
 VEHICLES = "vehicles"
 _SHIPPED = {each.stem: each for each in Path(__file__).parent.glob("scenarios/*.yaml")}
-_OVERRIDE = "override"
-Node: TypeAlias = Any  # A yaml.Node; PyYAML has no type stubs.
-# The scalars of YAML 1.2: YAML 1.1 reads 010 as 8, 1:30 as 90 and 1e-3 as text.
-_WORDS = {"": None, "~": None, "null": None, "true": True, "false": False}
-_WHOLE = re.compile(r"[-+]?(0|[1-9]\d*)")
-_NUMBER = re.compile(r"[-+]?((?!0\d)(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|\.inf|\.nan)", re.I)
 _NUMERAL = re.compile(r"[-+.]?(\d|pi\b)", re.I)
 _DECIMAL = "unquoted and decimal: 1.5708 for 90 degrees"
 # No quantity is as large, in SI units; a product of a few such numbers is still finite.
@@ -139,7 +138,7 @@ def dump_scenario(scenario: Scenario | Fleet) -> str:
 
 def merge_overrides(*overrides: str | Mapping[str, Any]) -> str:
     """Returns overrides, of which the later win, as one line of YAML text."""
-    node = reduce(_merged, map(_compose, overrides))
+    node = reduce(merged, map(compose, overrides))
     node.flow_style = True
     text: str = yaml.serialize(node, Dumper=yaml.SafeDumper, width=math.inf)
     return text.strip()
@@ -151,11 +150,12 @@ def _parse(
     overrides: str | Mapping[str, Any] | None = None,
     scenario_name: str | None = None,
 ) -> Fleet:
-    node = _select(_compose(text, source), source, scenario_name)
+    root = compose(text, source, "{name-of-the-scenario: {duration: 5}}")
+    node = _select(root, source, scenario_name)
     try:
         if overrides is not None:
-            node = _merged(node, _compose(overrides))
-        entries = _entries(node)
+            node = merged(node, compose(overrides))
+        entries = entries_of(node)
         if VEHICLES not in entries:
             fleet = Fleet.of(_build(node, Scenario))
         else:
@@ -164,19 +164,19 @@ def _parse(
                 rest = [*entries.values()]
                 shared = yaml.MappingNode(node.tag, rest, node.start_mark)
                 # In place: a shared entry's mistake is located where it is written.
-                own[1][1].value[:] = [_merged(shared, each) for each in own[1][1].value]
+                own[1][1].value[:] = [merged(shared, each) for each in own[1][1].value]
             fleet = _build(yaml.MappingNode(node.tag, own, node.start_mark), Fleet)
     except InvalidValueError as error:
-        raise ScenarioError(f"{_locate(node, error.path)}: {error}") from None
+        raise ScenarioError(f"{locate(node, error.path)}: {error}") from None
     except RecursionError:
         raise ScenarioError(f"{source}: nested too deeply") from None
-    fleet.locate = partial(_locate, node)
+    fleet.locate = partial(locate, node)
     return fleet
 
 
 def _select(root: Node, source: str, name: str | None) -> Node:
     """Returns the node of a scenario, whose key is its name where it gives none."""
-    entries = {k: each for k, each in _entries(root).items() if k[:1] != "_"}
+    entries = {k: each for k, each in entries_of(root).items() if k[:1] != "_"}
     known = {VEHICLES, *types.field_types(Scenario)}
     for key in filter(known.__contains__, entries):
         problem = f"{key} at the top; a scenario's name is missing above it"
@@ -190,94 +190,6 @@ def _select(root: Node, source: str, name: str | None) -> Node:
     if node.id == "mapping":
         node.value.insert(0, (yaml.ScalarNode("", "name", key.start_mark), key))
     return node
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML of different words, merge keys (``<<``) resolved, on one line."""
-
-    def compose_scalar_node(self, anchor: Any) -> Node:
-        node = super().compose_scalar_node(anchor)
-        node.style = '"' if "\n" in node.value else node.style
-        return node
-
-    def compose_mapping_node(self, anchor: Any) -> Node:
-        node = super().compose_mapping_node(anchor)
-        own: dict[str, tuple[Node, Node]] = {}
-        for key, value in node.value:
-            if key.id != "scalar":
-                raise ScenarioError(f"{_place(key)}: a {key.id}; a key must be a word")
-            if key.value in own:
-                raise ScenarioError(f"{_place(key)}: {key.value:.40}: given twice")
-            own[key.value] = (key, value)
-        _, shared = own.get("<<", (node, yaml.MappingNode("", [])))
-        if shared.id != "mapping":
-            problem = f"<<: a {shared.id}; it must be a mapping"
-            raise ScenarioError(f"{_place(shared)}: {problem}")
-        entries = _entries(shared) | own
-        node.value = [entries[key] for key in entries if key != "<<"]
-        return node
-
-
-def _compose(text: str | Mapping[str, Any], source: str = _OVERRIDE) -> Node:
-    """Returns the mapping that a text holds, or that plain data are."""
-    try:
-        loader = _Loader(text if isinstance(text, str) else yaml_dump({**text}))
-        loader.name = source
-        node = loader.get_single_node()
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f"{source}:{mark.line + 1}" if mark and source != _OVERRIDE else source
-        reason = getattr(error, "problem", None) or " ".join(str(error).split())
-        raise ScenarioError(f"{place}: not YAML: {reason}") from None
-    except RecursionError:
-        raise ScenarioError(f"{source}: nested too deeply") from None
-    if not isinstance(node, yaml.MappingNode):
-        found = f"a {node.id}" if node else "nothing"
-        example = ", such as {duration: 5}" if source == _OVERRIDE else ""
-        raise ScenarioError(f"{source}: {found}; it must be a mapping{example}")
-    return node
-
-
-def _merged(base: Node, top: Node, path: Keys = ()) -> Node:
-    """Returns the base with the top's values; untagged mappings merge, others replace.
-
-    Of a list, a mapping replaces the entries that its keys number.
-    """
-    if top.id != "mapping" or top.tag.startswith("!") or base.id == "scalar":
-        return top
-    is_list, entries = base.id == "sequence", _entries(base)
-    for name, (key, value) in _entries(top).items():
-        if is_list and name not in entries:
-            rule = f"it must be an entry of the list, 0 to {len(entries) - 1}"
-            where = f"{_place(key)}: {written((*path, name))}"
-            raise ScenarioError(f"{where}: {name}; {rule}")
-        _, old = entries.get(name, (key, None))
-        entries[name] = key, _merged(old, value, (*path, name)) if old else value
-    values = [value if is_list else (key, value) for key, value in entries.values()]
-    return type(base)(base.tag, values, base.start_mark)
-
-
-def _entries(node: Node) -> dict[str, tuple[Node, Node]]:
-    """Returns keys and values of a mapping by name, the entries of a list by number."""
-    if isinstance(node, yaml.SequenceNode):
-        return {str(i): (each, each) for i, each in enumerate(node.value)}
-    pairs = node.value if isinstance(node, yaml.MappingNode) else ()
-    return {key.value: (key, value) for key, value in pairs}
-
-
-def _locate(node: Node, path: Keys) -> str:
-    """Returns the place of the deepest node on the path that was written down."""
-    key = node
-    for part in path:
-        key, node = _entries(node).get(str(part), (key, None))
-    return _place(key)
-
-
-def _place(node: Node) -> str:
-    # An override is short, and what a program made has no lines.
-    mark = node.start_mark
-    has_lines = not mark.name.endswith((_OVERRIDE, ".py"))
-    return f"{mark.name}:{mark.line + 1}" if has_lines else str(mark.name)
 
 
 def _build(node: Node, hint: Any, path: Keys = ()) -> Any:
@@ -306,7 +218,7 @@ def _build_object(node: Node, classes: Mapping[str, Any], tag: str, path: Keys) 
     first, *others = classes
     is_guess = f" (no tag, so read as {first}; or {', '.join(others)})"
     guess = is_guess if others and not tag else ""
-    schema, values, entries = classes[tag or first], {}, _entries(node)
+    schema, values, entries = classes[tag or first], {}, entries_of(node)
     hints = types.field_types(schema)
     for name, (_, value) in entries.items():
         if name not in hints:
@@ -326,19 +238,11 @@ def _build_object(node: Node, classes: Mapping[str, Any], tag: str, path: Keys) 
 
 
 def _scalar(node: Node, hint: Any, path: Keys) -> Any:
-    """Returns a number, true or false, nothing or a text."""
-    kind, word = types.allowed_types(hint)[0], node.value.lower()
-    value: Any = node.value
-    if not node.style:
-        is_number = node.tag.endswith((":int", ":float"))  # The text 1e3 is not quoted.
-        value = _WORDS.get(word, value)
-        with suppress(ValueError):  # A whole number of thousands of digits.
-            if _WHOLE.fullmatch(word) and kind is not float:
-                value = int(word)
-            elif _NUMBER.fullmatch(word) and (kind is float or is_number):
-                value = float(word.replace(".inf", "inf").replace(".nan", "nan"))
+    """Returns the value of a scalar, of a given type."""
+    kind = types.allowed_types(hint)[0]
+    value = scalar_value(node, kind)
     if isinstance(value, str) and kind in (float, int):
-        is_numeral = _NUMERAL.match(word) is not None
+        is_numeral = _NUMERAL.match(value) is not None
         require(not is_numeral, path, value, f"{types.in_words(hint)}, {_DECIMAL}")
     elif isinstance(value, int | float):
         is_huge = _LARGEST < abs(value) < math.inf

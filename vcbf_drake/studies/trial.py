@@ -202,8 +202,8 @@ def run_study(
 
     Each record is a line of JSON, written when its trial ends. A study that was killed
     goes on where it was, with the same versions and the same scenario file; a last line
-    that was cut short is dropped. The finished file
-    lists the records in the order of the trials, independent of their execution.
+    that was cut short is dropped. The finished file lists the records in the order of
+    the trials, independent of their execution.
 
     Args:
         trials: The trials, each different from the others.
@@ -318,7 +318,8 @@ def _read(path: Path, wanted: dict[str, Trial]) -> Iterator[Record]:
                 f" {record['variation']}, {record['scenario']}"
                 f" {record['overrides']}); use another file"
             )
-        found, now = record.get("made_with"), trial.identity["made_with"]
+        found = record.get("made_with", "versions that it does not name")
+        now = trial.identity["made_with"]
         if found != now:
             raise ScenarioError(
                 f"{path}:{number}: made with {found}; here it is {now}; use another"

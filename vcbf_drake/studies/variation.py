@@ -11,13 +11,19 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-import yaml
 
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.files import read_text
 from vcbf_drake.python_file import function_of
 from vcbf_drake.simulation.loading import merge_overrides
 from vcbf_drake.simulation.scenario import Scenario
+from vcbf_drake.simulation.yaml_nodes import (
+    Node,
+    compose,
+    entries_of,
+    place_of,
+    scalar_value,
+)
 
 Generator = np.random.Generator
 
@@ -164,68 +170,59 @@ class _Distribution:
 _DISTRIBUTIONS = ("!Uniform", "!Normal", "!Choice", "!Add", "!Scale")
 
 
-class _Loader(yaml.SafeLoader):
-    """YAML with distributions; another tag becomes the key ``_tag`` of its mapping."""
-
-    def distribution(self, node: yaml.Node) -> _Distribution:
-        listed = isinstance(node, yaml.SequenceNode)
-        values = self.construct_sequence(node, deep=True) if listed else []
-        if node.tag == "!Choice":
-            if not values:
-                raise _refusal(node, "takes a list of values")
-            return _Distribution(node.tag, tuple(values))
-        if len(values) != 2 or not all(map(_is_finite, values)):
-            raise _refusal(node, "takes a list of two finite numbers")
-        first, second = map(float, values)
-        if node.tag == "!Normal" and second < 0.0:
-            raise _refusal(node, f"has the standard deviation {second:g}, below 0")
-        if node.tag != "!Normal" and first > second:
-            raise _refusal(node, f"goes from {first:g} down to {second:g}")
-        return _Distribution(node.tag, (first, second))
-
-    def tagged(self, suffix: str, node: yaml.Node) -> Any:
-        if not isinstance(node, yaml.MappingNode):
-            allowed = ", ".join(_DISTRIBUTIONS)
-            raise _refusal(node, f"is no distribution; allowed: {allowed}")
-        return {"_tag": f"!{suffix}"} | self.construct_mapping(node, deep=True)
-
-
-def _refusal(node: yaml.Node, problem: str) -> ScenarioError:
-    return ScenarioError(
-        f"variation: line {node.start_mark.line + 1}: {node.tag} {problem}"
-    )
-
-
-def _is_finite(value: Any) -> bool:
-    return isinstance(value, int | float) and math.isfinite(value)
-
-
-for _tag in _DISTRIBUTIONS:
-    _Loader.add_constructor(_tag, _Loader.distribution)
-_Loader.add_multi_constructor("!", _Loader.tagged)
-
-
 @lru_cache
 def _parse(text: str) -> Mapping[str, Any]:
     """The tree of a text, its dotted keys taken apart."""
-    try:
-        tree = yaml.load(text, _Loader) or {}
-    except yaml.YAMLError as error:
-        words = " ".join(str(error).split())
-        raise ScenarioError(f"variation: not YAML: {words}") from None
-    if not isinstance(tree, dict):
-        raise ScenarioError(
-            "variation: it is a mapping from fields to distributions, like"
-            " 'observer.alpha: !Uniform [4.6, 6.0]'"
-        )
     nested: dict[str, Any] = {}
-    for key, value in tree.items():
-        *parents, last = str(key).split(".")
-        place = nested
+    root = compose(text or "{}", "variation", "{observer.alpha: !Uniform [4.6, 6.0]}")
+    for name, (key, value) in entries_of(root).items():
+        *parents, last = name.split(".")
+        section: Any = nested
         for parent in parents:
-            place = place.setdefault(parent, {})
-        place[last] = value
+            is_section = isinstance(section, dict)
+            section = section.setdefault(parent, {}) if is_section else None
+        if not isinstance(section, dict) or last in section:
+            raise ScenarioError(f"{place_of(key)}: {name}: given twice")
+        section[last] = _read(value)
     return nested
+
+
+def _read(node: Node) -> Any:
+    """A part of the text as plain data, with distributions in them."""
+    if node.tag in _DISTRIBUTIONS:
+        return _distribution(node)
+    tag = {"_tag": node.tag} if node.tag.startswith("!") else {}
+    if node.id == "mapping":
+        return tag | {key: _read(value) for key, (_, value) in entries_of(node).items()}
+    if tag:
+        allowed = ", ".join(_DISTRIBUTIONS)
+        raise _refusal(node, f"is no distribution; allowed: {allowed}")
+    return [*map(_read, node.value)] if node.id == "sequence" else scalar_value(node)
+
+
+def _distribution(node: Node) -> _Distribution:
+    values = node.value if node.id == "sequence" else []
+    if node.tag == "!Choice":
+        if not values:
+            raise _refusal(node, "takes a list of values")
+        return _Distribution(node.tag, tuple(map(_read, values)))
+    numbers = [each.id == "scalar" and scalar_value(each, float) for each in values]
+    if len(numbers) != 2 or not all(map(_is_finite, numbers)):
+        raise _refusal(node, "takes a list of two finite numbers")
+    first, second = numbers
+    if node.tag == "!Normal" and second < 0.0:
+        raise _refusal(node, f"has the standard deviation {second:g}, below 0")
+    if node.tag != "!Normal" and first > second:
+        raise _refusal(node, f"goes from {first:g} down to {second:g}")
+    return _Distribution(node.tag, (first, second))
+
+
+def _refusal(node: Node, problem: str) -> ScenarioError:
+    return ScenarioError(f"{place_of(node)}: {node.tag} {problem}")
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, float) and math.isfinite(value)
 
 
 def _drawn(node: Any, own: Any, generator: Generator, place: str) -> Any:
