@@ -329,6 +329,14 @@ def test_overrides_merge_mappings_and_replace_the_rest() -> None:
     assert scenario.obstacles == base.obstacles
 
 
+def test_a_key_with_dots_reaches_into_mappings_and_lists() -> None:
+    dotted = "{vehicle.mass: 0.2, vehicle.added_mass.1: 0.3, volume.threshold: 0.1}"
+    nested = "{vehicle: {mass: 0.2, added_mass: {1: 0.3}}, volume: {threshold: 0.1}}"
+    name = "blimp-single-obstacle"
+    assert load_scenario(name, dotted) == load_scenario(name, nested)
+    assert load_scenario(name, {"vehicle.mass": 0.2}).vehicle.mass == 0.2  # type: ignore[attr-defined]
+
+
 def test_overriding_tag_replaces() -> None:
     scenario = load_scenario("blimp-single-obstacle", "{vehicle: !Blimp {mass: 0.2}}")
     assert scenario.vehicle == BlimpVehicle(mass=0.2)
@@ -521,7 +529,10 @@ REFUSED = [
         "faults.gusts[0]",
         "!Step; did you mean !StepGust?",
     ),
-    ("{observer.alpha: 1}", "observer.alpha", "did you mean observer?"),
+    ("{observer.alfa: 1}", "observer.alfa", "did you mean alpha?"),
+    ("{initial_state.9: 1}", "initial_state.9", "an entry of the list, 0 to 7"),
+    ("{a.b: 1, a: {b: 2}}", "a", "given twice"),
+    ("{vehicle.mass: 1, vehicle: !Blimp {}}", "vehicle", "given twice"),
     ("{disturbance: [!Constant {value: [1]}]}", "disturbance[0]", "must have 3"),
     ("{vehicle: {added_mass: [1]}}", "vehicle.added_mass", "list of 3 numbers"),
     # Choices.

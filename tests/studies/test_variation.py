@@ -125,7 +125,7 @@ def test_obstacles_with_tags_of_their_own_load():
         ("a: 1\na: 2", "variation:2: a: given twice"),
         ("a.b: 1\na: {b: 2}", "variation:2: a: given twice"),
         ("a: 1\na.b: 2", "variation:2: a.b: given twice"),
-        ("a: [1]\na.b.c: 2", "variation:2: a.b.c: given twice"),
+        ("a: [1]\na.b.c: 2", "variation:2: a.b: b; it must be an entry of the list"),
         ("a: [", "not YAML"),
         ("nope.yaml", "nope.yaml: No such file"),
         ("nope.py", "nope.py: No such file"),

@@ -33,10 +33,12 @@ from vcbf_drake.simulation.fleet import Fleet
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.yaml_nodes import (
     Node,
+    changes,
     compose,
     entries_of,
     locate,
     merged,
+    one_line,
     scalar_value,
 )
 
@@ -83,8 +85,9 @@ def load_scenario(
         overrides: Values that replace those of the file, as YAML text or as a
             mapping. Mappings merge, a mapping of whole numbers replaces those entries
             of a list; lists, numbers and tagged mappings replace (in a Python mapping
-            the key ``_tag`` holds the tag, with its ``!``). Files that they name are
-            relative to the working directory.
+            the key ``_tag`` holds the tag, with its ``!``). A key with dots reaches
+            into mappings and lists, ``vehicle.mass`` for example. Files that they name
+            are relative to the working directory.
         scenario_name: Which top-level key to load; needed when there are several.
 
     Raises:
@@ -138,10 +141,7 @@ def dump_scenario(scenario: Scenario | Fleet) -> str:
 
 def merge_overrides(*overrides: str | Mapping[str, Any]) -> str:
     """Returns overrides, of which the later win, as one line of YAML text."""
-    node = reduce(merged, map(compose, overrides))
-    node.flow_style = True
-    text: str = yaml.serialize(node, Dumper=yaml.SafeDumper, width=math.inf)
-    return text.strip()
+    return one_line(reduce(merged, map(changes, overrides)))
 
 
 def _parse(
@@ -154,7 +154,7 @@ def _parse(
     node = _select(root, source, scenario_name)
     try:
         if overrides is not None:
-            node = merged(node, compose(overrides))
+            node = merged(node, changes(overrides))
         entries = entries_of(node)
         if VEHICLES not in entries:
             fleet = Fleet.of(_build(node, Scenario))

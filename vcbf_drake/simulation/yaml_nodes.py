@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
+import math
 import re
 from typing import Any, TypeAlias
 
@@ -52,11 +53,32 @@ class _Loader(yaml.SafeLoader):
         return node
 
 
-def compose(
+def changes(
     text: str | Mapping[str, Any],
     source: str = OVERRIDE,
     example: str = "{duration: 5}",
 ) -> Node:
+    """Returns a mapping of changes; a key with dots reaches into sections and lists."""
+    node = compose(text, source, example)
+    root: Node = yaml.MappingNode(node.tag, [], node.start_mark)
+    for name, (key, change) in entries_of(node).items():
+        for word in reversed(name.split(".")):
+            pair = yaml.ScalarNode(key.tag, word, key.start_mark), change
+            change = yaml.MappingNode(node.tag, [pair], node.start_mark)
+        both = merged(root, change)
+        if _leaves(both) < _leaves(root) + _leaves(change):
+            raise ScenarioError(f"{place_of(key)}: {name:.40}: given twice")
+        root = both
+    return root
+
+
+def _leaves(node: Node) -> int:
+    """The number of values in nested mappings."""
+    is_section = node.id == "mapping"
+    return sum(_leaves(each) for _, each in node.value) if is_section else 1
+
+
+def compose(text: str | Mapping[str, Any], source: str, example: str) -> Node:
     """Returns the mapping that a text holds, or that plain data are."""
     try:
         loader = _Loader(text if isinstance(text, str) else yaml_dump({**text}))
@@ -135,3 +157,10 @@ def scalar_value(node: Node, kind: Any = None) -> Any:
         if _NUMBER.fullmatch(word) and is_number:
             return float(word.replace(".inf", "inf").replace(".nan", "nan"))
     return _WORDS.get(word, node.value)
+
+
+def one_line(node: Node) -> str:
+    """Returns YAML text of a node, on one line."""
+    node.flow_style = True
+    text: str = yaml.serialize(node, Dumper=yaml.SafeDumper, width=math.inf)
+    return text.strip()

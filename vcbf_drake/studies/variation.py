@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from functools import lru_cache
 import hashlib
@@ -15,17 +14,19 @@ import numpy as np
 from vcbf_drake.errors import ScenarioError
 from vcbf_drake.files import read_text
 from vcbf_drake.python_file import function_of
-from vcbf_drake.simulation.loading import merge_overrides
 from vcbf_drake.simulation.scenario import Scenario
 from vcbf_drake.simulation.yaml_nodes import (
     Node,
+    changes,
     compose,
     entries_of,
+    one_line,
     place_of,
     scalar_value,
 )
 
 Generator = np.random.Generator
+_SOURCE = "variation"
 
 
 class Draw(Protocol):
@@ -74,7 +75,9 @@ class Variation:
     @property
     def name(self) -> str:
         """The label, or the text on one line."""
-        return self.label or (merge_overrides(self.text) if self.text else "none")
+        return self.label or (
+            one_line(compose(self.text, _SOURCE, "")) if self.text else "none"
+        )
 
     def draw(self, scenario: Scenario, seed: int, index: int) -> dict[str, Any]:
         """Returns one draw; see `Draw`.
@@ -171,24 +174,14 @@ _DISTRIBUTIONS = ("!Uniform", "!Normal", "!Choice", "!Add", "!Scale")
 
 
 @lru_cache
-def _parse(text: str) -> Mapping[str, Any]:
-    """The tree of a text, its dotted keys taken apart."""
-    nested: dict[str, Any] = {}
-    root = compose(text or "{}", "variation", "{observer.alpha: !Uniform [4.6, 6.0]}")
-    for name, (key, value) in entries_of(root).items():
-        *parents, last = name.split(".")
-        section: Any = nested
-        for parent in parents:
-            is_section = isinstance(section, dict)
-            section = section.setdefault(parent, {}) if is_section else None
-        if not isinstance(section, dict) or last in section:
-            raise ScenarioError(f"{place_of(key)}: {name}: given twice")
-        section[last] = _read(value)
-    return nested
+def _parse(text: str) -> Any:
+    """The mappings of a text, with distributions in them."""
+    example = "{observer.alpha: !Uniform [4.6, 6.0]}"
+    return _read(changes(text or "{}", _SOURCE, example))
 
 
 def _read(node: Node) -> Any:
-    """A part of the text as plain data, with distributions in them."""
+    """A part of the text as plain data, with distributions in it."""
     if node.tag in _DISTRIBUTIONS:
         return _distribution(node)
     tag = {"_tag": node.tag} if node.tag.startswith("!") else {}
