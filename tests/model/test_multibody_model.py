@@ -10,7 +10,7 @@ from pydrake.multibody.plant import (
     CoulombFriction,
     MultibodyPlant,
 )
-from pydrake.multibody.tree import PrismaticJoint
+from pydrake.multibody.tree import PrismaticJoint, SpatialInertia
 from pydrake.systems.framework import DiagramBuilder
 import pytest
 
@@ -114,6 +114,17 @@ def test_a_constant_disturbance_matrix_is_found_and_another_is_refused():
         ControlAffineModel.from_system(
             load(PLANAR), "actuation", "applied_generalized_force"
         )
+
+
+@pytest.mark.parametrize("symbolic", [False, True])
+def test_a_plant_without_mass_has_no_model(symbolic):
+    plant = MultibodyPlant(0.0)
+    cart = plant.AddRigidBody("cart", SpatialInertia.Zero())
+    joint = PrismaticJoint("slide", plant.world_frame(), cart.body_frame(), [1, 0, 0])
+    plant.AddJointActuator("slide", plant.AddJoint(joint))
+    plant.Finalize()
+    with pytest.raises(ModelError, match="no derivatives: the matrix of inertia is"):
+        ControlAffineModel.from_system(plant, symbolic=symbolic)
 
 
 def test_a_plant_is_read_off_in_symbols_when_asked():

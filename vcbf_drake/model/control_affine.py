@@ -25,6 +25,7 @@ from vcbf_drake.model.graph import (
 from vcbf_drake.model.interface import (
     DeclaredStates,
     PortChoice,
+    Ports,
     declared_states,
     effort_limits_of,
     find_disturbance_port,
@@ -34,7 +35,7 @@ from vcbf_drake.model.interface import (
     wrapping,
 )
 from vcbf_drake.model.manoeuvre import MakeManoeuvres, Manoeuvre
-from vcbf_drake.model.numeric_dynamics import NumericDynamics, plant_of
+from vcbf_drake.model.numeric_dynamics import numeric_dynamics, plant_of
 from vcbf_drake.model.position import Position, named_position
 from vcbf_drake.model.symbolic_dynamics import symbolic_dynamics
 from vcbf_drake.typed import typed
@@ -217,10 +218,11 @@ class ControlAffineModel:
 
         disturbance = find_disturbance_port(system, disturbance_port)
         port = find_input_port(system, input_port, disturbance)
+        ports = Ports(port, disturbance, context)
         is_plant, about = plant_of(system) is not None, declared_states(system)
         if is_plant and not symbolic:
-            return MultibodyModel(system, port, disturbance, context)
-        state, f, g, E = symbolic_dynamics(system, port, disturbance, context)
+            return MultibodyModel(ports)
+        state, f, g, E = symbolic_dynamics(ports)
         model = cls(
             state=state,
             drift=f,
@@ -234,8 +236,7 @@ class ControlAffineModel:
         )
         if is_plant or not model.num_disturbances:
             model.speed_matrix = np.eye(model.num_states)[[*about.velocities]]
-        own = NumericDynamics(system, port, disturbance, context)
-        _require_same_rates(model, own.rate)
+        _require_same_rates(model, numeric_dynamics(ports).rate)
         model.make_manoeuvres = getattr(system, "make_manoeuvres", None)
         return model
 

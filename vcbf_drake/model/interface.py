@@ -29,6 +29,69 @@ _SCALAR = "_\N{MATHEMATICAL BOLD SCRIPT CAPITAL T}"  # Begins a template's argum
 
 
 @dataclass(frozen=True)
+class Ports:
+    """The ports of a System that a model is derived from.
+
+    A twin is the System itself, or the same in another scalar type.
+
+    Attributes:
+        input: The port of u.
+        disturbance: The port of d; None for none.
+        context: Holds the parameters, and values for the other input ports; None for
+            the defaults.
+    """
+
+    input: Port
+    disturbance: Port
+    context: Context | None
+
+    @property
+    def system(self) -> Any:
+        """The System."""
+        return self.input.get_system()
+
+    @property
+    def num_disturbances(self) -> int:
+        """The number q of disturbances."""
+        return 0 if self.disturbance is None else int(self.disturbance.size())
+
+    def context_of(self, twin: System) -> Any:
+        """Returns a twin's context with the time, parameters and values of `context`.
+
+        Raises:
+            ModelError: Its state is not continuous.
+        """
+        found = twin.CreateDefaultContext()
+        if found.num_discrete_state_groups() or found.num_abstract_states():
+            raise ModelError(
+                f"{name_of(twin)}: it has discrete or abstract state; derive the model"
+                " from its continuous twin (of a MultibodyPlant, the one with"
+                " time_step=0) and give that as model"
+            )
+        if not found.num_continuous_states():
+            raise ModelError(f"{name_of(twin)}: it has no continuous state")
+        if self.context is not None:
+            found.SetTimeStateAndParametersFrom(self.context)
+            for port in vector_ports(self.system):
+                if port.HasValue(self.context):
+                    value = port.Eval(self.context)
+                    twin.get_input_port(port.get_index()).FixValue(found, value)
+        return found
+
+    def of(self, twin: System) -> Ports:
+        """Returns the ports of a twin."""
+        input, d = twin.get_input_port(self.input.get_index()), self.disturbance
+        d = None if d is None else twin.get_input_port(d.get_index())
+        return Ports(input, d, self.context)
+
+    def fix(self, context: Context, u: Any, d: Any) -> None:
+        """Sets u and d in a context of the System."""
+        self.input.FixValue(context, u)
+        if self.disturbance is not None:
+            self.disturbance.FixValue(context, d)
+
+
+@dataclass(frozen=True)
 class DeclaredStates:
     """The description of a System's continuous states by its attributes.
 
@@ -119,14 +182,18 @@ def find_input_port(
     if choice is not None:
         port = _chosen_port(system, choice)
         if port is disturbance:
-            problem = f"the port '{port.get_name()}' cannot be both the input and the"
-            raise ModelError(f"{name_of(system)}: {problem} disturbance")
+            raise ModelError(
+                f"{name_of(system)}: the port '{port.get_name()}' cannot be both the"
+                " input and the disturbance"
+            )
         return port
     ports = [port for port in vector_ports(system) if port is not disturbance]
     named = [p for p in ports if p.get_name() in ("input", "actuation")]
     if len(named or ports) != 1:
-        problem = "say which port is the input, by input_port, or as the plant:"
-        problem = f"{problem} plant.GetInputPort(name)"
+        problem = (
+            "say which port is the input, by input_port, or as the plant:"
+            " plant.GetInputPort(name)"
+        )
         raise InvalidValueError((), _with_ports(system, problem))
     return (named or ports)[0]
 
@@ -153,30 +220,25 @@ def state_port_of(plant: System) -> OutputPort:
 def vector_ports(system: System) -> list[Port]:
     """Returns the input ports that carry vectors."""
     ports = [system.get_input_port(i) for i in range(system.num_input_ports())]
-    return [p for p in ports if _is_vector(p)]
+    vector = PortDataType.kVectorValued
+    return [p for p in ports if p.get_data_type() == vector and p.size() > 0]
 
 
 def _chosen_port(system: System, choice: PortChoice) -> Port:
-    if isinstance(choice, InputPort):
-        if choice.get_system() is not system:
-            problem = f"the port '{choice.get_name()}' belongs to another system"
-            raise ModelError(_with_ports(system, problem))
-        port = choice
-    elif isinstance(choice, str) and system.HasInputPort(choice):
+    port: Port = choice if isinstance(choice, InputPort) else None
+    if isinstance(choice, str) and system.HasInputPort(choice):
         port = system.GetInputPort(choice)
     elif isinstance(choice, Integral) and 0 <= int(choice) < system.num_input_ports():
         port = system.get_input_port(int(choice))
-    else:
+    if port is None:
         problem = f"there is no input port {choice!r}"
-        raise ModelError(_with_ports(system, problem))
-    if not _is_vector(port):
+    elif port.get_system() is not system:
+        problem = f"the port '{port.get_name()}' belongs to another system"
+    elif port not in vector_ports(system):
         problem = f"the port '{port.get_name()}' carries no vector"
-        raise ModelError(_with_ports(system, problem))
-    return port
-
-
-def _is_vector(port: Port) -> bool:
-    return bool(port.get_data_type() == PortDataType.kVectorValued and port.size() > 0)
+    else:
+        return port
+    raise ModelError(_with_ports(system, problem))
 
 
 def _with_ports(system: System, problem: str) -> str:
@@ -204,34 +266,6 @@ def effort_limits_of(system: System, port: Port) -> Array:
     """Returns the effort limits at which a MultibodyPlant clamps inputs, (m,)."""
     limits = [each.effort_limit() for each in actuators_of(system, port)]
     return np.array(limits or [np.inf] * port.size())
-
-
-def default_context(system: System) -> Context:
-    """Returns the default context of a System whose state is continuous."""
-    context = system.CreateDefaultContext()
-    if context.num_discrete_state_groups() or context.num_abstract_states():
-        raise ModelError(
-            f"{name_of(system)}: it has discrete or abstract state; derive the model"
-            " from its continuous twin (of a MultibodyPlant, the one with time_step=0)"
-            " and give that as model"
-        )
-    if not context.num_continuous_states():
-        raise ModelError(f"{name_of(system)}: it has no continuous state")
-    return context
-
-
-def copy_values(
-    system: System, context: Context, twin: System, target: Context
-) -> None:
-    """Copies time, state, parameters and ports' values to a twin's context.
-
-    The twin is the System itself, or the same in another scalar type.
-    """
-    target.SetTimeStateAndParametersFrom(context)
-    for port in vector_ports(system):
-        if port.HasValue(context):
-            index = port.get_index()
-            twin.get_input_port(index).FixValue(target, port.Eval(context))
 
 
 def with_ports_held(system: System, context: Context, calc: Callable[[], _T]) -> _T:

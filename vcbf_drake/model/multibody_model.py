@@ -7,9 +7,8 @@ from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
-from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
+from pydrake.autodiffutils import ExtractValue, InitializeAutoDiff
 from pydrake.symbolic import Variable
-from pydrake.systems.framework import Context, System
 
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
@@ -17,9 +16,8 @@ from vcbf_drake.model.control_affine import ControlAffineModel, Dynamics, rows_o
 from vcbf_drake.model.formulas import read
 from vcbf_drake.model.graph import variable
 from vcbf_drake.model.interface import (
-    Port,
+    Ports,
     declared_states,
-    default_context,
     effort_limits_of,
     name_of,
 )
@@ -27,6 +25,8 @@ from vcbf_drake.model.numeric_dynamics import (
     NUM_SAMPLES,
     NumericDynamics,
     constant_matrix,
+    derivatives,
+    numeric_dynamics,
     regular_state,
 )
 from vcbf_drake.model.position import PointCoordinate
@@ -48,28 +48,20 @@ class MultibodyModel(ControlAffineModel):
         num_positions: The number of positions q in the state; the velocities v follow.
     """
 
-    def __init__(
-        self,
-        system: System,
-        input_port: Port,
-        disturbance_port: Port,
-        context: Context | None,
-    ) -> None:
-        """Checks the System at a few seeded states; arguments as `NumericDynamics`."""
-        default_context(system)
-        ports = input_port, disturbance_port
-        self._numbers = NumericDynamics(system, *ports, context)
+    def __init__(self, ports: Ports) -> None:
+        """Checks the System at a few seeded states."""
+        system = ports.system
+        self._numbers = numeric_dynamics(ports)
         self.plant = self._numbers.plant
         self.num_positions = self.plant.num_positions()
         about, name = declared_states(system), name_of(system)
-        names, limits = about.names, effort_limits_of(system, input_port)
+        names, limits = about.names, effort_limits_of(system, ports.input)
         E = constant_matrix(self._numbers.disturbance_matrix, names, name)
         self._describe(about, E, name, limits)
         self.speed_matrix = np.eye(len(names))[self.num_positions :]
         self.state = np.array([Variable(name) for name in names])
         x = tuple(variable(f"x{i}") for i in range(len(names)))
         self.dynamics = Dynamics(x, (), (), rows_of(read(E, {})))  # f, g: no formulas.
-        self.compiled_rate = self._rate
         self._motion: Motion | None = None
         self._require_affine()
 
@@ -120,15 +112,12 @@ class MultibodyModel(ControlAffineModel):
         """Evaluates f(x), shape (n,), and g(x), shape (n, m), at once."""
         return self.at(self._checked(x)).parts
 
-    def _rate(self, *arguments: float) -> list[float]:
-        x, u = np.split(np.array(arguments), [self.num_states])
-        rate: list[float] = self.nominal_rate(x, u).tolist()
-        return rate
-
-    def nominal_rate(self, x: Array, u: Array) -> Array:
-        """Evaluates f(x) + g(x) u, shape (n,): dx/dt without disturbance."""
-        d = np.zeros(self.num_disturbances)
-        return self._numbers.rate(x, np.asarray(u, dtype=float), d)
+    def compiled_rate(self, *x_and_u: float) -> list[float]:
+        """Returns f(x) + g(x) u as a list: Drake evaluates it, so it has no code."""
+        x, u = np.split(np.array(x_and_u), [self.num_states])
+        rate = self._numbers.rate(x, u, np.zeros(self.num_disturbances))
+        values: list[float] = rate.tolist()
+        return values
 
 
 class Motion:
@@ -229,12 +218,11 @@ class Motion:
             moved_x = np.concatenate(
                 [v_x[:, None], f_x[nq:, None], g_x[nq:], still], axis=1
             )
-            J_x = ExtractGradient(J.reshape(-1, 1)).reshape(3, nv, n)
-            found = np.einsum("ijk,jm->imk", J_x, moved)
+            found = np.einsum("ijk,jm->imk", derivatives(J), moved)
             found += np.einsum("ij,jmk->imk", ExtractValue(J), moved_x)
-            found[:, 1] += ExtractGradient(bias)
+            found[:, 1] += derivatives(bias)
             self._sensitive_points[key] = np.concatenate(
-                [ExtractGradient(p)[:, None], found], axis=1
+                [derivatives(p)[:, None], found], axis=1
             )
         return self._sensitive_points[key]
 

@@ -22,9 +22,9 @@ from pydrake.multibody.tree import (
 from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.interface import (
-    Port,
+    Ports,
     actuators_of,
-    copy_values,
+    declared_states,
     effort_limits_of,
     name_of,
     unit_quaternions,
@@ -39,61 +39,29 @@ NUM_SAMPLES = 6
 class NumericDynamics:
     """Derivatives of a System, and kinematics of its MultibodyPlant, in numbers.
 
-    Where the System is the plant itself, its ports are generalised forces and it is
-    evaluated by its manipulator equation, which needs no SceneGraph and has no contact.
-    Ports and context are those of `ControlAffineModel.from_system`; with `autodiff` the
-    numbers carry derivatives.
-
     Attributes:
         plant: The MultibodyPlant as it was given; None where there is none.
     """
 
-    def __init__(
-        self,
-        system: Any,
-        input_port: Port,
-        disturbance_port: Port,
-        context: Any = None,
-        autodiff: bool = False,
-    ) -> None:
-        self._given = system, input_port, disturbance_port, context
-        self.plant = plant_of(system)
+    def __init__(self, ports: Ports, autodiff: bool = False) -> None:
+        """Makes a context; with `autodiff` the numbers carry derivatives."""
+        self._ports, system = ports, ports.system
         self._system = twin = _in_autodiff(system) if autodiff else system
-        self._context = twin.CreateDefaultContext()
-        if context is not None:
-            copy_values(system, context, twin, self._context)
+        self._context, self._own_ports = ports.context_of(twin), ports.of(twin)
+        self.plant = plant_of(system)
         if self.plant is not None:
             is_plant, name = system is self.plant, self.plant.get_name()
             self._plant = twin if is_plant else twin.GetSubsystemByName(name)
             self._plant_context = self._plant.GetMyContextFromRoot(self._context)
-            forces = MultibodyForces_[AutoDiffXd if autodiff else float]
-            self._forces = forces(self._plant)
-        self._input = twin.get_input_port(input_port.get_index())
-        self._disturbance = disturbance_port and twin.get_input_port(
-            disturbance_port.get_index()
-        )
-        self.num_inputs = int(input_port.size())
-        self.num_disturbances = int(disturbance_port.size()) if disturbance_port else 0
         # Unit inputs, halved where a plant would clamp them.
-        self._steps = np.fmin(1.0, effort_limits_of(system, input_port) / 2.0)
-        self._none = np.zeros(self.num_inputs)
-        self._port_forces = _port_forces(*self._given)
-        if self.plant is not None and self._port_forces is None:
-            self._set_ports(self._none, np.zeros(self.num_disturbances))
-            try:
-                self._rate()
-            except ArithmeticError as error:
-                raise ModelError(f"it has no derivatives: {error}") from None
+        self._steps = np.fmin(1.0, effort_limits_of(system, ports.input) / 2.0)
+        self._no_input = np.zeros(ports.input.size())
+        self._no_disturbance = np.zeros(ports.num_disturbances)
 
     @cached_property
     def in_autodiff(self) -> NumericDynamics:
         """The same with numbers that carry derivatives."""
-        return NumericDynamics(*self._given, autodiff=True)
-
-    def _set_ports(self, u: Array, d: Array) -> None:
-        self._input.FixValue(self._context, u)
-        if self._disturbance is not None:
-            self._disturbance.FixValue(self._context, d)
+        return numeric_dynamics(self._ports, autodiff=True)
 
     def set_state(self, x: Array) -> None:
         """Sets the state x, shape (n,)."""
@@ -101,87 +69,46 @@ class NumericDynamics:
 
     def rate(self, x: Array, u: Array, d: Array, t: float = 0.0) -> Array:
         """Returns dx/dt, shape (n,)."""
-        if self._port_forces is not None:
-            f, g = self.affine_parts(x)
-            return f + g @ u + self.disturbance_matrix(x) @ d
         self._context.SetTime(t)
         self.set_state(x)
-        self._set_ports(u, d)
-        rate = self._rate()
-        self._context.SetTime(0.0)
-        self._set_ports(self._none, np.zeros_like(d))
-        return rate
+        self._own_ports.fix(self._context, u, d)
+        return self._rate()
 
     def _rate(self) -> Array:
         try:
-            derivatives = with_ports_held(
+            found = with_ports_held(
                 self._system,
                 self._context,
                 lambda: self._system.EvalTimeDerivatives(self._context),
             )
         except RuntimeError as error:  # A mass matrix that cannot be inverted, say.
             raise ArithmeticError(f"{name_of(self._system)}: {error}") from error
-        rate: Array = derivatives.CopyToVector()
+        rate: Array = found.CopyToVector()
         return rate
 
     def affine_parts(self, x: Array) -> tuple[Array, Array]:
         """Returns f(x), shape (n,), and g(x), shape (n, m)."""
-        forces = self._port_forces
-        if forces is not None:
-            M, bias, rate = self.manipulator_equation(x)
-            solved = _solve(M, np.column_stack([-bias, forces[0]]))
-            still = np.zeros((len(rate), self.num_inputs))
-            return np.append(rate, solved[:, 0]), np.vstack([still, solved[:, 1:]])
-        self.set_state(x)
-        self._input.FixValue(self._context, self._none)
-        f = self._rate()
-        columns = []
+        f, columns = self.rate(x, self._no_input, self._no_disturbance), []
         for step, unit in zip(self._steps, np.eye(len(self._steps)), strict=True):
-            self._input.FixValue(self._context, step * unit)
+            # The state stays, and with it what Drake has computed of it.
+            self._own_ports.input.FixValue(self._context, step * unit)
             columns.append((self._rate() - f) / step)
         return f, np.array(columns).T
 
     def disturbance_matrix(self, x: Array) -> Array:
         """Returns E(x), shape (n, q)."""
-        forces, q = self._port_forces, self.num_disturbances
-        if forces is not None:
-            M, _, rate = self.manipulator_equation(x)
-            still = np.zeros((len(rate), q))
-            return np.vstack([still, _solve(M, forces[1])])
-        f = self.rate(x, self._none, np.zeros(q))
-        columns = [self.rate(x, self._none, unit) - f for unit in np.eye(q)]
+        u, calm = self._no_input, self._no_disturbance
+        f, q = self.rate(x, u, calm), len(calm)
+        columns = [self.rate(x, u, unit) - f for unit in np.eye(q)]
         return np.reshape(columns, (q, len(f))).T
-
-    def manipulator_equation(self, x: Array) -> tuple[Array, Array, Array]:
-        """Returns M (nv, nv), the bias (nv,) of M dv/dt + bias = tau, and dq/dt."""
-        self.set_state(x)
-        plant, context, forces = self._plant, self._plant_context, self._forces
-        plant.CalcForceElementsContribution(context, forces)
-        still = np.zeros(plant.num_velocities())
-        bias = plant.CalcInverseDynamics(context, still, forces)
-        rate = plant.MapVelocityToQDot(context, x[plant.num_positions() :])
-        return plant.CalcMassMatrix(context), bias, rate
 
     def sensitivity(self, x: Array, parts: tuple[Array, Array]) -> tuple[Array, Array]:
         """Returns the derivatives of f (n, n) and of g (n, m, n), in AutoDiffXd.
 
         They are at the state x, where f and g are `parts`.
         """
-        moving, n, (f, g) = InitializeAutoDiff(x).ravel(), len(x), parts
-        if self._port_forces is None:
-            f, g = self.affine_parts(moving)
-            g_x = ExtractGradient(g.reshape(-1, 1)).reshape(*g.shape, n)
-            return ExtractGradient(f), g_x
-        M, bias, rate = self.manipulator_equation(moving)
-        nq, nv = len(rate), len(bias)
-        M_x, M = ExtractGradient(M.reshape(-1, 1)), ExtractValue(M)
-        M_x = M_x.reshape(nv, nv, n)
-        # M dv/dt = B u - bias, by parts: M (dv/dt)_x = -bias_x - M_x dv/dt.
-        f_x = _solve(M, -ExtractGradient(bias) - np.einsum("ijk,j->ik", M_x, f[nq:]))
-        g_x = -np.einsum("ijk,jm->imk", M_x, g[nq:])
-        g_x = _solve(M, g_x.reshape(nv, -1)).reshape(g_x.shape)
-        still = np.zeros((nq, g.shape[1], n))
-        return np.vstack([ExtractGradient(rate), f_x]), np.concatenate([still, g_x])
+        f, g = self.affine_parts(InitializeAutoDiff(x).ravel())
+        return derivatives(f), derivatives(g)
 
     def kinematics(
         self, frame: str, offset: tuple[float, ...]
@@ -207,6 +134,91 @@ class NumericDynamics:
         moving, world = plant.GetFrameByName(frame), plant.world_frame()
         places = plant.CalcPointsPositions(self._plant_context, moving, point, world)
         return np.ravel(places)
+
+
+class ManipulatorEquation(NumericDynamics):
+    """A MultibodyPlant whose ports are generalised forces.
+
+    They are those of M dv/dt + bias = B u + B_d d, which needs no SceneGraph and has no
+    contact.
+    """
+
+    def __init__(
+        self, ports: Ports, forces: tuple[Array, Array], autodiff: bool
+    ) -> None:
+        """Takes B (nv, m) and B_d (nv, q)."""
+        super().__init__(ports, autodiff)
+        self._B, self._B_d = forces
+        of_elements = MultibodyForces_[AutoDiffXd if autodiff else float]
+        self._forces = of_elements(self._plant)
+
+    def _terms(self, x: Array) -> tuple[Array, Array, Array]:
+        """M (nv, nv), the bias (nv,) and dq/dt (nq,)."""
+        self.set_state(x)
+        plant, context, forces = self._plant, self._plant_context, self._forces
+        plant.CalcForceElementsContribution(context, forces)
+        still = np.zeros(plant.num_velocities())
+        bias = plant.CalcInverseDynamics(context, still, forces)
+        rate = plant.MapVelocityToQDot(context, x[plant.num_positions() :])
+        return plant.CalcMassMatrix(context), bias, rate
+
+    def rate(self, x: Array, u: Array, d: Array, t: float = 0.0) -> Array:
+        """Returns dx/dt, shape (n,)."""
+        M, bias, rate = self._terms(x)
+        return np.append(rate, _solve(M, self._B @ u + self._B_d @ d - bias))
+
+    def affine_parts(self, x: Array) -> tuple[Array, Array]:
+        """Returns f(x), shape (n,), and g(x), shape (n, m)."""
+        M, bias, rate = self._terms(x)
+        solved = _solve(M, np.column_stack([-bias, self._B]))
+        still = np.zeros((len(rate), self._B.shape[1]))
+        return np.append(rate, solved[:, 0]), np.vstack([still, solved[:, 1:]])
+
+    def disturbance_matrix(self, x: Array) -> Array:
+        """Returns E(x), shape (n, q)."""
+        M, _, rate = self._terms(x)
+        still = np.zeros((len(rate), self._B_d.shape[1]))
+        return np.vstack([still, _solve(M, self._B_d)])
+
+    def sensitivity(self, x: Array, parts: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Returns the derivatives of f (n, n) and of g (n, m, n), in AutoDiffXd."""
+        n, (f, g) = len(x), parts
+        M, bias, rate = self._terms(InitializeAutoDiff(x).ravel())
+        nq, nv = len(rate), len(bias)
+        M_x, M = derivatives(M), ExtractValue(M)
+        # M dv/dt = B u - bias, by parts: M (dv/dt)_x = -bias_x - M_x dv/dt.
+        f_x = _solve(M, -derivatives(bias) - np.einsum("ijk,j->ik", M_x, f[nq:]))
+        g_x = -np.einsum("ijk,jm->imk", M_x, g[nq:])
+        g_x = _solve(M, g_x.reshape(nv, -1)).reshape(g_x.shape)
+        still = np.zeros((nq, g.shape[1], n))
+        return np.vstack([derivatives(rate), f_x]), np.concatenate([still, g_x])
+
+
+def derivatives(values: Array) -> Array:
+    """Returns the derivatives of an array of AutoDiffXd by x, shape (..., n)."""
+    flat = ExtractGradient(values.reshape(-1, 1))
+    found: Array = flat.reshape(*values.shape, flat.shape[1])
+    return found
+
+
+def numeric_dynamics(ports: Ports, autodiff: bool = False) -> NumericDynamics:
+    """Returns the dynamics of a System; of forces on a plant, by its own equation.
+
+    Raises:
+        ModelError: A plant has none, as one whose bodies have no mass.
+    """
+    forces = _port_forces(ports)
+    if forces is not None:
+        made: NumericDynamics = ManipulatorEquation(ports, forces, autodiff)
+    else:
+        made = NumericDynamics(ports, autodiff)
+    if made.plant is not None and not autodiff:
+        names = declared_states(ports.system).names
+        try:
+            made.affine_parts(regular_state(names, np.random.default_rng(0)))
+        except ArithmeticError as error:
+            raise ModelError(f"it has no derivatives: {error}") from None
+    return made
 
 
 def _solve(M: Array, right: Array) -> Array:
@@ -255,20 +267,21 @@ def _in_autodiff(system: Any) -> Any:
         ) from None
 
 
-def _port_forces(
-    system: Any, port: Port, disturbance: Port, context: Any
-) -> tuple[Array, Array] | None:
+def _port_forces(ports: Ports) -> tuple[Array, Array] | None:
     """B (nv, m) and B_d (nv, q) of a plant's generalised forces tau = B u + B_d d.
 
     None if its ports are no such forces, or other ports have a value.
     """
-    if not isinstance(system, MultibodyPlant):
+    plant, context = ports.system, ports.context
+    if not isinstance(plant, MultibodyPlant):
         return None
-    others = [p for p in vector_ports(system) if p not in (port, disturbance)]
+    others = [
+        p for p in vector_ports(plant) if p not in (ports.input, ports.disturbance)
+    ]
     if context is not None and any(p.HasValue(context) for p in others):
         return None
-    maps, pushed = _force_map(system, port), _force_map(system, disturbance)
-    return None if maps is None or pushed is None else (maps, pushed)
+    B, B_d = _force_map(plant, ports.input), _force_map(plant, ports.disturbance)
+    return None if B is None or B_d is None else (B, B_d)
 
 
 def _force_map(plant: Any, port: Any) -> Array | None:

@@ -29,11 +29,9 @@ from vcbf_drake.model.graph import (
     variables_of,
 )
 from vcbf_drake.model.interface import (
-    Port,
+    Ports,
     actuators_of,
-    copy_values,
     declared_states,
-    default_context,
     name_of,
     with_ports_held,
 )
@@ -43,9 +41,7 @@ from vcbf_drake.model.numeric_dynamics import constant_matrix
 _MASS = 1e-15
 
 
-def symbolic_dynamics(
-    system: System, input_port: Port, disturbance_port: Port, context: Context | None
-) -> tuple[Expressions, Nodes, Nodes, Array]:
+def symbolic_dynamics(ports: Ports) -> tuple[Expressions, Nodes, Nodes, Array]:
     """Derives the dynamics of a System, or Diagram, that converts to symbolic.
 
     They are derived from the implicit form (CalcImplicitTimeDerivativesResidual), which
@@ -55,23 +51,19 @@ def symbolic_dynamics(
         The state's variables in pydrake's terms, shape (n,); f, shape (n,), and g,
         shape (n, m), formulas of x0, x1, ...; and E, shape (n, q).
     """
-    name = name_of(system)
+    system, name = ports.system, name_of(ports.system)
     symbolic = to_symbolic(system, name)
-    target = default_context(symbolic)
+    target = ports.context_of(symbolic)
     state_names = declared_states(system).names
 
     time = Variable("t")
     x = np.array([Variable(state) for state in state_names])
     rate = MakeVectorVariable(len(x), "rate")
-    u = MakeVectorVariable(input_port.size(), "u")
-    d = MakeVectorVariable(disturbance_port.size() if disturbance_port else 0, "d")
-    if context is not None:
-        copy_values(system, context, symbolic, target)
+    u = MakeVectorVariable(ports.input.size(), "u")
+    d = MakeVectorVariable(ports.num_disturbances, "d")
     target.SetTime(Expression(time))
     target.SetContinuousState(x)
-    symbolic.get_input_port(input_port.get_index()).FixValue(target, u)
-    if disturbance_port:
-        symbolic.get_input_port(disturbance_port.get_index()).FixValue(target, d)
+    ports.of(symbolic).fix(target, u, d)
 
     try:
         residual = _residual(symbolic, target, rate)
@@ -134,18 +126,14 @@ def _affine_parts(
 def _agree(force: Node, row: Nodes, x: Sequence[Node], w: Sequence[Node]) -> bool:
     """Whether F(x, w) = row . [1; w] at random points, near and far."""
     random = np.random.default_rng(0)
-    compiled = compile_nodes([*x, *w], [force, *row])
-    errors = []
+    parts_at, errors = _numbers(np.array([force, *row]), [*x, *w]), []
     for scale in np.geomspace(1e-3, 1e3, 25):
         x_value = random.normal(size=len(x))
         w_value = scale * random.normal(size=len(w))
-        try:
-            F, *parts = compiled(*x_value.tolist(), *w_value.tolist())
-        except (ArithmeticError, ValueError):
-            continue
+        F, *parts = parts_at(np.concatenate([x_value, w_value]))
         terms = np.array(parts) * [1.0, *w_value]
         errors.append(abs(F - terms.sum()) / (np.abs(terms).max() or 1.0))
-    return bool(errors) and max(errors) < 1e-9
+    return bool(np.fmax.reduce(errors) < 1e-9)
 
 
 def _solve(M: Nodes, R: Nodes) -> Nodes:
@@ -165,17 +153,17 @@ def _solve(M: Nodes, R: Nodes) -> Nodes:
     return X
 
 
-def _numbers(E: Nodes, x: Sequence[Node]) -> Callable[[Array], Array]:
-    """E(x) as a function of numbers; nan where it is singular."""
-    compiled = compile_nodes(x, E.ravel())
+def _numbers(nodes: Nodes, x: Sequence[Node]) -> Callable[[Array], Array]:
+    """Nodes as a function of numbers, of their shape; nan where one is singular."""
+    compiled = compile_nodes(x, nodes.ravel())
 
-    def matrix_at(state: Array) -> Array:
+    def numbers_at(point: Array) -> Array:
         try:
-            return np.reshape(compiled(*state.tolist()), E.shape)
+            return np.reshape(compiled(*point.tolist()), nodes.shape)
         except (ArithmeticError, ValueError):
-            return np.full(E.shape, np.nan)
+            return np.full(nodes.shape, np.nan)
 
-    return matrix_at
+    return numbers_at
 
 
 def to_symbolic(system: System, name: str) -> Any:
