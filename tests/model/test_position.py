@@ -1,28 +1,23 @@
 """Forward kinematics and dynamics of a MultibodyPlant from a URDF file."""
 
-from pathlib import Path
-
 import numpy as np
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.symbolic import Expression
 import pytest
 
+from tests.helpers.multibody_plants import PLANAR, load
 from vcbf_drake import ControlAffineModel, InputSet, ModelError, SphereObstacle
 from vcbf_drake.barriers import BarrierSet, HalfSpace, StateLimit
 from vcbf_drake.model import point_position
 from vcbf_drake.safety import SafetyFilter
 
-URDF = Path(__file__).parents[2] / "examples" / "models" / "planar_arm.urdf"
 UPPER, FOREARM, HEIGHT = 0.7, 0.5, 1.1  # As in the file [m].
 
 
 @pytest.fixture(scope="module")
 def arm():
-    plant = MultibodyPlant(time_step=0.0)
-    Parser(plant).AddModels(URDF)
-    plant.Finalize()
-    return plant
+    return load(PLANAR)
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +93,7 @@ def test_the_port_of_one_model_instance_has_its_own_limits(arm):
 
 def test_a_discrete_plant_is_refused_with_what_to_do():
     plant = MultibodyPlant(time_step=1e-3)
-    Parser(plant).AddModels(URDF)
+    Parser(plant).AddModels(PLANAR)
     plant.Finalize()
     with pytest.raises(ModelError, match="the one with time_step=0"):
         ControlAffineModel.from_system(plant, input_port="actuation")
@@ -111,7 +106,7 @@ def test_a_body_that_is_but_a_frame_needs_no_mass(model):
         '<child link="tip"/><origin xyz="0.5 0 0"/></joint></robot>'
     )
     plant = MultibodyPlant(time_step=0.0)
-    text = URDF.read_text(encoding="utf-8").replace("</robot>", tip)
+    text = PLANAR.read_text(encoding="utf-8").replace("</robot>", tip)
     Parser(plant).AddModelsFromString(text, "urdf")
     plant.Finalize()
     with_tip = ControlAffineModel.from_system(plant, input_port="actuation")
