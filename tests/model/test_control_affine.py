@@ -1,19 +1,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-import os
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
+from pydrake.common import FindResourceOrThrow
 from pydrake.examples import AcrobotPlant, PendulumPlant, QuadrotorPlant
-from pydrake.math import RigidTransform, abs, sin, sqrt
+from pydrake.math import abs, sin, sqrt
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
-    FixedOffsetFrame,
     PrismaticJoint,
-    RevoluteJoint,
     SpatialInertia,
     UnitInertia,
 )
@@ -33,9 +29,12 @@ from pydrake.systems.primitives import (
 from pydrake.systems.scalar_conversion import TemplateSystem
 import pytest
 
+from tests.helpers.multibody_plants import PLANAR, load
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.plants import Blimp, BlimpParameters, Car
+
+CART_POLE = FindResourceOrThrow("drake/examples/multibody/cart_pole/cart_pole.sdf")
 
 
 @TemplateSystem.define("Formula_")
@@ -79,40 +78,6 @@ def Formula_(T: type) -> type:
 
 
 Formula = Formula_[None]
-
-
-def cart_pole() -> MultibodyPlant:
-    plant = MultibodyPlant(time_step=0.0)
-    sphere = UnitInertia.SolidSphere(0.1)
-    bob = UnitInertia.PointMass([0.0, 0.0, -0.5])
-    cart = plant.AddRigidBody("cart", SpatialInertia(1.0, [0.0, 0.0, 0.0], sphere))
-    pole = plant.AddRigidBody("pole", SpatialInertia(0.3, [0.0, 0.0, -0.5], bob))
-    world, axis = plant.world_frame(), [1.0, 0.0, 0.0]
-    slider = plant.AddJoint(PrismaticJoint("slider", world, cart.body_frame(), axis))
-    plant.AddJoint(
-        RevoluteJoint("hinge", cart.body_frame(), pole.body_frame(), [0.0, 1.0, 0.0])
-    )
-    plant.AddJointActuator("force", slider)
-    plant.Finalize()
-    return plant
-
-
-def arm() -> MultibodyPlant:
-    plant = MultibodyPlant(time_step=0.0)
-    link = SpatialInertia(
-        1.2,
-        [0.0, 0.0, -0.5],
-        UnitInertia.SolidSphere(0.2).ShiftFromCenterOfMass([0.0, 0.0, -0.5]),
-    )
-    frame = plant.world_frame()
-    for name in ("shoulder", "elbow"):
-        body = plant.AddRigidBody(name, link)
-        joint = RevoluteJoint(name, frame, body.body_frame(), [0.0, 1.0, 0.0], 0.1)
-        plant.AddJointActuator(name, plant.AddJoint(joint))
-        tip = RigidTransform([0.0, 0.0, -1.0])
-        frame = plant.AddFrame(FixedOffsetFrame(f"{name} tip", body.body_frame(), tip))
-    plant.Finalize()
-    return plant
 
 
 def linear_system() -> LinearSystem:
@@ -159,10 +124,10 @@ def assert_agrees(model: ControlAffineModel, port: Any, context: Any) -> None:
         (AcrobotPlant(), "elbow_torque"),
         (QuadrotorPlant(), "propeller_force"),
         (linear_system(), "u0"),
-        (cart_pole(), "actuation"),
-        (arm(), "actuation"),
+        (load(CART_POLE), "actuation"),
+        (load(PLANAR), "actuation"),
         (diagram(Blimp(), "input"), "input"),
-        (diagram(arm(), "actuation"), "input"),
+        (diagram(load(CART_POLE), "actuation"), "input"),
         (Formula(lambda t, x, u, d, p: [sqrt(1.5 + sin(x[0])), u[0] + d[0]]), "input"),
     ],
 )
@@ -193,8 +158,9 @@ def test_blimp_model_has_names_shapes_and_the_disturbed_channels() -> None:
 
 
 def test_states_are_named_as_the_system_names_them() -> None:
-    model = ControlAffineModel.from_system(arm(), "actuation")
-    assert model.state_names == tuple(arm().GetStateNames())
+    plant = load(PLANAR)
+    model = ControlAffineModel.from_system(plant, "actuation")
+    assert model.state_names == tuple(plant.GetStateNames())
     assert ControlAffineModel.from_system(PendulumPlant()).state_names == ("x0", "x1")
 
 
@@ -265,6 +231,13 @@ def test_what_is_not_affine_is_refused_by_name(
     system.set_name("the_plant")
     with pytest.raises(ModelError, match=f"the_plant.*{message}"):
         ControlAffineModel.from_system(system)
+
+
+def test_effort_limits_in_a_diagram_are_refused_with_what_to_do() -> None:
+    for symbolic in (False, True):
+        with pytest.raises(ModelError, match="RemoveAllJointActuatorEffortLimits"):
+            system = diagram(load(PLANAR), "actuation")
+            ControlAffineModel.from_system(system, symbolic=symbolic)
 
 
 def drag(t: Any, x: Any, u: Any, d: Any, p: Any) -> list[Any]:
@@ -352,7 +325,9 @@ def test_systems_without_a_symbolic_or_continuous_form_are_refused() -> None:
 
 
 def test_ports_that_do_not_fit_are_refused_with_a_list_of_those_there_are() -> None:
-    car = Car()
+    car, builder = Car(), DiagramBuilder()
+    builder.AddNamedSystem("integrator", Integrator(1))
+    without_inputs = builder.Build()
     there_are = r"its vector input ports are input \(2\), disturbance \(1\)"
     for port in ("throttle", 7, -1, Car().GetInputPort("input")):
         with pytest.raises(ModelError, match=there_are):
@@ -363,17 +338,12 @@ def test_ports_that_do_not_fit_are_refused_with_a_list_of_those_there_are() -> N
         ModelError, match=r"say which .* estimated_state \(2\), desired"
     ):
         ControlAffineModel.from_system(PidController([1.0], [1.0], [1.0]))
-    assert ControlAffineModel.from_system(arm()).num_inputs == 2  # A plant's actuators.
+    arm = load(PLANAR)
+    assert ControlAffineModel.from_system(arm).num_inputs == 2  # A plant's actuators.
     with pytest.raises(ModelError, match="'applied_spatial_force' carries no vector"):
-        ControlAffineModel.from_system(arm(), "applied_spatial_force")
+        ControlAffineModel.from_system(arm, "applied_spatial_force")
     with pytest.raises(ModelError, match="its vector input ports are none"):
-        ControlAffineModel.from_system(diagram_without_inputs())
-
-
-def diagram_without_inputs() -> Diagram:
-    builder = DiagramBuilder()
-    builder.AddNamedSystem("integrator", Integrator(1))
-    return builder.Build()
+        ControlAffineModel.from_system(without_inputs)
 
 
 def test_states_and_parts_of_wrong_shape_are_refused() -> None:
@@ -391,31 +361,6 @@ def test_states_and_parts_of_wrong_shape_are_refused() -> None:
     f, g = np.array(model.dynamics.f), np.array(model.dynamics.g)
     with pytest.raises(ModelError, match="disturbance matrix E are dependent"):
         ControlAffineModel(model.state, f, g, parallel)
-
-
-def test_values_are_the_same_in_every_process() -> None:
-    program = (
-        "import test_control_affine as t\n"
-        "import numpy as np\n"
-        "for system in (t.Blimp(t.BlimpParameters(drag=[0.1, 0.2, 0.3])), t.arm()):\n"
-        "    port = 'input' if system.HasInputPort('input') else 'actuation'\n"
-        "    model = t.ControlAffineModel.from_system(system, port)\n"
-        "    x = np.linspace(-1.0, 1.0, model.num_states)\n"
-        "    f, g = model.drift_and_input_matrix(x)\n"
-        "    print(f.tobytes().hex(), g.tobytes().hex())\n"
-    )
-    path = os.pathsep.join([os.path.dirname(__file__), *sys.path])
-    outputs = {
-        subprocess.run(
-            [sys.executable, "-c", program],
-            env=os.environ | {"PYTHONHASHSEED": seed, "PYTHONPATH": path},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        for seed in ("1", "2")
-    }
-    assert len(outputs) == 1
 
 
 def test_wrapped_states_are_subtracted_the_short_way_round():

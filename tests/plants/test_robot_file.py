@@ -14,8 +14,9 @@ import pytest
 
 from vcbf_drake import load_scenario
 from vcbf_drake.errors import InvalidValueError
+from vcbf_drake.model.multibody_parts import bodies_of
 from vcbf_drake.plants import MultibodyVehicle, Part
-from vcbf_drake.plants.robot_file import RobotFile, bodies_of
+from vcbf_drake.plants.robot_file import RobotFile
 from vcbf_drake.plants.shapes import bounding_box
 from vcbf_drake.simulation import dump_scenario
 from vcbf_drake.simulation.loading import parse_scenario
@@ -150,6 +151,11 @@ def test_joints_that_mimic_others_have_to_be_fixed(tmp_path: Path) -> None:
             "fixed: 'joint_9'; .* joint_1",
         ),
         (RobotFile(PLANAR, weld="stand"), "weld: 'stand'; .* has fixed it already"),
+        (RobotFile(ARM, weld="floor"), "weld: 'floor'; it must be one of base"),
+        (
+            RobotFile(ARM, weld="base", actuators=["elbow"]),
+            "actuators: 'elbow'; it must be one of joint_1",
+        ),
     ],
 )
 def test_wrong_files_are_refused_in_one_line(robot: RobotFile, message: str) -> None:
@@ -217,10 +223,15 @@ def test_meshes_that_are_not_drawn_are_their_collision_shapes_or_rods(
     (part,) = shown(robot_with(tmp_path, mesh, "<box size='0.1 0.2 0.3'/>"))
     assert isinstance(part.shape, Box)
     assert not caplog.records
-    for missing in (mesh, "<mesh filename='nowhere.obj'/>"):
-        vehicle = robot_with(tmp_path, missing)
-        assert isinstance(shown(vehicle)[0].shape, Capsule)
-        assert isinstance(shown(vehicle)[0].shape, Capsule)
+    beside, elsewhere = (
+        f"<mesh filename='{name}'/>" for name in ("nowhere.obj", "package://no/a.stl")
+    )
+    for missing in (mesh, beside, elsewhere, mesh):
+        (rod,) = shown(robot_with(tmp_path, missing, missing))
+        # From the shoulder to the elbow, 0.7 m along x.
+        assert isinstance(rod.shape, Capsule)
+        assert rod.shape.length() == pytest.approx(0.7)
+        np.testing.assert_allclose(rod.pose.translation(), [0.35, 0, 0], atol=1e-12)
     (record,) = caplog.records
     assert record.message.endswith("rods for upper_arm")
     assert ".stl" in record.message

@@ -27,7 +27,6 @@ from vcbf_drake.model.interface import (
     PortChoice,
     Ports,
     declared_states,
-    effort_limits_of,
     find_disturbance_port,
     find_input_port,
     name_of,
@@ -35,7 +34,8 @@ from vcbf_drake.model.interface import (
     wrapping,
 )
 from vcbf_drake.model.manoeuvre import MakeManoeuvres, Manoeuvre
-from vcbf_drake.model.numeric_dynamics import numeric_dynamics, plant_of
+from vcbf_drake.model.multibody_parts import effort_limits_of, plant_of
+from vcbf_drake.model.numeric_dynamics import numeric_dynamics
 from vcbf_drake.model.position import Position, named_position
 from vcbf_drake.model.symbolic_dynamics import symbolic_dynamics
 from vcbf_drake.typed import typed

@@ -1,4 +1,4 @@
-"""A System's interface: its ports, declared states and effort limits."""
+"""A System's interface: its ports and declared states."""
 
 from __future__ import annotations
 
@@ -24,6 +24,12 @@ from vcbf_drake.errors import InvalidValueError, ModelError
 # pydrake's classes carry no types that a checker can use.
 Port: TypeAlias = Any
 PortChoice: TypeAlias = InputPort | str | int | None
+# The end of a message about the derivative of a state.
+NOT_AFFINE = (
+    "is not affine in the input and the disturbance; choose a port behind what is not,"
+    " and give limits to the InputSet (a MultibodyPlant in a Diagram drops its own by"
+    " RemoveAllJointActuatorEffortLimits)"
+)
 _T = TypeVar("_T")
 _SCALAR = "_\N{MATHEMATICAL BOLD SCRIPT CAPITAL T}"  # Begins a template's arguments.
 
@@ -246,26 +252,6 @@ def _with_ports(system: System, problem: str) -> str:
     ports = [f"{p.get_name()} ({p.size()})" for p in vector_ports(system)]
     there = ", ".join(ports) or "none"
     return f"{name_of(system)}: {problem}; its vector input ports are {there}"
-
-
-def actuators_of(system: System, port: Port = None) -> list[Any]:
-    """Returns the joint actuators of a MultibodyPlant, or those that a port drives.
-
-    There are none of any other System, and none behind a port of another kind.
-    """
-    if not hasattr(system, "GetJointActuatorIndices"):
-        return []
-    found = [system.get_joint_actuator(i) for i in system.GetJointActuatorIndices()]
-    if port is None or not found or port is system.get_actuation_input_port():
-        return found
-    of_instance = system.get_actuation_input_port
-    return [each for each in found if port is of_instance(each.model_instance())]
-
-
-def effort_limits_of(system: System, port: Port) -> Array:
-    """Returns the effort limits at which a MultibodyPlant clamps inputs, (m,)."""
-    limits = [each.effort_limit() for each in actuators_of(system, port)]
-    return np.array(limits or [np.inf] * port.size())
 
 
 def with_ports_held(system: System, context: Context, calc: Callable[[], _T]) -> _T:

@@ -16,11 +16,12 @@ from vcbf_drake.model.control_affine import ControlAffineModel, Dynamics, rows_o
 from vcbf_drake.model.formulas import read
 from vcbf_drake.model.graph import variable
 from vcbf_drake.model.interface import (
+    NOT_AFFINE,
     Ports,
     declared_states,
-    effort_limits_of,
     name_of,
 )
+from vcbf_drake.model.multibody_parts import effort_limits_of
 from vcbf_drake.model.numeric_dynamics import (
     NUM_SAMPLES,
     NumericDynamics,
@@ -75,10 +76,7 @@ class MultibodyModel(ControlAffineModel):
             f, g = self.drift_and_input_matrix(x)
             expected = f + g @ u + self.disturbance_matrix @ d
             size = np.abs(f) + np.abs(g) @ np.abs(u) + 1.0
-            for t, problem in (
-                (0.0, "is not affine in the input"),
-                (1.3, "depends on time"),
-            ):
+            for t, problem in ((0.0, NOT_AFFINE), (1.3, "depends on time")):
                 found = self._numbers.rate(x, u, d, t)
                 wrong = np.abs(found - expected) > 1e-7 * size
                 if wrong.any():

@@ -23,14 +23,13 @@ from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.interface import (
     Ports,
-    actuators_of,
     declared_states,
-    effort_limits_of,
     name_of,
     unit_quaternions,
     vector_ports,
     with_ports_held,
 )
+from vcbf_drake.model.multibody_parts import actuators_of, effort_limits_of, plant_of
 
 # The number of seeded states at which the form of the dynamics is checked.
 NUM_SAMPLES = 6
@@ -292,15 +291,3 @@ def _force_map(plant: Any, port: Any) -> Array | None:
         return np.eye(plant.num_velocities())
     columns = [each.input_start() for each in actuators_of(plant, port)]
     return plant.MakeActuationMatrix()[:, columns] if columns else None
-
-
-def plant_of(system: Any) -> Any:
-    """Returns the MultibodyPlant that a System is, or that contains all its state."""
-    if isinstance(system, MultibodyPlant):
-        return system
-    inside: Sequence[Any] = getattr(system, "GetSystems", lambda: ())()
-    plants = [each for each in inside if isinstance(each, MultibodyPlant)]
-    if len(plants) != 1:
-        return None
-    states = system.num_continuous_states()
-    return plants[0] if plants[0].num_multibody_states() == states else None

@@ -8,12 +8,12 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.symbolic import Expression, Variable
 
 from vcbf_drake.checks import Array, finite_array, require
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model.formulas import Expressions
+from vcbf_drake.model.multibody_parts import frames_of
 from vcbf_drake.model.symbolic_dynamics import give_mass, to_symbolic
 from vcbf_drake.typed import typed
 
@@ -38,13 +38,6 @@ def named_position(state_names: Sequence[str]) -> tuple[int, ...] | None:
             return None
         found += named
     return tuple(found) if len(found) >= 2 else None
-
-
-def frames_of(plant: MultibodyPlant) -> list[str]:
-    """Returns the names of a MultibodyPlant's frames, but for the world's."""
-    instances = map(ModelInstanceIndex, range(1, plant.num_model_instances()))
-    indices = [i for instance in instances for i in plant.GetFrameIndices(instance)]
-    return [*filter(None, (plant.get_frame(i).name() for i in indices))]
 
 
 class PointCoordinate(NamedTuple):

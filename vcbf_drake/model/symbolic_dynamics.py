@@ -29,12 +29,13 @@ from vcbf_drake.model.graph import (
     variables_of,
 )
 from vcbf_drake.model.interface import (
+    NOT_AFFINE,
     Ports,
-    actuators_of,
     declared_states,
     name_of,
     with_ports_held,
 )
+from vcbf_drake.model.multibody_parts import actuators_of
 from vcbf_drake.model.numeric_dynamics import constant_matrix
 
 # A negligible mass, for massless bodies that newer Drake would divide by [kg].
@@ -113,12 +114,7 @@ def _affine_parts(
         except ValueError:
             is_affine = False
         if not is_affine:
-            raise ModelError(
-                f"{name}: the derivative of {state} is not affine in the input and the"
-                " disturbance; choose a port behind what is not, and give limits to the"
-                " InputSet (a MultibodyPlant in a Diagram drops its own by"
-                " RemoveAllJointActuatorEffortLimits)"
-            )
+            raise ModelError(f"{name}: the derivative of {state} {NOT_AFFINE}")
         rows.append(row)
     return np.array(rows)
 

@@ -17,7 +17,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 from vcbf_drake.checks import Array, check_parameter
 from vcbf_drake.model.manoeuvre import Manoeuvre
-from vcbf_drake.plants.blimp_climb import BlimpClimb
+from vcbf_drake.plants.blimp_climb import blimp_climbs
 from vcbf_drake.plants.controllers import (
     NEAR,
     StateFeedback,
@@ -126,13 +126,7 @@ def Blimp_(T: type) -> type:
             self, lower: Array, upper: Array, delta: float, period: float
         ) -> list[Manoeuvre]:
             """Returns the backup manoeuvres, if heave is stronger than d."""
-            p = self._parameters
-            if not BlimpClimb.is_possible(p, lower, upper, delta):
-                return []
-            return [
-                BlimpClimb(p, lower, upper, delta, period, is_up)
-                for is_up in (True, False)
-            ]
+            return blimp_climbs(self._parameters, lower, upper, delta, period)
 
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
             """The right-hand side of (E76), for unequal surge and sway too."""

@@ -22,6 +22,28 @@ _HORIZON = 12.0
 _ROUNDING = 1e-12
 
 
+def blimp_climbs(
+    parameters: BlimpParameters,
+    lower: Array,
+    upper: Array,
+    disturbance_bound: float,
+    period: float,
+) -> list[Manoeuvre]:
+    """Returns a blimp's ways up and down.
+
+    None of them is safe, and the list is empty, unless no heading matters and heave is
+    stronger than d. The arguments are those of `BlimpClimb`.
+    """
+    p, (m_x, m_y, m_z) = parameters, parameters.effective_masses
+    weakest = min(-float(lower[1]), float(upper[1])) / m_z
+    is_round = m_x == m_y and p.drag[0] == p.drag[1]
+    may_rest = bool(np.all((lower <= 0.0) & (upper >= 0.0)))
+    if not (is_round and may_rest and disturbance_bound < weakest < math.inf):
+        return []
+    given = p, lower, upper, disturbance_bound, period
+    return [BlimpClimb(*given, is_up) for is_up in (True, False)]
+
+
 class BlimpClimb(Manoeuvre):
     """Full heave and no surge (E94, a blimp's drift): a motion that no heading changes.
 
@@ -63,20 +85,6 @@ class BlimpClimb(Manoeuvre):
         self._surge_most = float(most[0]) / self._mass + disturbance_bound
         self._heave_most = float(most[1]) / self._heave_mass + disturbance_bound
         self._num_cells = math.ceil(_HORIZON / period)
-
-    @staticmethod
-    def is_possible(
-        parameters: BlimpParameters, lower: Array, upper: Array, delta: float
-    ) -> bool:
-        """Returns whether no heading matters, and heave is stronger than d."""
-        m_x, m_y, m_z = parameters.effective_masses
-        weakest = min(-float(lower[1]), float(upper[1])) / m_z
-        return (
-            m_x == m_y
-            and parameters.drag[0] == parameters.drag[1]
-            and bool(np.all((lower <= 0.0) & (upper >= 0.0)))
-            and delta < weakest < math.inf
-        )
 
     def input(self, state: Array) -> Array:
         """Returns full heave, and a moment that stops the yawing; see `Manoeuvre`."""

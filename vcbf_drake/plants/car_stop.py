@@ -31,23 +31,16 @@ def car_stops(
     """Returns a car's stops: straight ahead, and after a turn to each heading.
 
     None of them is safe, and the list is empty, unless brakes and drive are stronger
-    than d.
-
-    Args:
-        mass: The mass of the car [kg].
-        lower: Least force [N] and turn rate [rad/s].
-        upper: Greatest ones.
-        disturbance_bound: delta1 [m/s^2].
-        period: The hold period [s].
+    than d. The arguments are those of `CarStop`.
     """
     weakest = min(-float(lower[0]), float(upper[0])) / mass
     if not (disturbance_bound < weakest < math.inf and lower[1] <= 0.0 <= upper[1]):
         return []
     given = mass, lower, upper, disturbance_bound, period
-    headings = np.arange(_HEADINGS) * (2.0 * math.pi / _HEADINGS)
     if not lower[1] < 0.0 < upper[1]:
         return [CarStop(*given)]
-    return [CarStop(*given), *(CarStop(*given, each) for each in headings.tolist())]
+    headings = (k * (2.0 * math.pi / _HEADINGS) for k in range(_HEADINGS))
+    return [CarStop(*given), *(CarStop(*given, heading) for heading in headings)]
 
 
 class CarStop(Manoeuvre):

@@ -19,14 +19,15 @@ from vcbf_drake.barriers import Barrier, StateInputLimit, StateLimit
 from vcbf_drake.checks import Array, check_finite, check_parameter, require_choice
 from vcbf_drake.errors import below
 from vcbf_drake.model.interface import unit_quaternions
-from vcbf_drake.model.position import Position, frames_of, point_position
+from vcbf_drake.model.multibody_parts import bodies_of, frames_of, joints_of
+from vcbf_drake.model.position import Position, point_position
 from vcbf_drake.plants.robot_controllers import (
     InverseDynamics,
     JointStiffness,
     Lqr,
     posture_at,
 )
-from vcbf_drake.plants.robot_file import RobotFile, bodies_of, joints_of
+from vcbf_drake.plants.robot_file import RobotFile
 from vcbf_drake.plants.shapes import Part
 from vcbf_drake.plants.vehicle import Vehicle
 from vcbf_drake.typed import Positive, check_fields

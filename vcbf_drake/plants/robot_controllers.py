@@ -23,9 +23,12 @@ from pydrake.systems.primitives import ConstantVectorSource
 
 from vcbf_drake.checks import Array, check_finite, require
 from vcbf_drake.errors import InvalidValueError
-from vcbf_drake.model.interface import actuators_of
+from vcbf_drake.model.multibody_parts import (
+    actuators_of,
+    floating_bodies_of,
+    how_to_fix,
+)
 from vcbf_drake.plants.controllers import StateFeedback
-from vcbf_drake.plants.robot_file import how_to_fix
 from vcbf_drake.plants.vehicle import channels_of
 from vcbf_drake.typed import Checked, NotNegative, Positive
 
@@ -140,7 +143,7 @@ class Lqr(Checked):
 
     def check(self, plant: MultibodyPlant) -> None:
         """Checks that it suits the robot, and has as many numbers."""
-        for body in map(plant.get_body, plant.GetFloatingBaseBodies()):
+        for body in floating_bodies_of(plant):
             problem = (
                 f"!Lqr: the base {body.name()} floats, and no motor of a joint moves"
             )
@@ -226,7 +229,7 @@ def posture_at(
         *(goal - reach, goal + reach),
     )
     seed = np.array(near, dtype=float)
-    for body in map(plant.get_body, plant.GetFloatingBaseBodies()):
+    for body in floating_bodies_of(plant):
         base = np.arange(body.floating_positions_start(), len(q))[:7]
         base = base[: 7 if body.has_quaternion_dofs() else 6]
         seed[base] = plant.GetDefaultPositions()[base]

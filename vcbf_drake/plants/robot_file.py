@@ -18,12 +18,16 @@ import numpy as np
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Joint, ModelInstanceIndex, RigidBody
 
 from vcbf_drake.checks import Array, require, require_choice
 from vcbf_drake.errors import InvalidValueError
 from vcbf_drake.files import IS_FILE
-from vcbf_drake.model.interface import actuators_of
+from vcbf_drake.model.multibody_parts import (
+    actuators_of,
+    bodies_of,
+    how_to_fix,
+    joints_of,
+)
 from vcbf_drake.typed import NotNegative, Positive
 
 _KINDS = (".urdf", ".sdf")
@@ -206,12 +210,6 @@ def _tell(message: str) -> None:
     _LOGGER.warning(message)
 
 
-def how_to_fix(plant: MultibodyPlant) -> str:
-    """Returns a message's advice on how to fix each floating base."""
-    bases = map(plant.get_body, plant.GetFloatingBaseBodies())
-    return "".join(f"; weld: {each.name()} fixes the floating base" for each in bases)
-
-
 @contextmanager
 def _warned_once(file: str) -> Iterator[None]:
     """Suppresses Drake's warnings about a file when it is read again."""
@@ -227,20 +225,6 @@ def _warned_once(file: str) -> Iterator[None]:
 
 
 _READ: set[str] = set()
-
-
-def bodies_of(plant: MultibodyPlant) -> list[RigidBody]:
-    """Returns all bodies except the world."""
-    return [
-        plant.get_body(index)
-        for instance in range(1, plant.num_model_instances())
-        for index in plant.GetBodyIndices(ModelInstanceIndex(instance))
-    ]
-
-
-def joints_of(plant: MultibodyPlant) -> list[Joint]:
-    """Returns all joints."""
-    return [plant.get_joint(index) for index in plant.GetJointIndices()]
 
 
 def _multiply(element: Element, factor: float) -> None:

@@ -17,7 +17,8 @@ from pydrake.systems.framework import System
 
 from vcbf_drake.barriers import Barrier, StateInputLimit
 from vcbf_drake.checks import Array, require
-from vcbf_drake.model.interface import actuators_of, find_input_port, state_port_of
+from vcbf_drake.model.interface import find_input_port, state_port_of
+from vcbf_drake.model.multibody_parts import actuators_of
 from vcbf_drake.model.position import Position
 from vcbf_drake.plants.shapes import Part, bounding_box, of_body
 from vcbf_drake.typed import tag_of
