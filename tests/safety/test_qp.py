@@ -62,6 +62,22 @@ def test_reference_passes_through_bit_for_bit():
     assert np.array_equal(decision.input, reference)
 
 
+def test_no_input_leaves_a_box_by_an_ulp():
+    """In normalised inputs the next number above a limit may be the limit itself."""
+    rng = np.random.default_rng(3)
+    statuses = []
+    for _ in range(200):
+        lower, upper = -rng.uniform(0.01, 0.5, 3), rng.uniform(0.01, 0.5, 3)
+        box = InputSet.box(lower, upper)
+        for limits, outward in ((upper, np.inf), (lower, -np.inf)):
+            reference = np.nextafter(limits, outward)
+            rows = set_of(np.zeros((0, 3)), np.zeros(0), box)
+            decision = choose(rows, reference, held_input=np.zeros(3))
+            assert (lower <= decision.input).all() and (decision.input <= upper).all()
+            statuses.append(decision.status)
+    assert set(statuses) == {FilterStatus.FILTERED}
+
+
 def test_filtered_input_is_the_nearest_point_the_normalised_norm():
     # Half-widths are 2 and 2, so the norm is Euclid's and the answer a projection.
     decision = choose(set_of([1.0, 1.0], 1.0), [2.0, 1.0])

@@ -169,6 +169,50 @@ def test_every_partial_derivative_agrees_with_differences(barriers, widening):
     assert checked > 40
 
 
+# Other sets than boxes -------------------------------------------------------------
+
+
+@EVERY_WIDENING
+@pytest.mark.parametrize("m", [2, 3])
+def test_a_wider_polytope_contains_the_polytope(widening, m):
+    """Motors of a common power: the centre of their ranges is none of the inputs."""
+    rng = np.random.default_rng(m)
+    A = np.vstack([-np.eye(m), np.ones((1, m))])
+    b = np.append(np.full(m, 0.05), 0.05)
+    power = InputSet(A, b)
+    assert not power.contains(power.center) or m == 2
+    corners = np.vstack([np.zeros(m), np.eye(m) * 0.05 * (m + 1)]) - 0.05
+    middle = corners.mean(axis=0)  # Of a simplex, by symmetry.
+    wide = widening * (b - A @ middle) + A @ middle
+    zero, known = np.zeros((1, 1)), DisturbanceKnowledge.constant(1, 0.0)
+    for _ in range(20):
+        a = rng.normal(size=(1, m))
+        side = a @ middle + rng.uniform(-0.05, 0.6) * np.linalg.norm(a)
+
+        def volume(a, side, kappa=widening):
+            rows = BarrierRows(
+                value=np.ones(1),
+                chain=(),
+                A=a,
+                b=side,
+                w=zero,
+                num_states=1,
+                gradients=lambda rows: np.eye(m + 2)[None, :, :2] * [1.0, 0.0],
+            )
+            return VolumeMeasure(power, kappa)(feasible_set(power, rows, known))
+
+        found, inner = volume(a, side), volume(a, side, 1.0)
+        unit = np.prod(power.scale) * widening**m
+        largest = math.exp(log_det(np.vstack([A, a]), np.append(wide, side))) / unit
+        assert found.value == pytest.approx(largest, rel=1e-5)
+        assert found.value * widening**m > inner.value - 1e-7
+        # The state's first entry is that of a, here.
+        e, h = np.eye(m)[:1], 1e-5
+        fine = [volume(a + s * e, side).value for s in (h, -h)]
+        slope = (fine[0] - fine[1]) / (2.0 * h)
+        assert found.state[0] == pytest.approx(slope, rel=1e-3, abs=1e-5)
+
+
 # Along the closed loop -------------------------------------------------------------
 
 

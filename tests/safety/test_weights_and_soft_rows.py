@@ -176,8 +176,21 @@ def test_a_volume_row_gives_way_before_a_soft_row_is_asked():
     np.testing.assert_allclose(decision.soft_slacks, [-0.25], atol=1e-8)
 
 
+LOPSIDED = [[1.0, 0.9, 0.0], [-0.9, 1.0, 0.0], [0.0, 0.0, 1.0]]
+
+
 @pytest.mark.parametrize(
-    "weights", [[1.0], [1.0, 0.0, 1.0], [1.0, -1.0, 1.0], np.ones((3, 3)), [np.nan] * 3]
+    "weights",
+    [
+        [1.0],
+        [1.0, 0.0, 1.0],
+        [1.0, -1.0, 1.0],
+        np.ones((3, 3)),
+        [np.nan] * 3,
+        np.full((3, 3), np.inf),
+        LOPSIDED,
+        1e-9 * np.array(LOPSIDED),
+    ],
 )
 def test_weights_that_are_none_are_refused(weights):
     with pytest.raises(ValueError, match=r"input_weights: .* positive definite"):

@@ -240,7 +240,10 @@ def choose_input(
         qp = growing.grown(qp, feasible)
     is_possible = all(reference[j] == inputs.center[j] for j in inputs.fixed)
     if qp.is_met and is_possible:
-        return FilterDecision(reference, FilterStatus.REFERENCE, qp=qp)
+        inside = inputs.project(reference)  # An ulp is lost in normalised inputs.
+        is_same = inside.tolist() == reference.tolist()
+        status = FilterStatus.REFERENCE if is_same else FilterStatus.FILTERED
+        return FilterDecision(inside, status, qp=qp)
     try:
         point, solved = _solved(qp, solver)
     except SolverError:

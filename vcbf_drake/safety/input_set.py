@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vcbf_drake.checks import Array, require
 from vcbf_drake.errors import EmptySetError, ModelError, UnboundedSetError
+from vcbf_drake.safety.ellipsoid import Ellipsoid, inscribed_ellipsoid
 from vcbf_drake.safety.polytope import (
     chebyshev_ball,
     minimise_linear,
@@ -169,6 +170,19 @@ class InputSet:
         sides = (self.b - self.A @ self.origin) / np.where(length > 0.0, length, 1.0)
         sides = np.where(length > 0.0, sides, self.b_normalised)
         return self.A_normalised[self.limits], sides[self.limits]
+
+    @cached_property
+    def largest_ellipsoid(self) -> Ellipsoid:
+        """The largest ellipsoid of a bounded set, in normalised inputs."""
+        m = self.num_inputs
+        if self.is_box:
+            halves = np.full(2 * m, 0.5)
+            found = Ellipsoid(np.zeros(m), np.eye(m), 0.0, halves, 0.0)
+        else:
+            found = inscribed_ellipsoid(self.A_normalised, self.b_normalised)
+        # Every answer on the plateau shares these.
+        found.center.flags.writeable = found.frame.flags.writeable = False
+        return found
 
     @cached_property
     def _reachable(self) -> tuple[Array, Array]:

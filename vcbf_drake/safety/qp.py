@@ -155,13 +155,17 @@ class FeasibleSet(NamedTuple):
         return feasible_set(self.input_set, self.rows, self.known, self.costs, reserve)
 
     def cut_by(self, widening: float) -> tuple[NDArray[np.intp], Array, Array]:
-        """Returns the barrier rows that cut the bounding box, taken so many times.
+        """Returns the barrier rows that cut the input set, taken so many times (E64).
 
-        Their indices, and the rows in v / widening: normals (k, m), distances (k,).
+        Their indices, and the rows in the v of the set as it is: normals (k, m),
+        distances (k,).
         """
-        cut, distance = self.cut, self.distance
+        cut, distance, inputs = self.cut, self.distance, self.input_set
         if widening != 1.0:
             distance = distance / widening
+            if not inputs.is_box:
+                center = inputs.largest_ellipsoid.center
+                distance += (1.0 - 1.0 / widening) * (self.normals @ center)
             cut = (distance < self.farthest).nonzero()[0]
         return cut, self.normals[cut], distance[cut]
 
@@ -252,7 +256,9 @@ class Frame:
         W = np.diag(W) if W.ndim == 1 else W
         is_matrix = W.shape == (m, m) and bool(np.isfinite(W).all())
         require(
-            is_matrix and np.allclose(W, W.T) and np.linalg.eigvalsh(W)[0] > 0.0,
+            is_matrix
+            and np.allclose(W, W.T, atol=1e-8 * np.abs(W).max(initial=0.0))
+            and np.linalg.eigvalsh(W)[0] > 0.0,
             "input_weights",
             weights,
             f"{m} positive numbers or a positive definite ({m}, {m}) matrix",

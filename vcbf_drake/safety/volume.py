@@ -130,9 +130,9 @@ class VolumeMeasure:
     """det B of the largest ellipsoid of an input set under barrier rows (E49).
 
     All in normalised inputs v (see `InputSet`). With a widening kappa > 1 the input
-    set is replaced by kappa times itself (E64): in the coordinates v / kappa, the same
-    input set under the rows A v <= b / kappa. An empty set counts as a ball that is too
-    small to be told from one.
+    set is replaced by kappa times itself, about its own ellipsoid's centre v_0 (E64):
+    in the coordinates v_0 + (v - v_0) / kappa, the same input set under rows further
+    away. An empty set counts as a ball that is too small to be told from one.
 
     Args:
         input_set: The inputs before any row cuts them.
@@ -150,15 +150,8 @@ class VolumeMeasure:
         self, input_set: InputSet, widening: float = 1.0, solver: str = DEFAULT_SOLVER
     ) -> None:
         self._input_set, self._widening, self._solver = input_set, widening, solver
-        if not input_set.is_bounded:
-            return
-        m, A, b = input_set.num_inputs, input_set.A_normalised, input_set.b_normalised
-        if input_set.is_box:
-            self.free = Ellipsoid(np.zeros(m), np.eye(m), 0.0, np.full(2 * m, 0.5), 0.0)
-        else:
-            self.free = inscribed_ellipsoid(A, b)
-        # Every answer on the plateau shares these.
-        self.free.center.flags.writeable = self.free.frame.flags.writeable = False
+        if input_set.is_bounded:
+            self.free = input_set.largest_ellipsoid
 
     def __call__(self, feasible: FeasibleSet) -> Volume | None:
         """Returns det B and its derivatives, by the envelope theorem (E58).
@@ -186,6 +179,8 @@ class VolumeMeasure:
         inputs, rows, known = self._input_set, feasible.rows, feasible.known
         barriers = cut[touching]
         contacts = kappa * found.contact_points(A[touching])
+        if not inputs.is_box:
+            contacts -= (kappa - 1.0) * self.free.center
         w = rows.w[barriers]
         w_norm = np.sqrt(np.vecdot(w, w))
         direction = w / np.maximum(w_norm, _SHORTEST)[:, None]
