@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain, count
 from typing import NamedTuple
 
 from pydrake.systems.framework import DiagramBuilder, InputPort, OutputPort, System
@@ -134,7 +135,9 @@ def AddSafetyFilter(
         builder.AddNamedSystem(f"{name}_observer", observer)
     held = hold.get_output_port()
     if obstacles is not None:
-        builder.Connect(obstacles, _obstacles_port(safety_filter))
+        if not safety_filter.HasInputPort("obstacles"):
+            raise ValueError("obstacles: none of the barriers is of PerceivedSpheres")
+        builder.Connect(obstacles, safety_filter.GetInputPort("obstacles"))
     if reference is not None:
         builder.Connect(reference, safety_filter.GetInputPort("reference"))
     builder.Connect(state, safety_filter.GetInputPort("state"))
@@ -174,14 +177,5 @@ def _free_name(builder: DiagramBuilder, name: str | None) -> str:
     if name is not None:
         require(not builder.HasSubsystemNamed(name), "name", name, "new to the builder")
         return name
-    name, count = "filter", 1
-    while builder.HasSubsystemNamed(name):
-        count += 1
-        name = f"filter_{count}"
-    return name
-
-
-def _obstacles_port(safety_filter: SafetyFilter) -> InputPort:
-    if not safety_filter.HasInputPort("obstacles"):
-        raise ValueError("obstacles: none of the barriers is of PerceivedSpheres")
-    return safety_filter.GetInputPort("obstacles")
+    names = chain(["filter"], (f"filter_{i}" for i in count(2)))
+    return next(each for each in names if not builder.HasSubsystemNamed(each))

@@ -23,6 +23,7 @@ _Key: TypeAlias = tuple[Any, ...]
 
 _table: WeakValueDictionary[_Key, Node] = WeakValueDictionary()
 _serial = count()
+_by_serial = operator.attrgetter("serial")
 
 
 def _with_number(
@@ -169,10 +170,6 @@ class Node:
         if self.number is not None and known is not None:
             return _folded(math.pow, Node.of("pow", self, exponent))
         return Node.of("pow", self, exponent)
-
-
-def _by_serial(node: Node) -> int:
-    return node.serial
 
 
 def number(value: float) -> Node:

@@ -135,7 +135,7 @@ class NumericDynamics:
         return np.ravel(places)
 
 
-class ManipulatorEquation(NumericDynamics):
+class _ManipulatorEquation(NumericDynamics):
     """A MultibodyPlant whose ports are generalised forces.
 
     They are those of M dv/dt + bias = B u + B_d d, which needs no SceneGraph and has no
@@ -162,25 +162,21 @@ class ManipulatorEquation(NumericDynamics):
         return plant.CalcMassMatrix(context), bias, rate
 
     def rate(self, x: Array, u: Array, d: Array, t: float = 0.0) -> Array:
-        """Returns dx/dt, shape (n,)."""
         M, bias, rate = self._terms(x)
         return np.append(rate, _solve(M, self._B @ u + self._B_d @ d - bias))
 
     def affine_parts(self, x: Array) -> tuple[Array, Array]:
-        """Returns f(x), shape (n,), and g(x), shape (n, m)."""
         M, bias, rate = self._terms(x)
         solved = _solve(M, np.column_stack([-bias, self._B]))
         still = np.zeros((len(rate), self._B.shape[1]))
         return np.append(rate, solved[:, 0]), np.vstack([still, solved[:, 1:]])
 
     def disturbance_matrix(self, x: Array) -> Array:
-        """Returns E(x), shape (n, q)."""
         M, _, rate = self._terms(x)
         still = np.zeros((len(rate), self._B_d.shape[1]))
         return np.vstack([still, _solve(M, self._B_d)])
 
     def sensitivity(self, x: Array, parts: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Returns the derivatives of f (n, n) and of g (n, m, n), in AutoDiffXd."""
         n, (f, g) = len(x), parts
         M, bias, rate = self._terms(InitializeAutoDiff(x).ravel())
         nq, nv = len(rate), len(bias)
@@ -208,7 +204,7 @@ def numeric_dynamics(ports: Ports, autodiff: bool = False) -> NumericDynamics:
     """
     forces = _port_forces(ports)
     if forces is not None:
-        made: NumericDynamics = ManipulatorEquation(ports, forces, autodiff)
+        made: NumericDynamics = _ManipulatorEquation(ports, forces, autodiff)
     else:
         made = NumericDynamics(ports, autodiff)
     if made.plant is not None and not autodiff:

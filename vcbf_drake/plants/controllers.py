@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -58,16 +57,13 @@ class StateFeedback(LeafSystem):
             for port in optional
         )
         found = self._law(state.Eval(context), *estimates)
-        rule = f"{self._size} numbers"
-        require(_are_numbers(found, self._size), "what the law returns", found, rule)
-        output.SetFromVector(np.asarray(found, dtype=float))
-
-
-def _are_numbers(value: Any, size: int) -> bool:
-    try:
-        return np.asarray(value, dtype=float).shape == (size,)
-    except (TypeError, ValueError):  # None, words, or lists of different lengths.
-        return False
+        try:
+            numbers = np.asarray(found, dtype=float)
+        except (TypeError, ValueError):  # Words, or lists of different lengths.
+            numbers = np.array(math.nan)
+        is_input, rule = numbers.shape == (self._size,), f"{self._size} numbers"
+        require(is_input, "what the law returns", found, rule)
+        output.SetFromVector(numbers)
 
 
 def checked_target(target: ArrayLike, size: int) -> list[float]:
