@@ -10,20 +10,14 @@ import numpy as np
 from numpy.testing import assert_allclose
 from pydrake.examples import QuadrotorPlant
 from pydrake.symbolic import Expression, MakeVectorVariable, Variable
-from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 import pytest
 
 from tests.helpers.row_gradients import row_gradients
+from tests.helpers.trajectory_rows import assert_rows_are_derivatives
 from vcbf_drake.barriers import Barrier, BarrierSet, SphereObstacle
-from vcbf_drake.checks import Array
 from vcbf_drake.errors import ModelError
 from vcbf_drake.model import ControlAffineModel
 from vcbf_drake.plants import Blimp, Car
-
-STEP = 0.01  # Between the samples of a trajectory. In seconds.
-# Central differences of order four: the weights at -2, -1, 0, 1, 2 steps.
-FIRST = np.array([1, -8, 0, 8, -1]) / (12 * STEP)
-SECOND = np.array([-1, 16, -30, 16, -1]) / (12 * STEP**2)
 
 
 def integrator(
@@ -40,96 +34,58 @@ def integrator(
     return ControlAffineModel(state, drift, inputs, disturbance, names, "integrators")
 
 
-def simulate(system, initial_state, u, d, num_samples: int) -> Array:
-    """The states every STEP seconds under a constant input and disturbance."""
-    simulator = Simulator(system)
-    ResetIntegratorFromFlags(simulator, "runge_kutta5", 1e-3)
-    simulator.get_mutable_integrator().set_fixed_step_mode(True)
-    context = simulator.get_mutable_context()
-    context.SetContinuousState(initial_state)
-    system.get_input_port(0).FixValue(context, u)
-    if d:
-        system.GetInputPort("disturbance").FixValue(context, d)
-    states = []
-    for i in range(num_samples):
-        simulator.AdvanceTo(i * STEP)
-        states.append(context.get_continuous_state_vector().CopyToVector())
-    return np.array(states)
+# Plants, each with a state, an input and a disturbance.
+BLIMP = (
+    Blimp(),
+    [0.0, 0.1, -0.1, 0.3, 0.5, 0.2, -0.3, 0.7],
+    [0.05, -0.02, 0.001],
+    [0.1, -0.2, 0.15],
+)
+CAR = Car(), [0.0, 0.1, 0.8, 0.3], [0.4, -0.6], [0.3]
+# Drake's own plant, as any user's would be.
+QUADROTOR = (
+    QuadrotorPlant(),
+    [0.0, 0.1, -0.1, 0.2, -0.1, 0.3, 0.5, 0.2, -0.3, 0.1, 0.2, -0.1],
+    [1.0, 1.2, 1.1, 1.3],
+    [],
+)
+BALL = SphereObstacle([1.0, 0.5, 0.2], 0.3)
 
 
-def blimp_case():
-    barriers = [
-        SphereObstacle([1.0, 0.5, 0.2], 0.3).barrier((3.0, 2.0)),
-        SphereObstacle([1.0, 0.5, 0.2], 0.3, [-0.3, 0.2, 0.1]).barrier((3.0, 2.0)),
-        SphereObstacle([2.0, 0.5, 0.2], 0.3, [-0.3, 0, 0], 0.0, "squared").barrier(
-            (5.0, 4)
+def slower(state: int) -> Barrier:
+    """A limit of a speed that shrinks with time, of relative degree 1."""
+    return Barrier(lambda x, t, p: p[0] * np.exp(-t) - x[state] ** 2, (1.0,), (9.0,))
+
+
+@pytest.mark.parametrize(
+    ("flight", "barrier"),
+    [
+        (BLIMP, BALL.barrier((3.0, 2.0))),
+        (
+            BLIMP,
+            SphereObstacle([1.0, 0.5, 0.2], 0.3, [-0.3, 0.2, 0.1]).barrier((3.0, 2.0)),
         ),
-    ]
-    x = [0.0, 0.1, -0.1, 0.3, 0.5, 0.2, -0.3, 0.7]
-    return Blimp(), x, [0.05, -0.02, 0.001], [0.1, -0.2, 0.15], barriers
+        (
+            BLIMP,
+            SphereObstacle([2.0, 0.5, 0.2], 0.3, [-0.3, 0, 0], 0.0, "squared").barrier(
+                (5.0, 4)
+            ),
+        ),
+        (BLIMP, slower(4)),
+        (CAR, SphereObstacle([2.0, 0.5], 0.3, form="squared").barrier((3.0, 2.0))),
+        (CAR, SphereObstacle([2.0, 0.5], 0.3, [0.1, -0.4]).barrier((3.0, 2.0))),
+        (CAR, slower(2)),
+        (QUADROTOR, BALL.barrier((3.0, 2.0), [0, 1, 2])),
+        (QUADROTOR, slower(8)),
+    ],
+)
+def test_rows_are_derivatives_along_a_trajectory(flight, barrier) -> None:
+    barriers = BarrierSet(ControlAffineModel.from_system(flight[0]), [barrier])
 
+    def h(x, t):
+        return barriers.values(x, t)[0]
 
-def car_case():
-    barriers = [
-        SphereObstacle([2.0, 0.5], 0.3, form="squared").barrier((3.0, 2.0)),
-        SphereObstacle([2.0, 0.5], 0.3, [0.1, -0.4]).barrier((3.0, 2.0)),
-    ]
-    return Car(), [0.0, 0.1, 0.8, 0.3], [0.4, -0.6], [0.3], barriers
-
-
-def quadrotor_case():
-    """Drake's own plant, as any user's would be."""
-    barriers = [SphereObstacle([1.0, 0.5, 0.2], 0.3).barrier((3.0, 2.0), [0, 1, 2])]
-    x = [0.0, 0.1, -0.1, 0.2, -0.1, 0.3, 0.5, 0.2, -0.3, 0.1, 0.2, -0.1]
-    return QuadrotorPlant(), x, [1.0, 1.2, 1.1, 1.3], [], barriers
-
-
-@pytest.mark.parametrize("case", [blimp_case, car_case, quadrotor_case])
-def test_rows_are_the_derivatives_along_a_trajectory(case) -> None:
-    system, initial_state, u, d, barriers = case()
-    model = ControlAffineModel.from_system(system)
-    barrier_set = BarrierSet(model, barriers)
-    x = simulate(system, initial_state, u, d, num_samples=100)
-    t = STEP * np.arange(100)
-    h = barrier_set.values_along(x, t)
-    for i in range(2, 98, 5):
-        rows = barrier_set.rows(x[i], t[i])
-        dh, ddh = FIRST @ h[i - 2 : i + 3], SECOND @ h[i - 2 : i + 3]
-        for j, barrier in enumerate(barriers):
-            k1, k2 = barrier.gains
-            slack = rows.b[j] - rows.A[j] @ u + rows.w[j] @ d
-            expected = ddh[j] + k1 * dh[j] + k2 * h[i, j]
-            assert slack == pytest.approx(expected, rel=1e-6, abs=1e-6)
-            expected = dh[j] + barrier.decay_rates[0] * h[i, j]
-            assert rows.chain[j] == pytest.approx([h[i, j], expected], rel=1e-6)
-
-
-@pytest.mark.parametrize("case", [blimp_case, car_case, quadrotor_case])
-def test_gradients_are_central_differences(case) -> None:
-    system, _, _, _, barriers = case()
-    model = ControlAffineModel.from_system(system)
-    speed = {Blimp: 4, Car: 2, QuadrotorPlant: 8}[type(system)]
-    barriers.append(
-        Barrier(lambda x, t, p: p[0] * np.exp(-t) - x[speed] ** 2, (1.0,), (9.0,))
-    )
-    barrier_set = BarrierSet(model, barriers)
-    generator = np.random.default_rng(4)
-    n, step = model.num_states, 1e-5
-    for _ in range(5):
-        xbar = generator.uniform(-1.0, 1.0, size=n + 1)
-        rows = barrier_set.rows(xbar[:n], xbar[n])
-        for i in range(n + 1):
-            ahead, behind = (
-                barrier_set.rows(moved[:n], moved[n])
-                for moved in (
-                    xbar + step * np.eye(n + 1)[i],
-                    xbar - step * np.eye(n + 1)[i],
-                )
-            )
-            for name in ("A", "b", "w"):
-                difference = (getattr(ahead, name) - getattr(behind, name)) / (2 * step)
-                gradient = getattr(row_gradients(rows), name)[..., i]
-                assert_allclose(gradient, difference, rtol=1e-6, atol=1e-6)
+    assert_rows_are_derivatives(flight[0], barrier, h, *flight[1:])
 
 
 def test_relative_degree_one() -> None:

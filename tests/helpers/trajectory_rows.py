@@ -54,6 +54,10 @@ def assert_rows_are_derivatives(
         slack = rows.b[0] - rows.A[0] @ u + rows.w[0] @ np.asarray(d, dtype=float)
         right = np.dot([1.0, *barrier.gains], derivatives)
         assert slack == pytest.approx(right, rel=1e-6, abs=1e-6)
+        levels = [eta[0]]
+        if barrier.relative_degree == 2:
+            levels.append(eta[1] + barrier.decay_rates[0] * eta[0])
+        assert_allclose(rows.chain[0], levels, rtol=1e-6, atol=1e-6)
     _assert_gradients_are_differences(barriers, np.append(states[7], times[7]))
 
 

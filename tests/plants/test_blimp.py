@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
-from pydrake.systems.primitives import Linearize
 import pytest
 
 from vcbf_drake.checks import Array
@@ -113,29 +112,6 @@ def test_equal_surge_and_sway_leave_no_trace_of_yaw_in_the_acceleration() -> Non
     assert variables_of(model.dynamics.f[4:7]).isdisjoint({yaw, yaw_rate})
     unequal = ControlAffineModel.from_system(Blimp(UNEQUAL))
     assert yaw_rate in variables_of([unequal.dynamics.f[4]])
-
-
-def test_automatic_derivatives_are_those_of_central_differences() -> None:
-    random = np.random.default_rng(4)
-    x, u, h = random.normal(size=8), random.normal(size=3), 1e-6
-    for parameters in (BlimpParameters(), UNEQUAL):
-        blimp = Blimp(parameters)
-        context = blimp.CreateDefaultContext()
-        context.SetContinuousState(x)
-        blimp.GetInputPort("input").FixValue(context, u)
-        port = blimp.GetInputPort("input").get_index()
-        linear = Linearize(blimp, context, port, equilibrium_check_tolerance=np.inf)
-        A = np.transpose(
-            [
-                (state_rate(blimp, x + e, u) - state_rate(blimp, x - e, u)) / (2.0 * h)
-                for e in h * np.eye(8)
-            ]
-        )
-        B = np.transpose(
-            [state_rate(blimp, x, u + e) - state_rate(blimp, x, u) for e in np.eye(3)]
-        )
-        np.testing.assert_allclose(linear.A(), A, atol=1e-7)
-        np.testing.assert_allclose(linear.B(), B, atol=1e-9)
 
 
 @pytest.mark.parametrize("convert", ["ToAutoDiffXd", "ToSymbolic"])

@@ -82,36 +82,33 @@ def require_agreement(
     Raises:
         ModelError: They differ, or the origin's values differ from call to call.
     """
-    compared = passed_over = 0
+    compared, points = 0, list(points)
     for point in points:
         values = _values(derived, origin, point)
         if values is None:
-            passed_over += 1
             continue
         expected, found, differs = values
-        compared += 1
-        if compared == 1:
+        if not compared:
             _require_repeatable(origin, point, expected, describe, names)
         if differs.any():
             rounding = _rounding(derived, point, found)
             rounding = np.fmax(rounding, _rounding(origin, point, expected))
             differs &= ~(np.abs(found - expected) <= rounding)
-        if differs.any() and np.isnan(found[differs]).all():
-            if _agree_nearby(derived, origin, point):
-                passed_over, compared = passed_over + 1, compared - 1
-                continue
         if differs.any():
+            is_singular = np.isnan(found[differs]).all()
+            if is_singular and _agree_nearby(derived, origin, point):
+                continue
             k = int(differs.argmax())
             name, right, wrong = names[k % len(names)], expected[k], found[k]
             raise ModelError(
                 f"{name} is {right:.6g} at {describe(point)}, but what pydrake makes"
                 f" of its symbols is {wrong:.6g} there: {_WAY_OUT}"
             )
-    if passed_over and compared < _FEW:
-        number = compared + passed_over
+        compared += 1
+    if compared < min(_FEW, len(points)):
         warnings.warn(
-            f"{names[0]} is finite at {compared} of {number} points only, too few to"
-            " tell whether what was derived from it has the same values",
+            f"{names[0]} is finite at {compared} of {len(points)} points only, too few"
+            " to tell whether what was derived from it has the same values",
             stacklevel=2,
         )
 
@@ -134,17 +131,14 @@ def _require_repeatable(
         )
 
 
-def _plain(values: Any) -> list[float]:
-    """Numbers, or expressions without a variable, as floats."""
-    flat = np.asarray(values, dtype=object).flat
-    return [v.Evaluate() if isinstance(v, Expression) else float(v) for v in flat]
-
-
 def _numbers(function: NumberFunction, point: Array) -> Array | None:
     """The function's values, nan where they are not real; None if it raises."""
     try:
         with np.errstate(all="ignore"):
-            return np.array(_plain(function(point)))
+            values = np.asarray(function(point), dtype=object).flat
+            # Expressions without a variable are numbers too.
+            plain = (v.Evaluate() if isinstance(v, Expression) else v for v in values)
+            return np.array([*map(float, plain)])
     except ArithmeticError:
         return None
     except ValueError:  # The root of a negative number, say.
